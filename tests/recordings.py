@@ -19,8 +19,21 @@ def lanelet(number, left, line, links=""):
     return f'<lanelet id="{number}">{sides}{links}<laneletType>highway</laneletType></lanelet>'
 
 
-def straight(start, end):
-    return np.linspace(start, end, 30)[:, None] * [np.cos(TURN), np.sin(TURN)]
+def straight(start, end, points=30):
+    return np.linspace(start, end, points)[:, None] * [np.cos(TURN), np.sin(TURN)]
+
+
+def turning(radius):
+    """Points about a metre apart on a line that turns left by a right angle, between straights of 60 m."""
+    angles = np.linspace(0, np.pi / 2, max(round(1.6 * radius), 8))
+    arc = radius * np.stack([np.sin(angles), 1 - np.cos(angles)], axis=-1)
+    before, after = np.linspace([-60, 0], [-1, 0], 60), np.linspace([radius, radius + 1], [radius, radius + 60], 60)
+    return np.concatenate([before, arc, after])
+
+
+def headings(line):
+    """The direction of a line at each point."""
+    return np.arctan2(*np.gradient(line, axis=0).T[::-1])
 
 
 def two_lanes():
@@ -32,7 +45,7 @@ def two_lanes():
     )
 
 
-def linked_lanes(way="same"):
+def linked_lanes(way="same", points=30):
     """Two lanes of two lanelets each, 1 and 2 to the left of 3 and 4, that know each other, and which way they go."""
     lanes = ((1, 0.0, "Right", 3, 0), (2, 0.0, "Right", 4, 1), (3, -3.5, "Left", 1, 0), (4, -3.5, "Left", 2, 1))
     joints = '<successor ref="{}"/>', '<predecessor ref="{}"/>'
@@ -40,7 +53,7 @@ def linked_lanes(way="same"):
         lanelet(
             number,
             left,
-            straight(100 * second, 100 * second + 100),
+            straight(100 * second, 100 * second + 100, points),
             f'{joints[second].format(number + 1 - 2 * second)}<adjacent{side} ref="{other}" drivingDir="{way}"/>',
         )
         for number, left, side, other, second in lanes
@@ -61,15 +74,44 @@ def state(name, time, x, y, orientation, speed=SPEED, more=""):
     )
 
 
-def car(number, start, right, samples=STEPS, first=0):
-    """A car that keeps its velocity along the road from a step on."""
-    points = [place(start + SPEED * 0.1 * step, right) for step in range(samples)]
-    states = [state("state", first + step, *point, TURN) for step, point in enumerate(points)]
-    trajectory = f"<trajectory>{''.join(states[1:])}</trajectory>" if samples > 1 else ""
+RECTANGLE = "<rectangle><length>4.5</length><width>1.8</width></rectangle>"
+
+
+def moving(number, states, kind="car", shape=RECTANGLE):
+    """An obstacle that is in some states: step, x, y, orientation and speed."""
+    first, *rest = states
+    trajectory = f"<trajectory>{''.join(state('state', *one) for one in rest)}</trajectory>" if rest else ""
     return (
-        f'<dynamicObstacle id="{number}"><type>car</type><shape><rectangle><length>4.5</length><width>1.8</width>'
-        f"</rectangle></shape>{state('initialState', first, *points[0], TURN)}{trajectory}</dynamicObstacle>"
+        f'<dynamicObstacle id="{number}"><type>{kind}</type><shape>{shape}</shape>'
+        f"{state('initialState', *first)}{trajectory}</dynamicObstacle>"
     )
+
+
+def car(number, start, right, samples=STEPS, first=0, shape=RECTANGLE):
+    """A car that keeps its velocity along the road from a step on."""
+    steps = range(samples)
+    states = [(first + step, *place(start + SPEED * 0.1 * step, right), TURN) for step in steps]
+    return moving(number, states, shape=shape)
+
+
+def pedestrian(number, along, samples=STEPS, kind="pedestrian"):
+    """Somebody who crosses the road from the right, at 1.5 m/s."""
+    states = [(step, *place(along, 5.0 - 0.15 * step), TURN + np.pi / 2, 1.5) for step in range(samples)]
+    return moving(number, states, kind, "<circle><radius>0.3</radius></circle>")
+
+
+def standing(number, shape, x=None, y=None, orientation=TURN, kind="parkedVehicle"):
+    """An obstacle that stands; without a place, its shape is on the map."""
+    role = "environment" if x is None else "static"
+    placed = "" if x is None else state("initialState", 0, x, y, orientation)
+    return f'<{role}Obstacle id="{number}"><type>{kind}</type><shape>{shape}</shape>{placed}</{role}Obstacle>'
+
+
+def sign(number, values):
+    """A traffic sign with a maximum speed, of the United States."""
+    value = "".join(f"<additionalValue>{value}</additionalValue>" for value in values)
+    element = f"<trafficSignElement><trafficSignID>R2-1</trafficSignID>{value}</trafficSignElement>"
+    return f'<trafficSign id="{number}">{element}</trafficSign>'
 
 
 def problem(

@@ -58,10 +58,11 @@ class RecordedEnv(ConfiguredEnv):
 
     Configuration, beside highway-env's own, of which changes act from the next reset on:
 
-    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz`` (extra ``commonroad``), or ``"us101"``, which
-      comes with the package.
+    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz`` (with traffic signs: extra ``commonroad``), or
+      ``"us101"``, which comes with the package.
     * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
       first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
+      Who does not drive in lanes, such as a pedestrian or a train, always goes where it went.
     * ``ego``: ``"problem"``, the first planning problem, or ``"problem:NUMBER"``, any; or the number of a recorded
       vehicle, to start in its place and go to its own last position, at the latest 2 s after it was there.
     * ``goal_reward``, ``collision_reward``, ``off_road_reward``: once, at the end; ``progress_reward``: of each metre

@@ -15,8 +15,9 @@ Values = Float[np.ndarray, "n"]
 LANE_SPREAD = 0.5  # m, median deviation from the median offset, above which lanes are not parallel
 DISTINCT_LANES = 1.0  # m, offset below which chains of lanelets are one lane
 
-SPACING = 5.0  # m, between the points that the curve is fitted to
-STIFFNESS = 2000.0  # m^3; smooths what is shorter than 60 m, (2 pi / 60 m)^4 = 1 / (SPACING STIFFNESS)
+SPACING = 5.0  # m, between the places where the nearest is looked for
+SMOOTHED = 10.0, 5.0, 2.5, 1.25, 0.625  # m; waves shorter than 2 pi times that, at first about 60 m, are smoothed
+KINKS = 0.2  # m, by which lines of maps, such as those of US-101, are jagged
 FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
 ITERATIONS = 6  # each reduces the error to |offset / radius| of it, a few percent on a highway
 
@@ -85,13 +86,23 @@ class MeasuredRoad(NamedTuple):
     lane_width: float
 
 
-def fit_lane_coordinates(line: Points) -> LaneCoordinates:
-    """Fit coordinates to a line, smoothed: lines of maps have kinks that would look like steering."""
+def fits(line: Points) -> Iterator[LaneCoordinates]:
+    """Yield coordinates along a line, first smoothed much: lines of maps have kinks that would look like steering."""
     line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
     distance = np.r_[0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=-1))]
-    even = np.linspace(0, distance[-1], max(round(distance[-1] / SPACING) + 1, FEWEST_POINTS))
-    points = np.stack([np.interp(even, distance, coordinate) for coordinate in line.T], axis=-1)
-    return LaneCoordinates(make_smoothing_spline(even, points, lam=STIFFNESS), float(distance[-1]))
+    for smoothed in SMOOTHED:
+        spacing = smoothed / 2
+        even = np.linspace(0, distance[-1], max(round(distance[-1] / spacing) + 1, FEWEST_POINTS))
+        points = np.stack([np.interp(even, distance, coordinate) for coordinate in line.T], axis=-1)
+        yield LaneCoordinates(make_smoothing_spline(even, points, lam=smoothed**4 / spacing), float(distance[-1]))
+
+
+def fit_lane_coordinates(line: Points) -> LaneCoordinates:
+    """Fit coordinates to a line, smoothed as much as its curves allow."""
+    for road in fits(line):
+        if np.abs(road.locate(line).y).max() <= KINKS:
+            break
+    return road
 
 
 def measure_road(lanelets: Sequence[Lanelet]) -> MeasuredRoad:
@@ -132,7 +143,7 @@ def side_by_side(lanelets: Sequence[Lanelet]) -> list[list[Lanelet]]:
     known = {lanelet.number: lanelet for lanelet in lanelets}
     roads, placed = [], set[int]()
     for lanelet in lanelets:
-        if False in lanelet.same_way:
+        if any(way is False and other in known for way, other in zip(lanelet.same_way, lanelet.beside, strict=True)):
             raise ValueError(
                 f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
                 "driven here"

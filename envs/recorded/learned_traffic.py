@@ -80,9 +80,10 @@ class Learned(Traffic):
             usual = np.interp(x, self.ways[place], self.paths[place][:, 3])
             most[place] = speed + (usual - speed) * TIME_STEP / SETTLING
         _slow_down(after, most)
-        poses = zip(*self.straight.bend(after[[*self.vehicles]].astype(float)), strict=True)
-        for (place, vehicle), pose in zip(self.vehicles.items(), poses, strict=True):
-            vehicle.put(*pose, after[place, 3])
+        drivers = [place for place in self.vehicles if self.tracks[place].drives]
+        poses = zip(*self.straight.bend(after[drivers].astype(float)), strict=True)
+        for place, pose in zip(drivers, poses, strict=True):
+            self.vehicles[place].put(*pose, after[place, 3])
         self._move_on(lambda place: after[place, 0] > self.end)
 
     def _states(self) -> States:
@@ -90,6 +91,8 @@ class Learned(Traffic):
         states = np.full((self.count, 4), np.nan, np.float32)
         cars = self.vehicles | dict(enumerate(self.egos, len(self.tracks)))
         states[[*cars]] = self.straight.states(cars.values())
+        replayed = [place for place in self.vehicles if not self.tracks[place].drives]
+        states[replayed, 3] *= np.maximum(np.cos(states[replayed, 2]), 0.0)  # who crosses does not drive ahead
         self.surroundings.sizes[[*cars]] = [(vehicle.LENGTH, vehicle.WIDTH) for vehicle in cars.values()]
         return states
 
@@ -102,7 +105,7 @@ class Learned(Traffic):
             later = min(int(np.searchsorted(self.ways[place], x + LOOK_AHEAD * speed)), len(path) - 1)
             wish = int(np.sign(self._lanes(path[later, 1]) - lane))
             begun = wish * (y - lane * width) > BEGUN
-            if wish and (begun or self._has_room(states, place, lane, lane + wish)):
+            if wish and self.tracks[place].drives and (begun or self._has_room(states, place, lane, lane + wish)):
                 side[place] = wish
         return side, ((lanes + side) * width).astype(np.float32)
 

@@ -9,13 +9,14 @@ from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
 from highway_env.utils import get_class_path
 
-from ms_highway.envs.recorded.lane_coordinates import Values, fit_lane_coordinates, side_by_side
+from ms_highway.envs.recorded.lane_coordinates import Values, fits, side_by_side
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 from ms_highway.game.road import wrapped
 from ms_highway.vehicle.lane_paths import along_bend, from_heading
 
 STEP = 1.0  # m, between samples of a lane
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
+WITHIN = 0.1  # m, from the middle of a lanelet to that of its lane
 
 
 class Axes(NamedTuple):
@@ -161,17 +162,30 @@ def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
 
 
 def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]) -> SampledLane:
-    """Return the lane of a lanelet: its centre, smoothed together with the lanes before and after it."""
+    """Return the lane of a lanelet: its centre, smoothed, together with the lanes before and after it if possible.
+
+    Raises:
+        ValueError: if no smooth lane is near that.
+    """
     centre = lanelet.centre
     before = [known[number].centre for number in lanelet.before[:1] if number in known]
     after = [known[number].centre for number in lanelet.after[:1] if number in known]
     parts = [_last(line, BRIDGED) for line in before] + [centre] + [_last(line[::-1], BRIDGED)[::-1] for line in after]
-    smooth = fit_lane_coordinates(np.concatenate(parts))
-    along = smooth.locate(centre).x
-    first, last = np.clip(along[[0, -1]], 0.0, smooth.length)
-    places, order = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1), np.argsort(along, kind="stable")
-    widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
-    return SampledLane(axes.positions(smooth.curve(places)), widths, lines, lanelet.limit or SPEED_LIMIT)
+    for smooth in itertools.chain(fits(np.concatenate(parts)), fits(centre)):
+        along = smooth.locate(centre).x
+        first, last = np.clip(along[[0, -1]], 0.0, smooth.length)
+        places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
+        order = np.argsort(along, kind="stable")
+        widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
+        limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
+        lane = SampledLane(axes.positions(smooth.curve(places)), widths, lines, limit)
+        found = np.array([lane.local_coordinates(position) for position in axes.positions(centre)])
+        off = max(np.abs(found[:, 1]).max(), -found[:, 0].min(), found[:, 0].max() - lane.length)
+        if off <= WITHIN:
+            return lane
+    raise ValueError(
+        f"lanelet {lanelet.number} turns too sharply: the middle of a smooth lane would be {off:.2f} m off its own"
+    )
 
 
 def _last(line: Points, length: float) -> Points:

@@ -51,21 +51,21 @@ class Task:
         Raises:
             ValueError: if there is no such planning problem, or no such vehicle, or it was seen once only.
         """
+        vehicles = {track.number: track for track in scenario.tracks if track.drives and len(track.samples) > 1}
         if isinstance(ego, str):
             number = ego.partition(":")[2]
             problems = [problem for problem in scenario.problems if number in ("", str(problem.number))]
             if not problems:
                 known = [f"'problem:{problem.number}'" for problem in scenario.problems]
-                choices = " or ".join([*known, f"a vehicle, such as {scenario.tracks[0].number}"])
+                choices = " or ".join([*known, f"a vehicle, such as {next(iter(vehicles), 'none here')}"])
                 raise ValueError(f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose {choices}")
             return cls(problems[0], CAR_SIZE)
-        track = scenario.track(ego)
-        if track is None or len(track.samples) < 2:
-            known = [str(track.number) for track in scenario.tracks if len(track.samples) > 1]
+        if ego not in vehicles:
             raise ValueError(
-                f"config['ego'] is {ego}, which is not there, or was seen only once; choose one of {', '.join(known)}"
+                f"config['ego'] is {ego}, which is no vehicle that was seen twice; choose one of "
+                + ", ".join(map(str, vehicles))
             )
-        return cls(_as_recorded(track), track.size, ego)
+        return cls(_as_recorded(vehicles[ego]), vehicles[ego].size, ego)
 
     @property
     def last(self) -> int:

@@ -53,17 +53,19 @@ class Lanelet(msgspec.Struct, frozen=True):
 
 
 class RecordedTrack(msgspec.Struct, frozen=True):
-    """A vehicle, as it was recorded.
+    """A vehicle, or a road user of another kind, as it was recorded.
 
     Attributes:
         number: its identifier.
         size: length and width [m].
         samples: step of time, x, y, orientation and speed [times, 5].
+        drives: whether it drives in lanes; otherwise, like a pedestrian, it only goes as it was recorded.
     """
 
     number: int
     size: tuple[float, float]
     samples: np.ndarray
+    drives: bool = True
 
     @property
     def first(self) -> int:
@@ -162,7 +164,7 @@ def open_recording(recording: str) -> TrafficRecording:
 
     Raises:
         ValueError: naming the file and what is wrong with it.
-        ImportError: for a file, without the packages of the extra ``commonroad``.
+        ImportError: for a file with traffic signs, without the packages of the extra ``commonroad``.
     """
     if recording == SHIPPED:
         return shipped()

@@ -1,6 +1,7 @@
 """Move the others in recorded traffic: what all kinds share, who goes as it went, and highway-env's IDM and MOBIL."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -88,18 +89,28 @@ class Traffic(ABC):
     def move(self) -> None:
         """Move those on the road for a step, let those leave who have reached its end, and others enter."""
 
-    def _move_on(self, leaves: Any) -> None:
-        """Count the step, and let vehicles leave and enter."""
+    def _is_replayed(self, track: RecordedTrack) -> bool:
+        """Return whether a track's vehicle goes as it was recorded: pedestrians and others who do not drive do."""
+        return not track.drives
+
+    def _move_on(self, leaves: Callable[[int], bool]) -> None:
+        """Count the step, let vehicles leave and enter, and move those that go as they were recorded."""
         self.step += 1
-        for place in [place for place in self.vehicles if leaves(place)]:
-            self.road.vehicles.remove(self.vehicles.pop(place))
+        for place in list(self.vehicles):
+            track = self.tracks[place]
+            if track.last < self.step if self._is_replayed(track) else leaves(place):
+                self.road.vehicles.remove(self.vehicles.pop(place))
         self.waiting = ()
         for place, track in enumerate(self.tracks):
             if place not in self._entered and track.first <= self.step:
-                if self._is_free(track):
+                if self._is_replayed(track) or self._is_free(track):
                     self._enter(place, track.first)
                 else:
                     self.waiting += (track.number,)
+        for place, vehicle in self.vehicles.items():
+            if self._is_replayed(self.tracks[place]):
+                *pose, speed = sampled(self.tracks[place], self.step)
+                vehicle.put(*self.axes.pose(*pose), speed)
 
     def _is_free(self, track: RecordedTrack) -> bool:
         """Return whether nobody is in the place where a track begins, nor right before or behind it."""
@@ -115,8 +126,9 @@ class Traffic(ABC):
         """Put the vehicle of a track on the road where it was at a step."""
         track = self.tracks[place]
         *pose, speed = sampled(track, step)
-        vehicle = self.vehicle_type(self.road, *self.axes.pose(*pose), speed)
-        vehicle.number, vehicle.check_collisions = track.number, False
+        kind = RecordedVehicle if self._is_replayed(track) else self.vehicle_type
+        vehicle = kind(self.road, *self.axes.pose(*pose), speed)
+        vehicle.number, vehicle.check_collisions, vehicle.follows_lanes = track.number, False, track.drives
         sized(vehicle, track.size)
         self.road.vehicles.append(vehicle)
         self.vehicles[place] = vehicle
@@ -140,12 +152,9 @@ class Replay(Traffic):
 
     def move(self) -> None:
         """Move those on the road for a step, and let others leave and enter as they were recorded to."""
-        self._move_on(lambda place: self.tracks[place].last < self.step)
-        for place, vehicle in self.vehicles.items():
-            *pose, speed = sampled(self.tracks[place], self.step)
-            vehicle.put(*self.axes.pose(*pose), speed)
+        self._move_on(lambda _: False)
 
-    def _is_free(self, track: RecordedTrack) -> bool:
+    def _is_replayed(self, track: RecordedTrack) -> bool:
         return True
 
 

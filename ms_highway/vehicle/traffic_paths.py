@@ -27,6 +27,7 @@ ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a
 NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
 NO_GAP = 1e3  # m, without a leader
+SLOWEST = 0.1  # m/s, of what may move
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
@@ -54,6 +55,7 @@ class Way(NamedTuple):
         chain: lanes.
         path: along them.
         state: of the vehicle on the path.
+        limit: of its speed [m/s].
     """
 
     car: RoadObject
@@ -61,6 +63,7 @@ class Way(NamedTuple):
     chain: Chain
     path: Path
     state: Car
+    limit: float
 
 
 def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, intentions: bool = False) -> dict[str, Any]:
@@ -81,7 +84,7 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, intentions: bool =
             "states": way.state,
             "sizes": np.array([way.car.LENGTH, way.car.WIDTH]),
             "present": True,
-            "limits": way.chain.lanes[0].limit,
+            "limits": way.limit,
             "owners": way.owner,
             "names": _number_of(way.car),
             "moving": _drives(way.car),
@@ -133,6 +136,12 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
     Where it shows its intentions, these are the ways from all lanes of the road from which most of its route follows.
     """
     found, own = [], roads.lanes[car.lane_index]
+    if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
+        x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
+        path = Path(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
+        return [
+            Way(car, owner, roads.chain((own,)), path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))
+        ]
     legs = frozenset(leg[:2] for leg in (intentions and getattr(car, "route", None)) or ())
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
@@ -148,7 +157,7 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
         curve = chain.curve(place // BLOCK)
         s, d, heading = curve.project(car.position, car.heading, place)
         path = curve.path(s, TRAFFIC_KNOTS)
-        ways.append(Way(car, owner, chain, path, np.array([0.0, d, heading, car.speed])))
+        ways.append(Way(car, owner, chain, path, np.array([0.0, d, heading, car.speed]), chain.lanes[0].limit))
     return ways
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import recordings
 from commands import run
+from commonroad.common.reader.file_reader_xml import XMLFileReader
 from commonroad.common.solution import CommonRoadSolutionReader
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -18,7 +19,7 @@ from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver
 from ms_highway.benchmarks.road.export import WHEELBASE
 from ms_highway.benchmarks.road.measures import Watch, measured
 from ms_highway.benchmarks.road.recorded import starts_of
-from ms_highway.envs.recorded.commonroad import open_commonroad
+from ms_highway.envs.recorded.commonroad import read_scenario
 
 KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleration", "p50_ms", "p99_ms"}
 
@@ -176,7 +177,8 @@ def test_unknown_and_contradictory_options_are_refused_before_anything_is_driven
 def exported(tmp_path_factory):
     """The directory of a drive and its episode, in which the ego follows its lane and the others follow by IDM."""
     directory = tmp_path_factory.mktemp("exported")
-    cars = recordings.car(100, 60, 0) + recordings.car(101, 40, 3.5)
+    shifted = recordings.RECTANGLE.replace("</rec", "<originXShift>-1.5</originXShift></rec")
+    cars = recordings.car(100, 60, 0) + recordings.car(101, 40, 3.5, shape=shifted)
     text = recordings.scenario(lanelets=recordings.linked_lanes(), cars=cars, problems=recordings.problem(right=0.3))
     (directory / "small.xml").write_text(text)
     (start,) = starts_of(directory, "problem")
@@ -185,7 +187,7 @@ def exported(tmp_path_factory):
 
 def test_an_exported_scenario_is_the_recording_with_the_others_as_they_drove(exported):
     directory, episode, name = exported
-    scenario, problems = open_commonroad(directory / f"{name}.xml")
+    scenario, problems = XMLFileReader(str(directory / f"{name}.xml")).open()
     assert list(problems.planning_problem_dict) == [7]
     assert len(scenario.lanelet_network.lanelets) == 4
     ahead = scenario.obstacle_by_id(100)
@@ -195,6 +197,15 @@ def test_an_exported_scenario_is_the_recording_with_the_others_as_they_drove(exp
     speeds = np.array([state.velocity for state in states])
     np.testing.assert_allclose(moved, 0.1 * speeds[:-1], atol=0.02)
     assert ahead.state_at_time(episode.steps + 1) is None
+
+
+def test_bodies_of_an_exported_scenario_start_where_they_were_recorded(exported):
+    directory, _, name = exported
+    recorded, again = (
+        read_scenario(path).track(101) for path in (directory.parents[1] / "small.xml", directory / f"{name}.xml")
+    )
+    assert again.size == pytest.approx(recorded.size)
+    np.testing.assert_allclose(again.samples[0], recorded.samples[0], atol=1e-6)
 
 
 def test_an_exported_solution_is_the_drive_of_a_kinematic_single_track_model(exported):

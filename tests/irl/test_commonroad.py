@@ -7,7 +7,21 @@ from itertools import count
 
 import numpy as np
 import pytest
-from recordings import SPEED, STEPS, TURN, car, lanelet, scenario, straight, two_lanes
+from recordings import (
+    SPEED,
+    STEPS,
+    TURN,
+    car,
+    headings,
+    lanelet,
+    moving,
+    pedestrian,
+    scenario,
+    sign,
+    straight,
+    turning,
+    two_lanes,
+)
 
 from ms_highway.irl.recordings.commonroad import read_directory
 
@@ -82,18 +96,39 @@ def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path):
     assert recording.seen.sum(axis=0).tolist() == [1, STEPS]
 
 
+@pytest.mark.parametrize("kind", ["pedestrian", "bicycle", "train", "pillar", "balloon"])
+def test_who_does_not_drive_is_a_neighbour_but_no_driver(kind, tmp_path):
+    (recording,) = read(tmp_path, scenario(cars=ALONE + pedestrian(101, 60, kind=kind)))
+    assert recording.drivers.tolist() == [0]
+    assert recording.seen.all()
+
+
+@pytest.mark.parametrize("radius", [5, 15, 30, 100])
+def test_a_car_in_the_middle_of_a_turning_lane_is_in_its_middle(radius, tmp_path):
+    line = turning(radius)
+    states = [
+        (step, *point, heading, SPEED) for step, (point, heading) in enumerate(zip(line, headings(line), strict=True))
+    ]
+    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, line), cars=moving(100, states)))
+    assert np.abs(recording.states[:, 0, 1]).max() < 0.2
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
         (scenario()[:3000], "cannot be read as a CommonRoad scenario .*; fetch it again"),
         (scenario(time_step=0.2), "the time step is 0.2 s; it must be 0.1 s"),
-        (scenario(lanelets=re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)), "lanelets are not finite"),
-        (scenario(cars=ALONE.replace(f"<exact>{TURN}", "<exact>inf")), "an orientation of inf rad"),
-        (scenario(cars=ALONE + car(101, 1e9, 0)), "has a time, place or speed that is out of range"),
-        (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "times of obstacle 100 do not follow each other"),
+        (scenario(lanelets=re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)), "lanelet 3: <x> of <point> is 'inf'"),
+        (scenario(lanelets=two_lanes() + lanelet(9, 2e5, straight(0, 9))), "lanelets are more than 100000 m apart"),
+        (
+            scenario(cars=ALONE.replace(f"<exact>{TURN}", "<exact>inf")),
+            "<orientation/exact> of <initialState> is 'inf'",
+        ),
+        (scenario(cars=ALONE + car(101, 1e9, 0)), "dynamicObstacle 101: <position/point/x> of <initialState> is"),
+        (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "100: its times do not follow each other"),
         (
             scenario(cars=ALONE.replace("<exact>19<", "<exact>1000000000<")),
-            "has a time, place or speed that is out of range",
+            "<time/exact> of <state> is '1000000000'; it must be from 0 to 100000",
         ),
     ],
 )
@@ -109,9 +144,9 @@ def test_a_directory_without_scenarios_is_refused_by_name(tmp_path):
 
 
 def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "commonroad.common.reader.file_reader_xml", None)
+    monkeypatch.setitem(sys.modules, "commonroad.scenario.traffic_sign", None)
     with pytest.raises(ImportError, match=re.escape("pip install 'ms-highway[commonroad]'")):
-        read(tmp_path, scenario())
+        read(tmp_path, scenario(lanelets=two_lanes() + sign(50, ["20"])))
 
 
 def test_the_first_files_are_read_where_that_is_asked_for(tmp_path):
@@ -137,4 +172,4 @@ def test_reading_needs_no_protobuf(tmp_path, monkeypatch):
     for name in [name for name in sys.modules if name.startswith(("commonroad", "google.protobuf"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "google.protobuf", None)
-    assert len(read(tmp_path, scenario())) == 1
+    assert len(read(tmp_path, scenario(lanelets=two_lanes() + sign(50, ["20"])))) == 1

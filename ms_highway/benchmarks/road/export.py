@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ms_highway.envs.recorded.commonroad import open_commonroad, read_xml
+from ms_highway.envs.recorded.commonroad import read_xml
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
@@ -33,6 +33,7 @@ class Drive:
         self._env = env
         self._ego: list[tuple[float, ...]] = []
         self._others: dict[int, list[tuple[float, ...]]] = {}
+        self._sizes: dict[int | None, tuple[float, float]] = {}
         self.see()
 
     def see(self) -> None:
@@ -45,6 +46,7 @@ class Drive:
         for vehicle, (x, y), orientation in zip(everyone, points.tolist(), orientations.tolist(), strict=True):
             own = self._ego if vehicle is env.vehicle else self._others.setdefault(vehicle.number, [])
             own.append((step, x, y, orientation, float(vehicle.speed)))
+            self._sizes[getattr(vehicle, "number", None)] = vehicle.LENGTH, vehicle.WIDTH
 
     def write(self, directory: Path, name: str) -> None:
         """Write ``NAME.xml``, the scenario as it was driven, and ``NAME.solution.xml``, the ego's solution.
@@ -62,11 +64,12 @@ class Drive:
                 VehicleModel,
                 VehicleType,
             )
+            from commonroad.scenario.scenario import ScenarioID
             from commonroad.scenario.state import KSState
             from commonroad.scenario.trajectory import Trajectory
         recording = Path(self._env.config["recording"])
-        identity = open_commonroad(recording)[0].scenario_id
         driven = self._driven(recording)
+        identity = ScenarioID.from_benchmark_id(driven.attrib["benchmarkID"], driven.attrib["commonRoadVersion"])
         date = datetime.fromisoformat(driven.get("date", EPOCH))  # of the recording: the same each time
         with replacing(directory / f"{name}.xml") as path:
             ElementTree.ElementTree(driven).write(path, encoding="utf-8", xml_declaration=True)
@@ -100,8 +103,11 @@ class Drive:
             if rows is None:
                 root.remove(obstacle)
                 continue
-            for old in (*obstacle.findall("initialState"), *obstacle.findall("trajectory")):
+            for old in [part for part in obstacle if part.tag in ("shape", "initialState", "trajectory")]:
                 obstacle.remove(old)
+            length, width = self._sizes[int(obstacle.attrib["id"])]  # around the middle, from which states are seen
+            box = f"<rectangle><length>{length!r}</length><width>{width!r}</width></rectangle>"
+            obstacle.append(ElementTree.fromstring(f"<shape>{box}</shape>"))
             obstacle.append(_state("initialState", rows[0]))
             if rows[1:]:
                 trajectory = ElementTree.SubElement(obstacle, "trajectory")

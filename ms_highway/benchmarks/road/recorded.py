@@ -46,7 +46,7 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
 
     Raises:
         ValueError: if there is no recording, or no start in any.
-        ImportError: without the packages of the extra ``commonroad``.
+        ImportError: for traffic signs, without the packages of the extra ``commonroad``.
     """
     recordings = [SHIPPED] if data is None else [str(path) for path in scenario_files(data)]
     starts, seen = [], set[tuple]()
@@ -72,7 +72,7 @@ def _changing(scenario: TrafficRecording) -> list[tuple[int, tuple[float, ...]]]
     straight, found = StraightRoad.of(scenario.lanelets), []
     for track in scenario.tracks:
         samples = track.samples
-        if samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
+        if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
             continue
         places = straight.path(track)[[0, -1], 1] / straight.lane_width
         lanes = np.rint(places)

@@ -14,9 +14,10 @@ from ms_highway.irl.recordings.recording import Recording
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
     """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
-    Every moving obstacle is a driver, except those seen only once or moving against the road. Files of one recording,
-    such as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in
-    the first file that has it, and a neighbour in the others.
+    Every moving vehicle is a driver, except those seen only once or moving against the road; who does not drive in
+    lanes, such as a pedestrian, is a neighbour. Files of one recording, such as ``USA_US101-10_4_T-1`` and
+    ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in the first file that has it, and a
+    neighbour in the others.
 
     Args:
         directory: of the files.
@@ -24,7 +25,7 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 
     Raises:
         ValueError: if there is no file, or one is no scenario with lanes, drivers and the time step 0.1 s.
-        ImportError: without the packages of the extra ``commonroad``.
+        ImportError: for traffic signs, without the packages of the extra ``commonroad``.
     """
     counted: set[tuple] = set()
     recordings = []
@@ -48,7 +49,7 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
         states[time.astype(int), car] = np.stack([x, y, heading, speed], axis=-1)
         identity = (scenario.group, track.number, *position[0].round(2))
         along_the_road = np.abs(np.median(heading)) < np.pi / 2
-        if len(time) > 1 and along_the_road and identity not in counted:
+        if track.drives and len(time) > 1 and along_the_road and identity not in counted:
             drivers.append(car)
             counted.add(identity)
     sizes, numbers = np.array([track.size for track in tracks]), np.array(drivers, dtype=int)
