@@ -6,9 +6,10 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import action_factory
-from highway_env.envs.common.observation import observation_factory
+from highway_env.envs.common.observation import GrayscaleObservation, observation_factory
 
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, read_own, refuse_unknown
+from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
 
 OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
@@ -24,6 +25,8 @@ class ConfiguredEnv(AbstractEnv):
     settings_type: ClassVar[Any]
     types: ClassVar[Types] = TYPES
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
+    viewer_type: ClassVar[type[Viewer]] = Viewer
+    viewer: Viewer | None
     config: Config
     metadata: Config
     action_space: spaces.Space | None
@@ -69,6 +72,8 @@ class ConfiguredEnv(AbstractEnv):
         if before == self.action_space:
             self.action_space = before
         self.observation_type = self._type(observation_factory, self.config["observation"])
+        if isinstance(self.observation_type, GrayscaleObservation):
+            self.observation_type.viewer.enabled = True  # see `Viewer`
         self.observation_space = finite(self.observation_type.space())
 
     def _type(self, factory: Any, config: Config) -> Any:
@@ -111,3 +116,9 @@ class ConfiguredEnv(AbstractEnv):
         elif action is not None and not np.isfinite(action).all():
             raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
         return super().step(action)
+
+    def render(self) -> np.ndarray | None:
+        """Draw the road from above."""
+        if self.viewer is None and self.render_mode is not None:
+            self.viewer = self.viewer_type(self)
+        return super().render()

@@ -1,7 +1,6 @@
 """What a person sees: the road from above, plans and predictions on it, and a panel with what the robot thinks."""
 
 import os
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
@@ -14,7 +13,7 @@ import numpy as np
 import pygame
 import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
-from highway_env.road.graphics import LaneGraphics, RoadGraphics
+from highway_env.road.graphics import LaneGraphics, RoadGraphics, WorldSurface
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.game.dynamics import step as move
@@ -89,11 +88,19 @@ def model_meaning(name: str) -> str:
 class Viewer(EnvViewer):
     """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
+    observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = None, None, None, None, 0
+
     def __init__(self, env: Any) -> None:
-        screen = {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
-        if env.render_mode == "rgb_array" and sys.platform == "linux" and not screen:
-            os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or else SDL complains that there is no screen
-        super().__init__(env)
+        self.env, self.config, self.offscreen = env, env.config, env.config["offscreen_rendering"]
+        if not self.offscreen:
+            super().__init__(env)
+        else:  # without `pygame.display`, which surfaces do not need, and which may complain that there is no screen
+            size = self.config["screen_width"], self.config["screen_height"]
+            self.sim_surface = WorldSurface(size, 0, pygame.Surface(size))
+            self.sim_surface.scaling = self.config["scaling"]
+            self.sim_surface.centering_position = self.config["centering_position"]
+            if self.agent_display:
+                self.extend_display()
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
 
     def show(self, picture: pygame.Surface) -> None:

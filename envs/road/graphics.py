@@ -20,8 +20,6 @@ def show(env: Any) -> None:
     """Let an environment that is rendered be drawn by a `RoadViewer`, from the next picture on."""
     base = env.unwrapped
     if base.render_mode is not None and not isinstance(base.viewer, RoadViewer):
-        if base.viewer is not None:
-            base.viewer.close()
         base.viewer = RoadViewer(base)
 
 

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen, telling
+from ms_highway.cli.console import add_command, telling
 
 HELP = """\
 Make one HTML page of a directory of `ms-highway compare`. It is a single file and needs no network. At its top stand
@@ -54,7 +54,6 @@ def _report(options: argparse.Namespace) -> None:
             check_format(Path("film.mp4"))
         except ImportError as error:
             raise ImportError(f"{error}, or add --no-videos") from error
-    draw_unseen()
     with telling() as tell:
         text = page(results, options.videos, tell)
     with replacing(out) as path:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen
+from ms_highway.cli.console import add_command
 from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NAMES, add_keys, add_number, configuration
 
 HELP = """\
@@ -44,7 +44,6 @@ def _video(options: argparse.Namespace) -> None:
     config = configuration(options)
     Comparison({options.scenario: controllers}, config=config).check()
     video.check_format(options.out)
-    draw_unseen()
     films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]
     pictures = video.side_by_side(films) if options.against else films[0].pictures
     if options.width is not None:
