@@ -111,6 +111,10 @@ class Viewer(EnvViewer):
                 self.clock.tick(self.env.config["simulation_frequency"])
             pygame.display.flip()
 
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        """Be pickled as None: a copy of an environment makes a viewer of its own once it is rendered."""
+        return type(None), ()
+
     def close(self) -> None:
         """Close the window, if there is one; other environments of the process may still be drawing."""
         if not self.offscreen:
