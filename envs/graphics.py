@@ -128,6 +128,7 @@ class InteractionViewer(Viewer):
     """
 
     panel_height = 150  # px
+    longest = 0.0  # s, of the plans that are drawn in the same scale elsewhere
 
     def display(self) -> None:
         """Draw everything; the view follows the robot along the road and keeps the road in place."""
@@ -148,7 +149,7 @@ class InteractionViewer(Viewer):
         RoadGraphics.display_traffic(env.road, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
-        self._draw_names(above - 14, below + 14)
+        self._draw_names(range(above, below))
         self._draw_panel(step)
         self.show(surface)
 
@@ -168,19 +169,21 @@ class InteractionViewer(Viewer):
         states = accumulate(controls, partial(move, dynamics), initial=state)
         return [self.sim_surface.vec2pix(each) for each in states]
 
-    def _draw_names(self, above: int, below: int) -> None:
-        """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
+    def _draw_names(self, road: range) -> None:
+        """Draw the names of robot and human beside them; of several humans, a number on each roof."""
         humans, (robot, *others) = self.env.humans, self.env.scenario.cars
-        if others and robot[1] < others[0][1]:
-            above, below = below, above
-        labels = {"robot": (self.env.robot, below)}
+        side = -1 if others and robot[1] < others[0][1] else 1
+        labels = {"robot": (self.env.robot, side)}
         if len(humans) == 1:
-            labels["human"] = humans[0], above
+            labels["human"] = humans[0], -side
         else:
             labels |= {str(place): (human, 0) for place, human in enumerate(humans, 1)}
-        for name, (car, roadside) in labels.items():
+        for name, (car, side) in labels.items():
             x, y = self.sim_surface.vec2pix(car.position)
-            self._write(name, MEDIUM, center=(x, roadside or y))
+            if side:
+                y = max(self.sim_surface.vec2pix(corner)[1] * side for corner in car.polygon()) * side + 12 * side
+            colors = (INK, None) if not side else (PAPER, ASPHALT) if y in road else (INK, GROUND)
+            self._write(name, MEDIUM, *colors, center=(x, y))
 
     def _draw_panel(self, step: ControlStep | None) -> None:
         env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
@@ -259,11 +262,12 @@ class InteractionViewer(Viewer):
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
         """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""
         humans = len(steps[0].models)
-        values, heading = [float(humans)] * len(steps), "humans that each model predicts"
+        values, heading, high = [float(humans)] * len(steps), "humans that each model predicts", float(humans)
         if humans == 1:
             values = [1e3 * step.planning_seconds for step in steps]
             heading = "planning time of each step [ms], in the colour of its model"
-        for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, max(values)), strict=True):
+            high = max(*values, 1e3 * self.longest)
+        for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, high), strict=True):
             for place, model in enumerate(sorted(step.models, key=cheapest_first(step.models).index)):
                 top = bar.top + bar.height * place / humans
                 self.sim_surface.fill(model_color(model), (bar.left, top, bar.width, bar.bottom - top))

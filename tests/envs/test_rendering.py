@@ -5,19 +5,20 @@ import os
 import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
+import pygame
 import pytest
 from episodes import make
 
 from ms_highway import drive
 from ms_highway.cli.main import main
-from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PAPER, TEXT_WIDTH, words
+from ms_highway.envs.graphics import ASPHALT, CONE, GROUND, INK, MEDIUM, MODEL_COLORS, PAPER, TEXT_WIDTH, words
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
-from ms_highway.visualization.video import HEADING_HEIGHT, film, scaled, side_by_side, write
+from ms_highway.visualization.video import HEADING_HEIGHT, film_together, scaled, side_by_side, write
 
 
 @pytest.fixture(scope="module")
 def films():
-    return [film("merger", controller, 1) for controller in ("naive", "turn")]
+    return film_together("merger", ["naive", "turn"], 1)
 
 
 def pixels(frame, color, off=2):
@@ -115,6 +116,25 @@ def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
     assert (above[:HEADING_HEIGHT] != below[:HEADING_HEIGHT]).any()
     assert pixels(above[:HEADING_HEIGHT], MODEL_COLORS["naive"]) > pixels(below[:HEADING_HEIGHT], MODEL_COLORS["naive"])
     assert pixels(below[:HEADING_HEIGHT], MODEL_COLORS["turn"]) > pixels(above[:HEADING_HEIGHT], MODEL_COLORS["turn"])
+
+
+def test_both_films_have_one_scale_of_planning_time_in_every_picture(films):
+    scale = slice(352 - 150 + 18, 352 - 150 + 35), slice(TEXT_WIDTH - 60, TEXT_WIDTH - 4)  # the number at its top
+    above, below = (np.array(film_.pictures)[:, *scale] for film_ in films)
+    np.testing.assert_array_equal(above, below)
+    assert (above != PAPER).any()
+
+
+def test_the_robots_name_stands_beside_it_in_whatever_lane_it_is():
+    env = rendered("merger", steps=0)
+    robot = env.unwrapped.robot
+    for lane, colors in zip(env.unwrapped.game.scene.lanes, ((PAPER, ASPHALT), (INK, GROUND)), strict=True):
+        name = pygame.surfarray.array3d(words("robot", MEDIUM, *colors)).swapaxes(0, 1)
+        robot.position = np.array([robot.position[0], float(lane)])
+        picture = env.render()
+        x, y = env.unwrapped.viewer.sim_surface.vec2pix(robot.position)
+        below = np.lib.stride_tricks.sliding_window_view(picture[y : y + 45, x - 40 : x + 40], name.shape)
+        assert (below == name).all(axis=(-3, -2, -1)).any()
 
 
 def test_the_bar_of_computing_time_grows_to_the_full_width_of_the_more_expensive_one(films):
