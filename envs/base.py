@@ -34,7 +34,8 @@ class InteractionEnv(StageEnv):
     at all; the robot succeeds if it ends in the target lane and never collides.
 
     Configuration, beside highway-env's own; defaults that are not named here are the scenario's. All changes, by
-    ``reset`` or ``configure``, act from the next reset on, and ``config`` is that of the episode until then:
+    ``reset`` or ``configure``, act from the next reset on, and ``config`` is that of the episode until then; when no
+    episode runs, ``configure`` changes ``config`` and spaces at once:
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,

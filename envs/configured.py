@@ -1,14 +1,18 @@
 """What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import action_factory
-from highway_env.envs.common.observation import observation_factory
+from highway_env.envs.common.observation import GrayscaleObservation, observation_factory
 
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, read_own, refuse_unknown
+from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
 
 OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
@@ -24,10 +28,17 @@ class ConfiguredEnv(AbstractEnv):
     settings_type: ClassVar[Any]
     types: ClassVar[Types] = TYPES
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
+    viewer_type: ClassVar[type[Viewer]] = Viewer
+    viewer: Viewer | None
     config: Config
     metadata: Config
     action_space: spaces.Space | None
-    _running, _coming = False, None  # whether there is an episode; the configuration of the next one
+    _running, _stale = False, False  # whether an episode runs; whether a step needs a reset before it
+    _coming: Config | None = None  # the configuration of the next episode
+
+    def __init__(self, config: Config | None = None, render_mode: str | None = None) -> None:
+        super().__init__(config, render_mode)
+        self._running = False  # nobody has asked for the episode that highway-env starts itself
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
@@ -41,6 +52,8 @@ class ConfiguredEnv(AbstractEnv):
     def configure(self, config: Config | None) -> None:
         """Change the configuration, all of it or nothing; during an episode, from the next reset on.
 
+        When no episode runs, the spaces follow at once, and the next step needs a reset before it.
+
         Raises:
             ValueError: for an unknown key or an impossible value.
         """
@@ -48,9 +61,23 @@ class ConfiguredEnv(AbstractEnv):
         if self._running:
             self._coming = config
             return
-        self.config, self._coming = config, None
-        self._read()
-        super().configure(None)
+        with self._all_or_nothing():
+            self.config, self._coming = config, None
+            self._read()
+            super().configure(None)
+            if hasattr(self, "road"):  # or else it is only being made
+                self.define_spaces()
+                self._stale = True
+
+    @contextmanager
+    def _all_or_nothing(self) -> Iterator[None]:
+        """Leave everything as it was if the block fails."""
+        before = self.__dict__.copy()
+        try:
+            yield
+        except Exception:
+            self.__dict__.update(before)
+            raise
 
     def _read(self) -> None:
         """Read the checked configuration."""
@@ -69,6 +96,8 @@ class ConfiguredEnv(AbstractEnv):
         if before == self.action_space:
             self.action_space = before
         self.observation_type = self._type(observation_factory, self.config["observation"])
+        if isinstance(self.observation_type, GrayscaleObservation):
+            self.observation_type.viewer.enabled = True  # see `Viewer`
         self.observation_space = finite(self.observation_type.space())
 
     def _type(self, factory: Any, config: Config) -> Any:
@@ -87,15 +116,12 @@ class ConfiguredEnv(AbstractEnv):
         """
         self.options = options or {}
         refuse_unknown("the reset options", self.options, self.reset_options)
-        before, self._running = self.__dict__.copy(), False
-        try:
+        with self._all_or_nothing():
+            self._running = False
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
             start = super().reset(seed=seed)
-        except Exception:
-            self.__dict__.update(before)
-            raise
-        self._running = True
+        self._running, self._stale = True, False
         if self.config["manual_control"]:
             self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
         return start
@@ -105,9 +131,20 @@ class ConfiguredEnv(AbstractEnv):
 
         Raises:
             ValueError: for an action that is impossible; nothing has moved then.
+            ResetNeeded: if the configuration has changed since the last episode.
         """
+        if self._stale:
+            raise ResetNeeded("the configuration has changed since the last episode; call reset before step")
         if isinstance(self.action_type, Autopilot) and action is not None:
             self.action_type.check(action)
         elif action is not None and not np.isfinite(action).all():
             raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
-        return super().step(action)
+        *outcome, info = super().step(action)
+        self._running = not any(outcome[2:])
+        return *outcome, info
+
+    def render(self) -> np.ndarray | None:
+        """Draw the road from above."""
+        if self.viewer is None and self.render_mode is not None:
+            self.viewer = self.viewer_type(self)
+        return super().render()

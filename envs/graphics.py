@@ -1,7 +1,6 @@
 """What a person sees: the road from above, plans and predictions on it, and a panel with what the robot thinks."""
 
 import os
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
@@ -14,7 +13,7 @@ import numpy as np
 import pygame
 import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
-from highway_env.road.graphics import LaneGraphics, RoadGraphics
+from highway_env.road.graphics import LaneGraphics, RoadGraphics, WorldSurface
 
 from ms_highway.control.controller import ControlStep
 from ms_highway.game.dynamics import step as move
@@ -89,11 +88,19 @@ def model_meaning(name: str) -> str:
 class Viewer(EnvViewer):
     """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
+    observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = None, None, None, None, 0
+
     def __init__(self, env: Any) -> None:
-        screen = {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
-        if env.render_mode == "rgb_array" and sys.platform == "linux" and not screen:
-            os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # or else SDL complains that there is no screen
-        super().__init__(env)
+        self.env, self.config, self.offscreen = env, env.config, env.config["offscreen_rendering"]
+        if not self.offscreen:
+            super().__init__(env)
+        else:  # without `pygame.display`, which surfaces do not need, and which may complain that there is no screen
+            size = self.config["screen_width"], self.config["screen_height"]
+            self.sim_surface = WorldSurface(size, 0, pygame.Surface(size))
+            self.sim_surface.scaling = self.config["scaling"]
+            self.sim_surface.centering_position = self.config["centering_position"]
+            if self.agent_display:
+                self.extend_display()
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
 
     def show(self, picture: pygame.Surface) -> None:
@@ -103,6 +110,10 @@ class Viewer(EnvViewer):
             if self.env.config["real_time_rendering"]:
                 self.clock.tick(self.env.config["simulation_frequency"])
             pygame.display.flip()
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        """Be pickled as None: a copy of an environment makes a viewer of its own once it is rendered."""
+        return type(None), ()
 
     def close(self) -> None:
         """Close the window, if there is one; other environments of the process may still be drawing."""
@@ -117,6 +128,7 @@ class InteractionViewer(Viewer):
     """
 
     panel_height = 150  # px
+    longest = 0.0  # s, of the plans that are drawn in the same scale elsewhere
 
     def display(self) -> None:
         """Draw everything; the view follows the robot along the road and keeps the road in place."""
@@ -137,7 +149,7 @@ class InteractionViewer(Viewer):
         RoadGraphics.display_traffic(env.road, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
-        self._draw_names(above - 14, below + 14)
+        self._draw_names(range(above, below))
         self._draw_panel(step)
         self.show(surface)
 
@@ -157,19 +169,21 @@ class InteractionViewer(Viewer):
         states = accumulate(controls, partial(move, dynamics), initial=state)
         return [self.sim_surface.vec2pix(each) for each in states]
 
-    def _draw_names(self, above: int, below: int) -> None:
-        """Draw the names of robot and human at the roadside; of several humans, a number on each roof."""
+    def _draw_names(self, road: range) -> None:
+        """Draw the names of robot and human beside them; of several humans, a number on each roof."""
         humans, (robot, *others) = self.env.humans, self.env.scenario.cars
-        if others and robot[1] < others[0][1]:
-            above, below = below, above
-        labels = {"robot": (self.env.robot, below)}
+        side = -1 if others and robot[1] < others[0][1] else 1
+        labels = {"robot": (self.env.robot, side)}
         if len(humans) == 1:
-            labels["human"] = humans[0], above
+            labels["human"] = humans[0], -side
         else:
             labels |= {str(place): (human, 0) for place, human in enumerate(humans, 1)}
-        for name, (car, roadside) in labels.items():
+        for name, (car, side) in labels.items():
             x, y = self.sim_surface.vec2pix(car.position)
-            self._write(name, MEDIUM, center=(x, roadside or y))
+            if side:
+                y = max(self.sim_surface.vec2pix(corner)[1] * side for corner in car.polygon()) * side + 12 * side
+            colors = (INK, None) if not side else (PAPER, ASPHALT) if y in road else (INK, GROUND)
+            self._write(name, MEDIUM, *colors, center=(x, y))
 
     def _draw_panel(self, step: ControlStep | None) -> None:
         env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
@@ -248,11 +262,12 @@ class InteractionViewer(Viewer):
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
         """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""
         humans = len(steps[0].models)
-        values, heading = [float(humans)] * len(steps), "humans that each model predicts"
+        values, heading, high = [float(humans)] * len(steps), "humans that each model predicts", float(humans)
         if humans == 1:
             values = [1e3 * step.planning_seconds for step in steps]
             heading = "planning time of each step [ms], in the colour of its model"
-        for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, max(values)), strict=True):
+            high = max(*values, 1e3 * self.longest)
+        for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, high), strict=True):
             for place, model in enumerate(sorted(step.models, key=cheapest_first(step.models).index)):
                 top = bar.top + bar.height * place / humans
                 self.sim_surface.fill(model_color(model), (bar.left, top, bar.width, bar.bottom - top))

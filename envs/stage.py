@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.configured import ConfiguredEnv
-from ms_highway.envs.graphics import Viewer
 from ms_highway.game.features import features
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward
@@ -74,8 +73,6 @@ class StageEnv(ConfiguredEnv):
         collision: whether car 0 has collided in the last step.
     """
 
-    viewer_type: ClassVar[type[Viewer]] = Viewer
-    viewer: Viewer | None
     game: Game
 
     def _place(self, cars: list[Any]) -> None:
@@ -123,9 +120,3 @@ class StageEnv(ConfiguredEnv):
             return info
         happened = {"collision": self.collision, "crashed": self.vehicle.hit, "control": dict(self.vehicle.action)}
         return info | happened | {"action": action, "rewards": self._rewards(action)}
-
-    def render(self) -> np.ndarray | None:
-        """Draw the road from above."""
-        if self.viewer is None and self.render_mode is not None:
-            self.viewer = self.viewer_type(self)
-        return super().render()

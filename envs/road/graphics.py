@@ -13,6 +13,7 @@ from ms_highway.envs.graphics import INK, PAPER, Viewer, model_color, words
 from ms_highway.planning.road.settings import MODELS
 
 PANEL, SIZE, GAP = 24, 13, 10  # px: height of the line of text, of its letters, and between its parts
+MEANINGS = {"proposal": "proposal: planned now", "last plan": "last plan: planned earlier"}
 NEAR = 8.0  # m, within which a prediction begins from the car that it is of
 
 
@@ -20,8 +21,6 @@ def show(env: Any) -> None:
     """Let an environment that is rendered be drawn by a `RoadViewer`, from the next picture on."""
     base = env.unwrapped
     if base.render_mode is not None and not isinstance(base.viewer, RoadViewer):
-        if base.viewer is not None:
-            base.viewer.close()
         base.viewer = RoadViewer(base)
 
 
@@ -87,7 +86,7 @@ class RoadViewer(Viewer):
                 pygame.draw.circle(self.picture, model_color(rung), (place + 4, height - PANEL // 2), 5)
                 place = self._write(f"{rung} {count}", place + 14)
             milliseconds = 1e3 * (step.planning_seconds + step.decision_seconds)
-            text = f"{step.source}, {milliseconds:.1f} ms, {text}"
+            text = f"{MEANINGS.get(step.source, step.source)}, {milliseconds:.1f} ms, {text}"
         self._write(text, place)
 
     def _write(self, text: str, place: int) -> int:

@@ -16,7 +16,7 @@ from ms_highway.benchmarks.road import (
     is_agent,
     known_scenes,
 )
-from ms_highway.cli.console import add_command, count_episodes, draw_unseen, print_tables
+from ms_highway.cli.console import add_command, count_episodes, print_tables
 from ms_highway.cli.options import MOST_SEEDS, add_number, directory_to_write, file_to_write
 
 HELP = """\
@@ -115,7 +115,6 @@ def _bench_road(options: argparse.Namespace) -> None:
     for block in blocks:
         if is_agent(block.driver):
             make_driver(block).close()  # or refuse scenes that it does not fit
-    draw_unseen()
     episodes: dict[Block, list[Episode]] = {block: [] for block in blocks}
     results: dict[str, dict[str, Any]] = {scene: {} for scene in scenes}
 

@@ -110,11 +110,6 @@ def help_width() -> int:
     return min(get_terminal_size().columns, TABLE_WIDTH) - 2
 
 
-def draw_unseen() -> None:
-    """Use SDL's dummy display, unless the environment names a driver."""
-    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
-
-
 @contextmanager
 def printing() -> Iterator[None]:
     """Write what the block prints to standard output at once; the block should do nothing else.

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen, say, telling
+from ms_highway.cli.console import add_command, say, telling
 from ms_highway.cli.options import file_to_write
 
 HELP = """\
@@ -56,7 +56,6 @@ def _report(options: argparse.Namespace) -> None:
             check_format(Path("film.mp4"))
         except ImportError as error:
             raise ImportError(f"{error}, or add --no-videos") from error
-    draw_unseen()
     with telling() as tell:
         text = page(results, options.videos, tell)
     with replacing(out) as path:

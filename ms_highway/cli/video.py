@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from ms_highway.cli.console import add_command, draw_unseen, say
+from ms_highway.cli.console import add_command, say
 from ms_highway.cli.options import (
     CONTROLLERS,
     LEARNED,
@@ -52,8 +52,7 @@ def _video(options: argparse.Namespace) -> None:
     config = configuration(options)
     Comparison({options.scenario: controllers}, config=config).check()
     video.check_format(options.out)
-    draw_unseen()
-    films = [video.film(options.scenario, controller, options.seed, **config) for controller in controllers]
+    films = video.film_together(options.scenario, controllers, options.seed, **config)
     pictures = video.side_by_side(films) if options.against else films[0].pictures
     if options.width is not None:
         pictures = video.scaled(pictures, options.width)

@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.control.driver import fixed
 from ms_highway.game.game import Game
+from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import commuter_traits, commuter_weights, shipped
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
@@ -90,10 +92,17 @@ class CommuterVehicle(HumanVehicle):
     weights = commuter_weights()
     solver = "newton"
 
-    def __init__(self, *place: Any, **options: Any) -> None:
+    def __init__(self, *place: Any, traits: RewardTraits | None = None, **options: Any) -> None:
         super().__init__(*place, **options)
         prior = commuter_traits()
-        self.traits = prior.draw(self.road.np_random, 1.0) if self.road else prior.traits(np.zeros(3), 1.0)
+        if traits is None:
+            traits = prior.draw(self.road.np_random, 1.0) if self.road else prior.traits(np.zeros(3), 1.0)
+        self.traits = traits
+
+    @classmethod
+    def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
+        """Replace another vehicle, see `PlanningVehicle.create_from`; one of its own kind passes on its traits."""
+        return super().create_from(vehicle, traits=getattr(vehicle, "traits", None), **options)
 
     def desired_speed(self, view: RoadView) -> float:
         """Return its own desired speed [m/s]: a share of what the road and `target_speed` allow, perhaps above 1."""

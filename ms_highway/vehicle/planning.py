@@ -67,9 +67,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self.drive_with(None)
 
     @classmethod
-    def create_from(cls, vehicle: Vehicle) -> Self:
+    def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
         """Replace another vehicle by a car of this class, on the same route; its target speed is forgotten."""
-        car = cls(vehicle.road, vehicle.position, vehicle.heading, vehicle.speed)
+        car = cls(vehicle.road, vehicle.position, vehicle.heading, vehicle.speed, **options)
         route = getattr(vehicle, "route", None)
         car.route = route and list(route)
         return car

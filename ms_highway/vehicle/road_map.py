@@ -313,7 +313,7 @@ class RoadMap:
         return cKDTree(np.column_stack([middles, heights])), float(radii.max())
 
 
-_maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()
+_maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # no state: a copy's network gets an equal map
 
 
 def road_map(network: RoadNetwork) -> RoadMap:

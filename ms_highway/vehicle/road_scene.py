@@ -1,17 +1,18 @@
 """See the road from a vehicle as a `RoadScene`."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from math import cos, inf
-from weakref import WeakKeyDictionary
 
 import numpy as np
+from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.game.road import BEHIND, KNOTS, SPACING, RoadScene
 from ms_highway.planning.road.traffic import SHARING
 from ms_highway.vehicle.corridor import corridor
 from ms_highway.vehicle.lane_paths import Point
-from ms_highway.vehicle.road_map import BLOCK, Chain, Goal, Lane, Spot, road_map
+from ms_highway.vehicle.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, road_map
 from ms_highway.vehicle.traffic_paths import traffic_of
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
@@ -20,16 +21,21 @@ FARTHEST, ASTRAY = 6.0, 0.8  # m aside of the route, over lanes that lead anothe
 UNSURE = 1.5  # m, by which a lane that leads to the goal may be farther than the nearest one
 
 
-@dataclass(frozen=True)
-class Ride:
-    """The lanes that a robot follows to a goal, and the way at which its rear axle is along them [m]."""
+@dataclass
+class Memory:
+    """What a robot remembers of its looks at the road; it belongs to the vehicle, so that a copy sees the same.
 
-    goal: Goal
-    chain: Chain
-    way: float
+    Attributes:
+        goal: to which its lanes lead.
+        lanes: that it follows, none before the first look.
+        way: at which its rear axle is along them [m].
+        numbers: of the others that it saw last.
+    """
 
-
-_rides: WeakKeyDictionary[Vehicle, Ride] = WeakKeyDictionary()
+    goal: Destination = None
+    lanes: tuple[LaneIndex, ...] = ()
+    way: float = 0.0
+    numbers: dict[RoadObject, int] = field(default_factory=dict)
 
 
 def observe_road(
@@ -40,7 +46,7 @@ def observe_road(
 ) -> RoadScene:
     """See the road from a vehicle.
 
-    Lanes once followed are remembered by vehicle, so that its route does not jump where lanes meet. Without a
+    Lanes once followed are remembered by the vehicle, so that its route does not jump where lanes meet. Without a
     destination it follows its ``route``, as far as it has one, and then whichever road continues the present one best.
 
     Args:
@@ -51,12 +57,12 @@ def observe_road(
     """
     roads = road_map(vehicle.road.network)
     followed = tuple((start, end) for start, end, _ in getattr(vehicle, "route", None) or ())
-    goal = roads.goal(destination or followed or None)
+    wanted = destination or followed or None
+    goal, memory = roads.goal(wanted), vars(vehicle).setdefault("road_memory", Memory())
     rear = vehicle.position - vehicle.LENGTH / 2 * vehicle.direction
-    last = _rides.get(vehicle)
-    ride = _continued(vehicle, rear, last) if last and last.goal is goal else None
-    ride = _rides[vehicle] = ride or _begun(vehicle, rear, goal)
-    chain, way = ride.chain, ride.way
+    ride = _continued(vehicle, rear, goal, memory) if memory.lanes and memory.goal == wanted else None
+    chain, way = ride or _begun(vehicle, rear, goal)
+    memory.goal, memory.lanes, memory.way = wanted, tuple(lane.index for lane in chain.lanes), way
     around = corridor(chain, goal, way // BLOCK)
     s, d, heading = around.curve.project(rear, vehicle.heading, way)
     route = around.curve.path(s, KNOTS)
@@ -71,14 +77,15 @@ def observe_road(
         size=np.array([vehicle.LENGTH, vehicle.WIDTH], dtype=np.float32),
         applied=np.array(applied, dtype=np.float32),
         **around.at(s - BEHIND + SPACING * np.arange(KNOTS)),
-        **traffic_of(vehicle, roads, route, intentions),
+        **traffic_of(vehicle, roads, route, memory.numbers, intentions),
     )
 
 
-def _continued(vehicle: Vehicle, rear: Point, ride: Ride) -> Ride | None:
-    """Return where a robot is on its ride now; None if it has changed lanes or left them."""
-    chain, goal, curve = ride.chain, ride.goal, corridor(ride.chain, ride.goal, ride.way // BLOCK).curve
-    s, _, _ = curve.project(rear, vehicle.heading, ride.way)
+def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> tuple[Chain, float] | None:
+    """Return the lanes to follow and the way along them now; None if a robot has changed lanes or left them."""
+    chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
+    curve = corridor(chain, goal, memory.way // BLOCK).curve
+    s, _, _ = curve.project(rear, vehicle.heading, memory.way)
     way = curve.way(s)
     _, d, heading = curve.project(vehicle.position, vehicle.heading, way)
     leg = chain.leg(way + vehicle.LENGTH / 2)
@@ -91,19 +98,19 @@ def _continued(vehicle: Vehicle, rear: Point, ride: Ride) -> Ride | None:
         if changed or abs(d) > farthest or abs(heading) > ASTRAY:
             return None
     if chain.starts[-1] - way > NEEDED:
-        return replace(ride, way=way)
+        return chain, way
     first = chain.leg(way - KEPT_BEHIND)
     lanes = chain.lanes[first:leg] + goal.ahead(chain.lanes[leg], PLANNED + way - chain.starts[leg])
-    return Ride(goal, goal.roads.chain(lanes), way - chain.starts[first])
+    return goal.roads.chain(lanes), way - chain.starts[first]
 
 
-def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> Ride:
-    """Return the ride of a robot from its present lane on, with the lanes behind it."""
+def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
+    """Return the lanes to follow from a robot's present lane on, with the lanes behind it, and its way along them."""
     lane = _own_lane(vehicle, goal)
     place = float(lane.shape.local_coordinates(rear)[0])
     behind = lane.behind(KEPT_BEHIND - place)
     chain = goal.roads.chain(behind + goal.ahead(lane, PLANNED + place))
-    return Ride(goal, chain, chain.starts[len(behind)] + place)
+    return chain, chain.starts[len(behind)] + place
 
 
 def _own_lane(vehicle: Vehicle, goal: Goal) -> Lane:

@@ -1,9 +1,7 @@
 """Find the ways that other vehicles may take, and who follows whom on them."""
 
-from itertools import count as counter
 from math import sin
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import jax
 import numpy as np
@@ -66,16 +64,23 @@ class Way(NamedTuple):
     limit: float
 
 
-def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, intentions: bool = False) -> dict[str, Any]:
+def traffic_of(
+    vehicle: Vehicle, roads: RoadMap, route: Path, numbers: dict[RoadObject, int], intentions: bool = False
+) -> dict[str, Any]:
     """Return what a ``RoadScene`` has of others, nearest first; of more than `TRAFFIC`, those near the route first.
 
     Args:
         vehicle: the robot.
         roads: of its network.
         route: its path.
+        numbers: of the others at the last look; then those of this one, in which who is seen again keeps its number.
         intentions: whether others show which way they take.
     """
-    ways = [way for number, car in enumerate(_in_sight(vehicle)) for way in _ways(car, number, roads, intentions)]
+    seen, unused = _in_sight(vehicle), max(numbers.values(), default=-1) + 1
+    known = {car: numbers.get(car, unused + place) for place, car in enumerate(seen)}
+    numbers.clear()
+    numbers.update(known)
+    ways = [way for owner, car in enumerate(seen) for way in _ways(car, owner, roads, intentions)]
     if len(ways) > TRAFFIC:
         ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]
     rows = [
@@ -86,7 +91,7 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, route: Path, intentions: bool =
             "present": True,
             "limits": way.limit,
             "owners": way.owner,
-            "names": _number_of(way.car),
+            "names": numbers[way.car],
             "moving": _drives(way.car),
         }
         for way in ways
@@ -112,17 +117,6 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     seen = distances < np.where(delta @ vehicle.direction > 0, ahead, BEHIND_SIGHT)
     nearest = [number for number in np.argsort(distances, kind="stable") if seen[number]]
     return [others[number] for number in nearest[:MOST_VEHICLES]]
-
-
-_numbers: WeakKeyDictionary[RoadObject, int] = WeakKeyDictionary()
-_unused_numbers = counter()
-
-
-def _number_of(car: RoadObject) -> int:
-    """Return a number that belongs to a vehicle as long as it lives."""
-    if car not in _numbers:
-        _numbers[car] = next(_unused_numbers)
-    return _numbers[car]
 
 
 def _drives(car: RoadObject) -> bool:

@@ -75,7 +75,7 @@ def _film(results: Results, scenario: str) -> dict[str, Any]:
     """Film the most informative controllers from the first start that all of them have driven; sizes are in px."""
     controllers = most_informative_pair(results.summaries, scenario)
     seed = next(iter(common_seeds(results.records, scenario, controllers)), 0)
-    films = [video.film(scenario, name, seed, **results.config(scenario)) for name in controllers]
+    films = video.film_together(scenario, controllers, seed, **results.config(scenario))
     pictures = video.side_by_side(films)
     height, width, _ = pictures[0].shape
     places = " above, ".join(controllers) + " below" * (len(controllers) > 1)

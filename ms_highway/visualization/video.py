@@ -3,6 +3,7 @@
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ class Film:
 
     Attributes:
         controller: short name of what drove the robot.
-        pictures: what was seen after each step.
+        pictures: what was seen after each step, and at the end for as long as films beside it go on.
         records: of each step, see `ms_highway.experiments.runner.episode`.
         frames_per_second: at which it plays at true speed.
     """
@@ -40,19 +41,35 @@ class Film:
 
 
 def film(scenario: str, controller: str, seed: int, **config: Any) -> Film:
-    """Film an episode in a configured environment.
+    """Film an episode in a configured environment, see `film_together`."""
+    return film_together(scenario, [controller], seed, **config)[0]
+
+
+def film_together(scenario: str, controllers: Sequence[str], seed: int, **config: Any) -> list[Film]:
+    """Film an episode of each controller from the same start; all pictures have one scale of planning time.
+
+    All films are as long as the longest: pictures after the end of an episode show its end.
 
     Raises:
         ValueError: for an unknown scenario, controller or configuration.
     """
-    env = make_environment(scenario, controller, render=True, **config)
-    pictures, records = [], []
-    for record in episode(env, seed):
-        records.append(record)
-        pictures.append(np.asarray(env.render()))
-    rate = env.metadata["render_fps"]
-    env.close()
-    return Film(controller, pictures, records, rate)
+    envs: list[Any] = [make_environment(scenario, name, render=True, **config) for name in controllers]
+    films = [
+        Film(controller, [], [], env.metadata["render_fps"]) for controller, env in zip(controllers, envs, strict=True)
+    ]
+    for env in envs:
+        env.unwrapped.viewer = env.unwrapped.viewer_type(env.unwrapped)
+    longest = 0.0
+    for records in zip_longest(*(episode(env, seed) for env in envs)):
+        for each, record in zip(films, records, strict=True):
+            each.records.extend([record] if record else [])
+        longest = max(longest, *(record["planning_seconds"] for record in records if record))
+        for each, env in zip(films, envs, strict=True):
+            env.unwrapped.viewer.longest = longest
+            each.pictures.append(np.asarray(env.render()))
+    for env in envs:
+        env.close()
+    return films
 
 
 def check_format(path: Path) -> None:
@@ -133,6 +150,16 @@ def side_by_side(films: Sequence[Film]) -> list[Picture]:
         np.concatenate([part for film in films for part in _titled(film, min(place, len(film.pictures) - 1), longest)])
         for place in range(max(len(film.pictures) for film in films))
     ]
+
+
+def named(pictures: Sequence[Picture], name: str) -> list[Picture]:
+    """Write a name above every picture of a film."""
+    label = words(name, NUMBERS_SIZE, PAPER)
+    surface = pygame.Surface((pictures[0].shape[1], label.get_height() + BAR_HEIGHT))
+    surface.fill(INK)
+    surface.blit(label, (MARGIN, BAR_HEIGHT // 2))
+    heading = pygame.surfarray.array3d(surface).swapaxes(0, 1)
+    return [np.concatenate([heading, picture]) for picture in pictures]
 
 
 def _seconds(record: Mapping[str, Any]) -> float:

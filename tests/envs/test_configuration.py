@@ -128,6 +128,23 @@ def test_what_is_configured_during_an_episode_acts_from_the_next_reset_on_all_of
     assert [(info["model"], ends) for *_, ends, info in map(env.step, [0] * 2)] == [("turn", False), ("turn", True)]
 
 
+def test_spaces_follow_a_configuration_at_once_when_no_episode_runs():
+    env = gym.make(environment_id("merger"), config={"controller": NAN_MODEL, "duration": 0.1})
+    inner = env.unwrapped
+    models = {"type": "HumanModelAction", "lambda": 0.1}
+    for action, actions in ((models, 3), ({"type": "Autopilot"}, 1)):  # before the first episode, and after its end
+        with pytest.raises(ValueError, match="must be enabled"):
+            inner.configure({"action": PARALYSED})
+        inner.configure({"action": action, "observation": {"type": "Kinematics", "vehicles_count": 1 + actions}})
+        assert env.action_space == gym.spaces.Discrete(actions)
+        assert env.observation_space.shape == (1 + actions, 5)
+        with pytest.raises(gym.error.ResetNeeded, match="the configuration has changed"):
+            inner.step(0)
+        observation, _ = env.reset(seed=0)
+        assert observation in env.observation_space
+        assert env.step(0)[3]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

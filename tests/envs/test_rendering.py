@@ -1,19 +1,24 @@
 """What a person sees."""
 
+import os
+
+import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
+import pygame
 import pytest
 from episodes import make
 
+from ms_highway import drive
 from ms_highway.cli.main import main
-from ms_highway.envs.graphics import CONE, INK, MODEL_COLORS, PAPER, TEXT_WIDTH, words
+from ms_highway.envs.graphics import ASPHALT, CONE, GROUND, INK, MEDIUM, MODEL_COLORS, PAPER, TEXT_WIDTH, words
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
-from ms_highway.visualization.video import HEADING_HEIGHT, film, scaled, side_by_side, write
+from ms_highway.visualization.video import HEADING_HEIGHT, film_together, scaled, side_by_side, write
 
 
 @pytest.fixture(scope="module")
 def films():
-    return [film("merger", controller, 1) for controller in ("naive", "turn")]
+    return film_together("merger", ["naive", "turn"], 1)
 
 
 def pixels(frame, color, off=2):
@@ -39,6 +44,27 @@ def test_a_frame_shows_cars_plan_and_model_in_their_colours(driver, monkeypatch)
         assert pixels(frame, color) > 500
     assert pixels(frame, MODEL_COLORS["turn"]) > 2000
     assert pixels(frame, MODEL_COLORS["tom"]) == 0
+
+
+PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+@pytest.mark.parametrize("driver", [None, "dummy"])
+def test_pictures_are_never_black_and_leave_the_process_and_the_pictures_of_others_as_they_are(driver, monkeypatch):
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+    if driver:
+        monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    before = dict(os.environ)
+    own = [make("merger", render_mode="rgb_array", observation=PIXELS)]
+    own += [gym.make(f"ms-highway/{name}-v0", render_mode="rgb_array") for name in ("demonstration", "recorded")]
+    own += [drive(gym.make("highway-fast-v0", render_mode="rgb_array"))]
+    others = [gym.make("highway-fast-v0", render_mode="rgb_array", config={"observation": PIXELS})]
+    for env in own if driver else own + others:  # highway-env's own pictures are black under a dummy driver
+        observation, _ = env.reset(seed=0)
+        assert env.render().std() > 10
+        assert observation.std() > 10 or env.unwrapped.config["observation"]["type"] != PIXELS["type"]
+    assert os.environ == before
 
 
 def test_texts_are_kerned_and_stand_on_one_line():
@@ -92,6 +118,25 @@ def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
     assert pixels(below[:HEADING_HEIGHT], MODEL_COLORS["turn"]) > pixels(above[:HEADING_HEIGHT], MODEL_COLORS["turn"])
 
 
+def test_both_films_have_one_scale_of_planning_time_in_every_picture(films):
+    scale = slice(352 - 150 + 18, 352 - 150 + 35), slice(TEXT_WIDTH - 60, TEXT_WIDTH - 4)  # the number at its top
+    above, below = (np.array(film_.pictures)[:, *scale] for film_ in films)
+    np.testing.assert_array_equal(above, below)
+    assert (above != PAPER).any()
+
+
+def test_the_robots_name_stands_beside_it_in_whatever_lane_it_is():
+    env = rendered("merger", steps=0)
+    robot = env.unwrapped.robot
+    for lane, colors in zip(env.unwrapped.game.scene.lanes, ((PAPER, ASPHALT), (INK, GROUND)), strict=True):
+        name = pygame.surfarray.array3d(words("robot", MEDIUM, *colors)).swapaxes(0, 1)
+        robot.position = np.array([robot.position[0], float(lane)])
+        picture = env.render()
+        x, y = env.unwrapped.viewer.sim_surface.vec2pix(robot.position)
+        below = np.lib.stride_tricks.sliding_window_view(picture[y : y + 45, x - 40 : x + 40], name.shape)
+        assert (below == name).all(axis=(-3, -2, -1)).any()
+
+
 def test_the_bar_of_computing_time_grows_to_the_full_width_of_the_more_expensive_one(films):
     seconds = [sum(float(record["planning_seconds"]) for record in film_.records) for film_ in films]
     early, late = (side_by_side(films)[place] for place in (3, 39))
@@ -113,10 +158,12 @@ def test_a_small_gif_keeps_the_colours_of_the_models(films, tmp_path):
         assert pixels(last, MODEL_COLORS[model], off=12) > 1000
 
 
-def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path):
+def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path, monkeypatch):
+    monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
     out = tmp_path / "film.mp4"
     arguments = ["video", "merger", "--controller", "naive", "--against", "turn", "--seed", "1", "--width", "480"]
     assert main([*arguments, "--out", str(out)]) == 0
+    assert "SDL_VIDEODRIVER" not in os.environ
     video = imageio.imread(out, plugin="pyav")
     assert video.shape == (40, 408, 480, 3)
     expected = scaled(side_by_side(films), 480)[20]

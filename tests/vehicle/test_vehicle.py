@@ -12,6 +12,7 @@ from ms_highway.game.dynamics import step
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import driving_game
 from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
+from ms_highway.vehicle.road_robot import RoadRobot
 from ms_highway.vehicle.road_view import look
 
 
@@ -51,6 +52,16 @@ def test_a_crashed_bicycle_brakes_to_a_stop_as_highway_env_has_it():
     assert car.crashed
     assert car.speed < 1.0
     assert hit.position[0] > 8.0  # solid bodies push each other
+
+
+@pytest.mark.parametrize("kind", [BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, RoadRobot])
+def test_copies_of_a_vehicle_such_as_its_drawn_trajectory_draw_no_random_numbers(kind):
+    road, car = road_with((kind, (0.0, 0.0), 20.0))
+    road.record_history, before = True, road.np_random.get_state()
+    car.on_state_update()
+    np.testing.assert_equal(road.np_random.get_state(), before)
+    (drawn,) = car.history
+    assert vars(drawn).get("traits") == vars(car).get("traits")
 
 
 @pytest.mark.parametrize("kind", [Cone, BicycleVehicle, Landmark])

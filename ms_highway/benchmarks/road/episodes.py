@@ -197,17 +197,19 @@ def file_name(text: str) -> str:
 def film(block: Block, seed: int, path: Path) -> None:
     """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, that plays at true speed.
 
-    Where the ego takes the place of a recorded vehicle, the recording is shown above.
+    Where the ego takes the place of a recorded vehicle, the recording is shown above, each under its name.
 
     Raises:
         OSError: if it cannot be written.
     """
-    from ms_highway.visualization.video import write
+    from ms_highway.visualization.video import named, write
 
     shown = [block]
     if block.starts and isinstance(block.starts[seed].ego, int):
         shown.insert(0, block._replace(driver=HUMAN, traffic="replay"))
     films, rates = zip(*(_filmed(one, seed) for one in shown), strict=True)
+    if len(shown) > 1:
+        films = tuple(map(named, films, ("the recorded driver", block.driver)))
     longest = max(map(len, films))
     whole = [[*pictures, *[pictures[-1]] * (longest - len(pictures))] for pictures in films]
     write([np.vstack(pictures) for pictures in zip(*whole, strict=True)], path, rates[0])
