@@ -12,9 +12,9 @@ from ms_highway.control.controller import ControlStep
 from ms_highway.control.driver import Driver, drivable, fixed
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import Changes, Config, read_own
-from ms_highway.envs.controllers import controller_settings
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.settings import Settings
+from ms_highway.envs.short_names import controller_config, named_controller
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
 from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
 from ms_highway.game.game import Game, swap_roles
@@ -43,12 +43,14 @@ class InteractionEnv(StageEnv):
     * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default,
       for naive, turn and tom at their default costs), a learned value of computation does, with ``"values"``,
       ``"shipped"`` or a file of ``ms-highway values learn``;
-      ``{"type": "switching", "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "budget", "milliseconds":
+      ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``, the paper's Algorithm 1 does, with
+      the numbers of `ms_highway.metareasoning.quadratic_rule.QuadraticRule`; ``{"type": "budget", "milliseconds":
       20}``, what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the two
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them and their short names: `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
+      them have short names, such as ``"tom"`` or ``"learned:1"``, which may be given instead, see
+      `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
       Any of them with ``"belief": True`` infers from what a human does which model predicts it
       (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
@@ -148,8 +150,10 @@ class InteractionEnv(StageEnv):
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
-        """See `StageEnv.checked_config`; the ladder is spelt out, and the controller of an autopilot fits it."""
+        """See `StageEnv.checked_config`; ladder and controller are spelt out, and that of an autopilot fits the ladder."""
         config = super().checked_config(changes, config)
+        if isinstance(config["controller"], str):
+            config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
         if config["action"]["type"] == "Autopilot":
@@ -215,7 +219,7 @@ class InteractionEnv(StageEnv):
 
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs if they are yet to be measured."""
-        settings, controller = self.settings, controller_settings(self.config["controller"])
+        settings, controller = self.settings, named_controller(self.config["controller"])
         start = settings.start(self._costs or settings.known_costs, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)

@@ -29,7 +29,10 @@ WRONG = [
     ({"solver": None}, "config['solver'] is None; choose one of 'gradient', 'newton', 'convex_newton'"),
     ({"way_out": 1}, "config['way_out'] is 1; it must be True or False"),
     ({"humans": 21}, "config['humans'] is 21; it must be a whole number from"),
-    ({"controller": "tom"}, "config['controller'] is 'tom'; its 'type' must be one of switching, horizon"),
+    ({"controller": "oracle"}, "unknown controller 'oracle'; name a model (naive, idm, turn, tom"),
+    ({"controller": 3}, "config['controller'] is 3; its 'type' must be one of switching, horizon"),
+    ({"controller": {"type": "switching", "lambda": 1, "cooldown": 0}}, "['cooldown'] is 0; it must be a number of steps"),
+    ({"controller": {"type": "horizon", "lambda": 1, "trust_radius": 0}}, "['trust_radius'] is 0; it must be a positive"),
     ({"controller": {"lamda": 1}}, "unknown key 'lamda' in config['controller']; did you mean 'lambda'"),
     ({"controller": {"type": "switching", "lambda": -1}}, "config['controller']['lambda'] is -1; it must be a number"),
     ({"controller": {"type": "horizon"}}, "config['controller'] needs 'lambda': it must be a number from 0"),
@@ -104,6 +107,9 @@ def test_the_demonstration_refuses_what_it_has_not():
 def test_nested_configurations_merge_and_a_new_type_replaces():
     assert make(controller={"lambda": 3}).config["controller"] == {"type": "learned", "lambda": 3}
     assert make(controller=NAN_MODEL).config["controller"] == NAN_MODEL
+    env = make(controller={"type": "fixed", "model": "tom", "belief": True})
+    env.reset(options={"config": {"controller": "naive"}})  # a short name stands for the whole
+    assert env.config["controller"] == NAN_MODEL
     env = make(controller=NAN_MODEL, human_reward={"speed": 2.0, "off_road": -100.0})
     env.reset(options={"config": {"human_reward": {"speed": 3.0}}})
     assert env.config["human_reward"] == {"speed": 3.0}
@@ -155,9 +161,17 @@ def test_a_change_that_is_refused_in_an_episode_leaves_it_as_it_was(change, mess
 
 def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_next_reset_on():
     env = make(controller=NAN_MODEL)
-    env.config["controller"] = {"type": "fixed", "model": "turn"}
-    env.reset(seed=0)
-    assert env.step(0)[-1]["model"] == "turn"
+    for controller in ({"type": "fixed", "model": "turn"}, "turn"):
+        env.config["controller"] = controller
+        env.reset(seed=0)
+        assert env.step(0)[-1]["model"] == "turn"
+
+
+def test_cooldown_and_trust_radius_are_those_of_the_rule():
+    rule = make(controller={"type": "switching", "lambda": 0.1, "cooldown": 5, "trust_radius": 0.5}).robot.controller.rule
+    assert (rule.price, rule.cooldown, rule.trust_radius) == (0.1, 5, 0.5)
+    rule = make(controller="horizon:0.1").robot.controller.rule
+    assert (rule.price, rule.cooldown, rule.trust_radius) == (0.1, 3, 1.5)
 
 
 @pytest.mark.parametrize(
