@@ -96,15 +96,17 @@ class InteractionEnv(StageEnv):
     each other nor stop, and ``info["collision_effect"]`` says so.
 
     ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
-    ``steering`` [rad], which, divided by the ends of its ranges, is the ``ContinuousAction`` that does the same;
+    ``steering`` [rad]. Plans ask for more than the default ranges of actions reach; divided by the ends of wider ones,
+    such as `ms_highway.envs.demonstration.ACTION` for the default ``control_limit``, the control is the
+    ``ContinuousAction`` that does the same. It holds
     ``models``, the name of every human's model in the plan that is followed; ``model``, the most expensive of them;
     ``gains``, the highest estimated gain of each model over all humans, by which the choice is made, see
     `ms_highway.metareasoning.rule.Decision`; ``status``, ``human_status``, a status for each human; ``timing``,
     ``counted_seconds``, T of the step's own plan; with a controller's ``belief``, ``belief``, the probability of every
     model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also holds
-    ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in the
-    target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone ahead
-    in its lane, infinite without one [m].
+    ``humans_MODEL``, how many humans each model above the first predicts; ``success`` and ``is_success``, whether the
+    robot is in the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the
+    first cone ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
@@ -150,7 +152,7 @@ class InteractionEnv(StageEnv):
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
-        """See `StageEnv.checked_config`; ladder and controller are spelt out, and that of an autopilot fits the ladder."""
+        """See `StageEnv.checked_config`; ladder and controller are spelt out, and an autopilot's fit each other."""
         config = super().checked_config(changes, config)
         if isinstance(config["controller"], str):
             config["controller"] = controller_config(config["controller"])
@@ -264,7 +266,7 @@ class InteractionEnv(StageEnv):
     def success(self) -> bool:
         """Whether the robot is in the target lane and has not collided so far."""
         target = float(self.game.scene.target_lane)
-        return abs(self.robot.position[1] - target) < REACHED and not self._collided
+        return bool(abs(self.robot.position[1] - target) < REACHED and not self._collided)
 
     @property
     def distance_to_cones(self) -> float:
@@ -293,7 +295,7 @@ class InteractionEnv(StageEnv):
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
             if self.steps:
-                info["success"] = self.success
+                info["success"] = info["is_success"] = self.success
         if self.steps:
             info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
         if step is None:

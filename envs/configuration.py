@@ -92,7 +92,7 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
     Raises:
         ValueError: naming key, value, place and remedy, for anything unknown, missing or impossible.
     """
-    values = to_builtins(values, enc_hook=_builtin)
+    values = plain(values)
     if not isinstance(values, dict):
         raise ValueError(f"{place} is {values!r}; it must be a dictionary")
     known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
@@ -106,6 +106,11 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
         return convert(values, kind)
     except ValidationError as error:
         raise (error.__cause__ or error) from None
+
+
+def plain(values: Any) -> Any:
+    """Return values in types that JSON has: NumPy's numbers and arrays, mappings and paths in Python's own."""
+    return to_builtins(values, enc_hook=_builtin)
 
 
 def _builtin(value: Any) -> Any:
@@ -177,7 +182,7 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
     for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
         scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
         if scalar is not None:
-            _check(f"config[{key!r}]", to_builtins(config[key], enc_hook=_builtin), scalar)
+            _check(f"config[{key!r}]", plain(config[key]), scalar)
     frequency = 1 / config.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each of the plans' steps
     frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
     for key in ("simulation_frequency", "policy_frequency"):

@@ -287,7 +287,8 @@ def _move(loop: Loop, now: _Now, own: _Own, plan: Plan, given: _Step) -> tuple[_
     outcome = Outcome(seen, seen_after, own_plan.robot[0], observed, told, own_plan)
     records = Records(rungs, followed.status, reward, collision, now.gains, after)
     belief = infer(game, now.belief, seen, seen_after, own_plan.robot) if loop.belief else now.belief
-    memory, unknown = now.memory._replace(rungs=rungs, step=now.memory.step + 1), jnp.full_like(now.gains, NOT_ESTIMATED)
+    memory = now.memory._replace(rungs=rungs, step=now.memory.step + 1)
+    unknown = jnp.full_like(now.gains, NOT_ESTIMATED)
     return _Moved(_Now(after, memory, unknown, belief, followed.kept, human_rests), outcome), records
 
 

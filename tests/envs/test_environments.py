@@ -15,6 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 import ms_highway
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+from ms_highway.envs.demonstration import ACTION
 from ms_highway.envs.stage import Timing
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT
@@ -143,17 +144,18 @@ def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, a
     assert (env.time, env.steps) == (0, 0)
 
 
-def test_the_control_of_a_robot_divided_by_the_ranges_is_the_action_that_does_the_same():
-    robot = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
-    copy = gym.make("ms-highway/merger-v0", config={"action": {"type": "ContinuousAction"}})
-    (first, _), _ = robot.reset(seed=0), copy.reset(seed=0)
-    for _ in range(5):
-        seen, *_, info = robot.step(0)
-        done = np.array([info["control"]["acceleration"] / 5.0, info["control"]["steering"] / 0.1], np.float32)
-        followed = copy.step(done)[0]
-        assert np.abs(done).max() < 1
-        np.testing.assert_allclose(seen[0], followed[0], atol=1e-5)
-    assert not np.allclose(first, seen)
+def test_the_control_of_a_robot_divided_by_ranges_that_reach_it_is_the_action_that_does_the_same():
+    robot, copy = make("merger", "turn"), make("merger", action=ACTION)
+    robot.reset(seed=0), copy.reset(seed=0)
+    ends, done = np.array([ACTION["acceleration_range"][1], ACTION["steering_range"][1]]), []
+    for _ in range(40):
+        control = robot.step(0)[4]["control"]
+        done.append(np.array([control["acceleration"], control["steering"]]))
+        action = (done[-1] / ends).astype(np.float32)
+        assert copy.action_space.contains(action)
+        copy.step(action)
+        np.testing.assert_allclose(copy.unwrapped.robot.position, robot.unwrapped.robot.position, rtol=0, atol=1e-3)
+    assert np.abs(done).max(axis=0)[0] > 5.0  # beyond the default range
 
 
 def test_a_horizon_of_a_second_is_planned_with_steps_that_hold():
