@@ -1,14 +1,17 @@
 """What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
 
+from collections.abc import Iterable
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import action_factory
+from highway_env.envs.common.action import DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import observation_factory
 
-from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, read_own, refuse_unknown
+from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, plain, read_own, refuse_unknown
 from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
 
 OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
@@ -28,6 +31,18 @@ class ConfiguredEnv(AbstractEnv):
     metadata: Config
     action_space: spaces.Space | None
     _running, _coming = False, None  # whether there is an episode; the configuration of the next one
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What Gymnasium makes the environment from, in types that JSON has."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.kwargs = plain(spec.kwargs)
+        self._spec = spec
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
@@ -99,6 +114,20 @@ class ConfiguredEnv(AbstractEnv):
         if self.config["manual_control"]:
             self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
         return start
+
+    def get_available_actions(self) -> Iterable[Any]:
+        """Return the actions among which a planner may choose now: highway-env's of meta-actions, else all.
+
+        Raises:
+            ValueError: for continuous actions.
+        """
+        space: Any = self.action_space
+        if isinstance(space, spaces.Box):
+            given = f"config['action'] is {self.config['action']}"
+            raise ValueError(f"{given}, of which there is no list; give discrete ones")
+        if isinstance(self.action_type, DiscreteMetaAction):
+            return self.action_type.get_available_actions()
+        return product(*map(range, space.nvec)) if isinstance(space, spaces.MultiDiscrete) else range(space.n)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.
