@@ -38,8 +38,9 @@ class InteractionEnv(StageEnv):
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
-      by accelerations of +-5 m/s^2 and front-wheel angles of +-0.1 rad unless ``acceleration_range`` and
-      ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
+      by accelerations of +-5 m/s^2, front-wheel angles of +-0.1 rad and speeds from 0 to 40 m/s unless
+      ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise (highway-env's own +-45 degrees spin
+      a car of 20 m/s at the first step).
     * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default,
       for naive, turn and tom at their default costs), a learned value of computation does, with ``"values"``,
       ``"shipped"`` or a file of ``ms-highway values learn``;

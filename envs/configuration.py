@@ -16,6 +16,7 @@ from highway_env.envs.common.observation import (
     KinematicObservation,
     LidarObservation,
     OccupancyGridObservation,
+    TimeToCollisionObservation,
 )
 from msgspec import Meta, Struct, ValidationError, convert, field, to_builtins
 from msgspec.structs import fields
@@ -34,7 +35,10 @@ Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description=f"it must be
 Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a positive number")]
 NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}")]
 
-RANGES = {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip"}
+Range = Annotated[
+    tuple[Number, Number] | None, Meta(description="give the lowest and the highest value, such as [-5, 5]")
+]
+RANGES = {"acceleration_range", "steering_range", "speed_range", "longitudinal", "lateral", "clip"}
 STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 
 
@@ -43,6 +47,7 @@ def keys_of(kind: type[Any]) -> set[str]:
     return {*signature(kind).parameters} - {"env", "kwargs"}
 
 
+TUPLE = "TupleObservation"
 TYPES: Types = {
     "action": {
         "Autopilot": set(),
@@ -56,6 +61,8 @@ TYPES: Types = {
         "OccupancyGrid": keys_of(OccupancyGridObservation),
         "LidarObservation": keys_of(LidarObservation),
         "GrayscaleObservation": keys_of(GrayscaleObservation),
+        "TimeToCollision": keys_of(TimeToCollisionObservation),
+        TUPLE: {"observation_configs"},
     },
 }
 """Types of actions and observations, and the keys that they have."""
@@ -146,6 +153,21 @@ def _remedy(annotation: Any, message: str) -> str:
     return "it must be True or False" if annotation is bool else message[:1].lower() + message[1:]
 
 
+def _check_type(place: str, values: Any, known: Mapping[str, set[str]]) -> None:
+    """Check a type of actions or observations, and those that it is made of.
+
+    Raises:
+        ValueError: for an unknown type or key.
+    """
+    if not isinstance(values, Mapping) or values.get("type") not in list(known):
+        raise ValueError(f"{place} is {values!r}; its 'type' must be one of {', '.join(known)}")
+    refuse_unknown(place, values, {"type"} | known[values["type"]])
+    if values["type"] == TUPLE:
+        parts = {name: keys for name, keys in known.items() if name != TUPLE}
+        for number, part in enumerate(values.get("observation_configs", [])):
+            _check_type(f"{place}['observation_configs'][{number}]", part, parts)
+
+
 def read_own(kind: type[Kind], config: Changes) -> Kind:
     """Return a struct of those keys of a whole configuration that highway-env does not have, see `read`."""
     return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})
@@ -191,11 +213,13 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
             raise ValueError(f"config[{key!r}] is {config[key]!r}; {message}")
         config[key] = frequency
     for key, known in types.items():
-        values = config[key]
-        if not isinstance(values, Mapping) or values.get("type") not in list(known):
-            raise ValueError(f"config[{key!r}] is {values!r}; its 'type' must be one of {', '.join(known)}")
-        refuse_unknown(f"config[{key!r}]", values, {"type"} | known[values["type"]])
+        _check_type(f"config[{key!r}]", config[key], known)
     keys = types["action"][config["action"]["type"]]
+    for key in [key for key in config["action"] if key in RANGES and key.endswith("_range")]:
+        place, ends = f"config['action'][{key!r}]", plain(config["action"][key])
+        _check(place, ends, Range)
+        if ends is not None and ends[0] >= ends[1]:
+            raise ValueError(f"{place} is {ends!r}; give the lowest value first, then the highest")
     if "lambda" in keys:
         read(ModelAction, "config['action']", config["action"])
     if "steering_range" in keys:

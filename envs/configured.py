@@ -12,9 +12,19 @@ from highway_env.envs.common.action import DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import observation_factory
 
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, plain, read_own, refuse_unknown
-from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
+from ms_highway.envs.spaces import (
+    Autopilot,
+    CarStates,
+    CarTracks,
+    ContinuousAction,
+    DiscreteAction,
+    HumanModelAction,
+    TupleObservation,
+    finite,
+)
 
-OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
+OWN = (Autopilot, HumanModelAction, ContinuousAction, DiscreteAction, CarStates, CarTracks, TupleObservation)
+OWN_TYPES = {kind.__name__: kind for kind in OWN}
 
 
 class ConfiguredEnv(AbstractEnv):
@@ -79,14 +89,15 @@ class ConfiguredEnv(AbstractEnv):
     def define_spaces(self) -> None:
         """Set observation and action type; an action space that did not change keeps its random generator."""
         before = self.action_space
-        self.action_type = self._type(action_factory, self.config["action"])
+        self.action_type = self.type_of(action_factory, self.config["action"])
         self.action_space = self.action_type.space()
         if before == self.action_space:
             self.action_space = before
-        self.observation_type = self._type(observation_factory, self.config["observation"])
+        self.observation_type = self.type_of(observation_factory, self.config["observation"])
         self.observation_space = finite(self.observation_type.space())
 
-    def _type(self, factory: Any, config: Config) -> Any:
+    def type_of(self, factory: Any, config: Config) -> Any:
+        """Return a type of actions or observations: the package's own, else what a factory of highway-env makes."""
         kind = OWN_TYPES.get(config["type"])
         return kind(self, **config) if kind else factory(self, config)
 

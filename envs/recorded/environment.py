@@ -87,8 +87,8 @@ class RecordedEnv(ConfiguredEnv):
     types = {  # noqa: RUF012
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
-            "ContinuousAction": RANGES,
-            "DiscreteAction": RANGES | {"actions_per_axis"},
+            "ContinuousAction": RANGES | {"dynamical"},
+            "DiscreteAction": RANGES | {"dynamical", "actions_per_axis"},
         },
         "observation": {name: keys for name, keys in TYPES["observation"].items() if name != "CarStates"},
     }

@@ -228,11 +228,12 @@ def action_done(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
     It is NaN where no action of the space does the same: where tyres or highway-env's limits changed the control within
     the step, or it is beyond the ranges of the space.
     """
-    if type(action_type) is not ContinuousAction or action_type.dynamical:
+    continuous = isinstance(action_type, ContinuousAction) and not isinstance(action_type, DiscreteAction)
+    if not continuous or action_type.dynamical:
         return None
     frames = robot.actions or [robot.action]
     action = _nearest_in(action_type, frames[0])
-    does = action_type.get_action(action)
+    does = ContinuousAction.get_action(action_type, action)
     same = all(abs(frame[key] - does[key]) < SAME for frame in frames for key in does)
     return action if same else np.full_like(action, np.nan)
 

@@ -67,6 +67,18 @@ WRONG = [
     ({"screen_width": -3}, "config['screen_width'] is -3; it must be a positive number"),
     ({"action": {"type": "HumanModelAction", "lamda": 1}}, "did you mean 'lambda'"),
     ({"observation": {"type": "Kinematics", "absolut": True}}, "did you mean 'absolute'"),
+    (
+        {"action": {"type": "ContinuousAction", "speed_range": [0]}},
+        "config['action']['speed_range'] is [0]; give the lowest and the highest value",
+    ),
+    (
+        {"action": {"type": "DiscreteAction", "acceleration_range": [5, -5]}},
+        "config['action']['acceleration_range'] is [5, -5]; give the lowest value first",
+    ),
+    (
+        {"observation": {"type": "TupleObservation", "observation_configs": [{"type": "CarState"}]}},
+        "config['observation']['observation_configs'][0] is {'type': 'CarState'}; its 'type' must be one of CarStates",
+    ),
     ([], "the configuration is []; it must be a dictionary"),
     (
         {"ladder": ["tom@4", "tom"], "costs": "shipped", "controller": {"type": "nearest", "count": 1, "belief": True}},

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from importlib import reload
+from itertools import product
 
 import gymnasium as gym
 import numpy as np
@@ -188,11 +189,22 @@ def test_observations_stay_in_their_space_and_name_the_cars_by_role():
         assert env.observation_space.contains(observation)
 
 
-@pytest.mark.parametrize("kind", ["CarStates", "Kinematics", "OccupancyGrid"])
-def test_observations_have_finite_spaces(kind):
-    env = make("merger", observation={"type": kind})
+SEVERAL = {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "TimeToCollision"}]}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("merger", "CarStates"),
+        *product(("merger", "recorded"), ("Kinematics", "OccupancyGrid", "TimeToCollision", "TupleObservation")),
+    ],
+)
+def test_observations_have_finite_spaces(name, kind):
+    kinds = SEVERAL if kind == "TupleObservation" else {"type": kind}
+    env = gym.make(f"ms-highway/{name}-v0", config={"observation": kinds})
     observation, _ = env.reset(seed=0)
-    assert np.isfinite([env.observation_space.low, env.observation_space.high]).all()
+    spaces = env.observation_space if kind == "TupleObservation" else [env.observation_space]
+    assert all(np.isfinite([space.low, space.high]).all() for space in spaces)
     assert env.observation_space.contains(observation)
 
 
@@ -350,6 +362,33 @@ def test_a_continuous_action_drives_the_robot():
     _, states, *_ = drive(env, steps=1, action=np.array([1.0, 0.0]))
     before, after = states[:, 0, 3]
     assert after == pytest.approx(before + 0.1 * (5.0 - 0.2 * before))  # 5 m/s^2 against 0.2 1/s of friction
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("demonstration", "ContinuousAction"),
+        *product(("merger", "recorded"), ("ContinuousAction", "DiscreteAction")),
+    ],
+)
+def test_full_braking_stops_a_car_and_drives_it_backwards_only_if_a_range_of_speeds_says_so(name, kind):
+    brakes = np.array([-1.0, 0.0], np.float32) if kind == "ContinuousAction" else 1
+    for speeds, lowest in (({}, 0.0), ({"speed_range": [-2.0, 30.0]}, -2.0)):
+        env = gym.make(f"ms-highway/{name}-v0", config={"action": {"type": kind, **speeds}}).unwrapped
+        env.reset(seed=0)
+        env.vehicle.speed = 1.0
+        driven = [(env.step(brakes), env.vehicle.speed)[1] for _ in range(8)]
+        assert driven[-1] == min(driven) == pytest.approx(lowest, abs=1e-6)
+
+
+def test_a_recorded_road_has_highway_envs_dynamical_car():
+    config = {"action": {"type": "ContinuousAction", "dynamical": True}, "traffic": "replay"}
+    env = gym.make("ms-highway/recorded-v0", config=config).unwrapped
+    env.reset(seed=0)
+    env.step(np.array([0.0, 0.1], np.float32))
+    assert env.vehicle.lateral_speed != 0
+    with pytest.raises(ValueError, match="unknown key 'dynamical' in config\\['action'\\]"):
+        make("merger", action=config["action"])
 
 
 def test_a_longer_time_step_makes_fewer_steps_of_the_same_episode():
