@@ -99,7 +99,7 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
     Raises:
         ValueError: naming key, value, place and remedy, for anything unknown, missing or impossible.
     """
-    values = plain(values)
+    values = as_json(values)
     if not isinstance(values, dict):
         raise ValueError(f"{place} is {values!r}; it must be a dictionary")
     known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
@@ -115,7 +115,7 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
         raise (error.__cause__ or error) from None
 
 
-def plain(values: Any) -> Any:
+def as_json(values: Any) -> Any:
     """Return values in types that JSON has: NumPy's numbers and arrays, mappings and paths in Python's own."""
     return to_builtins(values, enc_hook=_builtin)
 
@@ -204,7 +204,7 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
     for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
         scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
         if scalar is not None:
-            _check(f"config[{key!r}]", plain(config[key]), scalar)
+            _check(f"config[{key!r}]", as_json(config[key]), scalar)
     frequency = 1 / config.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each of the plans' steps
     frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
     for key in ("simulation_frequency", "policy_frequency"):
@@ -216,7 +216,7 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
         _check_type(f"config[{key!r}]", config[key], known)
     keys = types["action"][config["action"]["type"]]
     for key in [key for key in config["action"] if key in RANGES and key.endswith("_range")]:
-        place, ends = f"config['action'][{key!r}]", plain(config["action"][key])
+        place, ends = f"config['action'][{key!r}]", as_json(config["action"][key])
         _check(place, ends, Range)
         if ends is not None and ends[0] >= ends[1]:
             raise ValueError(f"{place} is {ends!r}; give the lowest value first, then the highest")

@@ -11,7 +11,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import observation_factory
 
-from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, plain, read_own, refuse_unknown
+from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
 from ms_highway.envs.spaces import (
     Autopilot,
     CarStates,
@@ -51,7 +51,7 @@ class ConfiguredEnv(AbstractEnv):
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
-            spec.kwargs = plain(spec.kwargs)
+            spec.kwargs = as_json(spec.kwargs)
         self._spec = spec
 
     @classmethod

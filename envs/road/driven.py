@@ -19,7 +19,7 @@ from highway_env.envs.common.action import (
 )
 
 from ms_highway.control.road import RoadDriver
-from ms_highway.envs.configuration import plain
+from ms_highway.envs.configuration import as_json
 from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
@@ -124,7 +124,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     """
 
     def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
-        RecordConstructorArgs.__init__(self, config=plain(config))
+        RecordConstructorArgs.__init__(self, config=as_json(config))
         gym.Wrapper.__init__(self, env)
         check_drivable(env)
         self.settings = RoadSettings.read(config)
@@ -185,7 +185,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return self.unwrapped
 
     def _told(self) -> dict[str, Any]:
-        """Return what `info` says of the step, in the same shapes and types before the first."""
+        """Return what ``info`` says of the step, in the same shapes and types before the first."""
         robot, base, kind, there = self.robots[0], self._base, self._base.action_type, success(self._base)
         frequency = base.config["simulation_frequency"]
         frames, frames_of_plan = frequency // base.config["policy_frequency"], max(1, round(PERIOD * frequency))

@@ -21,7 +21,7 @@ from ms_highway.envs import (
     environment_id,
     short_names,
 )
-from ms_highway.envs.configuration import plain
+from ms_highway.envs.configuration import as_json
 from ms_highway.envs.controllers import ControllerSettings, SwitchingSettings
 from ms_highway.envs.short_names import add_rule, controller_config, named_controller
 
@@ -267,7 +267,7 @@ def test_specifications_are_json_of_which_the_same_environment_is_made(zipper):
         again = gym.make(EnvSpec.from_json(env.spec.to_json()))
         assert type(again.unwrapped) is type(env.unwrapped)
         assert [str(part) for part in again.unwrapped.config.values()] == [
-            str(plain(part)) for part in env.unwrapped.config.values()
+            str(as_json(part)) for part in env.unwrapped.config.values()
         ]
         assert getattr(again, "settings", None) == getattr(env, "settings", None)
 

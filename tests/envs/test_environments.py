@@ -346,6 +346,40 @@ def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting
     assert done.stdout.count("start it with context='forkserver' or 'spawn'") == 2
 
 
+def kinds_of(info, within=()):
+    """The type of every value of an info, and the shape of numbers."""
+    for key, value in info.items():
+        if isinstance(value, dict):
+            yield from kinds_of(value, (*within, key))
+        elif isinstance(value, (bool, int, float, np.ndarray, np.number)):
+            yield (*within, key), (np.asarray(value).dtype, np.shape(value))
+        else:
+            yield (*within, key), (type(value), len(value) if isinstance(value, tuple) else 0)
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: make("merger"),
+        lambda: make("dense_merge"),
+        lambda: make("merger", action=ACTION),
+        lambda: gym.make("ms-highway/demonstration-v0"),
+        lambda: gym.make("ms-highway/recorded-v0"),
+        lambda: ms_highway.drive(gym.make("highway-fast-v0", config={"action": ACTION}), {"driver": "fixed:naive"}),
+        lambda: ms_highway.drive(gym.make("intersection-v0"), {"driver": "fixed:naive"}),
+    ],
+)
+def test_each_key_of_info_has_one_type_and_shape_in_all_steps_that_have_it(made):
+    env = made()
+    infos = [env.reset(seed=0)[1], *(env.step(env.action_space.sample())[4] for _ in range(3)), env.reset(seed=1)[1]]
+    kinds = {}
+    for info in infos:
+        for key, kind in kinds_of(info):
+            assert kinds.setdefault(key, kind) == kind, key
+    assert len(kinds) > 5
+
+
 @pytest.mark.parametrize("controller", ["naive", "switching:0.1"])
 def test_a_copy_through_pickle_goes_on_like_the_original(controller):
     env = make("merger", controller)
