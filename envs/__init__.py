@@ -6,6 +6,7 @@
 stands below it.
 """
 
+import sys
 from typing import cast
 
 from gymnasium.envs.registration import EnvCreator, register, registry
@@ -64,7 +65,8 @@ def environment_id(scenario: str) -> str:
 def add_scenario(environment: type[InteractionEnv]) -> str:
     """Make a scenario of one's own known by its name, to Gymnasium, comparisons and videos of this process.
 
-    Added again, a scenario takes the place of the one that had its name.
+    Added again, a scenario takes the place of the one that had its name. Where its class stands in a module, the
+    specification of its environments can be JSON.
 
     Args:
         environment: its class, with a `Scenario` whose name is one word in lower case.
@@ -82,5 +84,7 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
     registry.pop(bare_id, None)
-    register(bare_id, entry_point=cast(EnvCreator, environment))
+    module, word = environment.__module__, environment.__qualname__
+    stands = getattr(sys.modules.get(module), word, None) is environment
+    register(bare_id, entry_point=f"{module}:{word}" if stands else cast(EnvCreator, environment))
     return environment_id(name)

@@ -12,9 +12,9 @@ from ms_highway.control.controller import ControlStep
 from ms_highway.control.driver import Driver, drivable, fixed
 from ms_highway.control.yielding import Unmoved
 from ms_highway.envs.configuration import Changes, Config, read_own
-from ms_highway.envs.controllers import controller_settings
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.settings import Settings
+from ms_highway.envs.short_names import controller_config, named_controller
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
 from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
 from ms_highway.game.game import Game, swap_roles
@@ -39,17 +39,20 @@ class InteractionEnv(StageEnv):
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
-      by accelerations of +-5 m/s^2 and front-wheel angles of +-0.1 rad unless ``acceleration_range`` and
-      ``steering_range`` say otherwise (highway-env's own +-45 degrees spin a car of 20 m/s at the first step).
+      by accelerations of +-5 m/s^2, front-wheel angles of +-0.1 rad and speeds from 0 to 40 m/s unless
+      ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise (highway-env's own +-45 degrees spin
+      a car of 20 m/s at the first step).
     * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default,
       for naive, turn and tom at their default costs), a learned value of computation does, with ``"values"``,
       ``"shipped"`` or a file of ``ms-highway values learn``;
-      ``{"type": "switching", "lambda": 0.1}``, the paper's Algorithm 1 does; ``{"type": "budget", "milliseconds":
+      ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``, the paper's Algorithm 1 does, with
+      the numbers of `ms_highway.metareasoning.quadratic_rule.QuadraticRule`; ``{"type": "budget", "milliseconds":
       20}``, what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the two
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them and their short names: `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
+      them have short names, such as ``"tom"`` or ``"learned:1"``, which may be given instead, see
+      `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
       Any of them with ``"belief": True`` infers from what a human does which model predicts it
       (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
@@ -95,15 +98,17 @@ class InteractionEnv(StageEnv):
     each other nor stop, and ``info["collision_effect"]`` says so.
 
     ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
-    ``steering`` [rad], which, divided by the ends of its ranges, is the ``ContinuousAction`` that does the same;
+    ``steering`` [rad]. Plans ask for more than the default ranges of actions reach; divided by the ends of wider ones,
+    such as `ms_highway.envs.demonstration.ACTION` for the default ``control_limit``, the control is the
+    ``ContinuousAction`` that does the same. It holds
     ``models``, the name of every human's model in the plan that is followed; ``model``, the most expensive of them;
     ``gains``, the highest estimated gain of each model over all humans, by which the choice is made, see
     `ms_highway.metareasoning.rule.Decision`; ``status``, ``human_status``, a status for each human; ``timing``,
     ``counted_seconds``, T of the step's own plan; with a controller's ``belief``, ``belief``, the probability of every
     model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also holds
-    ``humans_MODEL``, how many humans each model above the first predicts; ``success``, whether the robot is in the
-    target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the first cone ahead
-    in its lane, infinite without one [m].
+    ``humans_MODEL``, how many humans each model above the first predicts; ``success`` and ``is_success``, whether the
+    robot is in the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the
+    first cone ahead in its lane, infinite without one [m].
 
     Attributes:
         settings: of the configuration.
@@ -149,8 +154,10 @@ class InteractionEnv(StageEnv):
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
-        """See `StageEnv.checked_config`; the ladder is spelt out, and the controller of an autopilot fits it."""
+        """See `StageEnv.checked_config`; ladder and controller are spelt out, and an autopilot's fit each other."""
         config = super().checked_config(changes, config)
+        if isinstance(config["controller"], str):
+            config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
         if config["action"]["type"] == "Autopilot":
@@ -216,7 +223,7 @@ class InteractionEnv(StageEnv):
 
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs if they are yet to be measured."""
-        settings, controller = self.settings, controller_settings(self.config["controller"])
+        settings, controller = self.settings, named_controller(self.config["controller"])
         start = settings.start(self._costs or settings.known_costs, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
@@ -261,7 +268,7 @@ class InteractionEnv(StageEnv):
     def success(self) -> bool:
         """Whether the robot is in the target lane and has not collided so far."""
         target = float(self.game.scene.target_lane)
-        return abs(self.robot.position[1] - target) < REACHED and not self._collided
+        return bool(abs(self.robot.position[1] - target) < REACHED and not self._collided)
 
     @property
     def distance_to_cones(self) -> float:
@@ -290,7 +297,7 @@ class InteractionEnv(StageEnv):
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
             if self.steps:
-                info["success"] = self.success
+                info["success"] = info["is_success"] = self.success
         if self.steps:
             info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
         if step is None:

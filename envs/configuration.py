@@ -16,6 +16,7 @@ from highway_env.envs.common.observation import (
     KinematicObservation,
     LidarObservation,
     OccupancyGridObservation,
+    TimeToCollisionObservation,
 )
 from msgspec import Meta, Struct, ValidationError, convert, field, to_builtins
 from msgspec.structs import fields
@@ -34,7 +35,10 @@ Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description=f"it must be
 Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a positive number")]
 NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}")]
 
-RANGES = {"acceleration_range", "steering_range", "longitudinal", "lateral", "clip"}
+Range = Annotated[
+    tuple[Number, Number] | None, Meta(description="give the lowest and the highest value, such as [-5, 5]")
+]
+RANGES = {"acceleration_range", "steering_range", "speed_range", "longitudinal", "lateral", "clip"}
 STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 
 
@@ -43,6 +47,7 @@ def keys_of(kind: type[Any]) -> set[str]:
     return {*signature(kind).parameters} - {"env", "kwargs"}
 
 
+TUPLE = "TupleObservation"
 TYPES: Types = {
     "action": {
         "Autopilot": set(),
@@ -56,6 +61,8 @@ TYPES: Types = {
         "OccupancyGrid": keys_of(OccupancyGridObservation),
         "LidarObservation": keys_of(LidarObservation),
         "GrayscaleObservation": keys_of(GrayscaleObservation),
+        "TimeToCollision": keys_of(TimeToCollisionObservation),
+        TUPLE: {"observation_configs"},
     },
 }
 """Types of actions and observations, and the keys that they have."""
@@ -92,7 +99,7 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
     Raises:
         ValueError: naming key, value, place and remedy, for anything unknown, missing or impossible.
     """
-    values = to_builtins(values, enc_hook=_builtin)
+    values = as_json(values)
     if not isinstance(values, dict):
         raise ValueError(f"{place} is {values!r}; it must be a dictionary")
     known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
@@ -106,6 +113,11 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
         return convert(values, kind)
     except ValidationError as error:
         raise (error.__cause__ or error) from None
+
+
+def as_json(values: Any) -> Any:
+    """Return values in types that JSON has: NumPy's numbers and arrays, mappings and paths in Python's own."""
+    return to_builtins(values, enc_hook=_builtin)
 
 
 def _builtin(value: Any) -> Any:
@@ -139,6 +151,21 @@ def _remedy(annotation: Any, message: str) -> str:
     if get_origin(annotation) is Literal:
         return f"choose one of {', '.join(map(repr, get_args(annotation)))}"
     return "it must be True or False" if annotation is bool else message[:1].lower() + message[1:]
+
+
+def _check_type(place: str, values: Any, known: Mapping[str, set[str]]) -> None:
+    """Check a type of actions or observations, and those that it is made of.
+
+    Raises:
+        ValueError: for an unknown type or key.
+    """
+    if not isinstance(values, Mapping) or values.get("type") not in list(known):
+        raise ValueError(f"{place} is {values!r}; its 'type' must be one of {', '.join(known)}")
+    refuse_unknown(place, values, {"type"} | known[values["type"]])
+    if values["type"] == TUPLE:
+        parts = {name: keys for name, keys in known.items() if name != TUPLE}
+        for number, part in enumerate(values.get("observation_configs", [])):
+            _check_type(f"{place}['observation_configs'][{number}]", part, parts)
 
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
@@ -177,7 +204,7 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
     for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
         scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
         if scalar is not None:
-            _check(f"config[{key!r}]", to_builtins(config[key], enc_hook=_builtin), scalar)
+            _check(f"config[{key!r}]", as_json(config[key]), scalar)
     frequency = 1 / config.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each of the plans' steps
     frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
     for key in ("simulation_frequency", "policy_frequency"):
@@ -186,11 +213,13 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
             raise ValueError(f"config[{key!r}] is {config[key]!r}; {message}")
         config[key] = frequency
     for key, known in types.items():
-        values = config[key]
-        if not isinstance(values, Mapping) or values.get("type") not in list(known):
-            raise ValueError(f"config[{key!r}] is {values!r}; its 'type' must be one of {', '.join(known)}")
-        refuse_unknown(f"config[{key!r}]", values, {"type"} | known[values["type"]])
+        _check_type(f"config[{key!r}]", config[key], known)
     keys = types["action"][config["action"]["type"]]
+    for key in [key for key in config["action"] if key in RANGES and key.endswith("_range")]:
+        place, ends = f"config['action'][{key!r}]", as_json(config["action"][key])
+        _check(place, ends, Range)
+        if ends is not None and ends[0] >= ends[1]:
+            raise ValueError(f"{place} is {ends!r}; give the lowest value first, then the highest")
     if "lambda" in keys:
         read(ModelAction, "config['action']", config["action"])
     if "steering_range" in keys:

@@ -1,21 +1,33 @@
 """What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import action_factory
+from highway_env.envs.common.action import DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import GrayscaleObservation, observation_factory
 
-from ms_highway.envs.configuration import TYPES, Changes, Config, Types, merged, read_own, refuse_unknown
+from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
 from ms_highway.envs.graphics import Viewer
-from ms_highway.envs.spaces import Autopilot, CarStates, CarTracks, HumanModelAction, finite
+from ms_highway.envs.spaces import (
+    Autopilot,
+    CarStates,
+    CarTracks,
+    ContinuousAction,
+    DiscreteAction,
+    HumanModelAction,
+    TupleObservation,
+    finite,
+)
 
-OWN_TYPES = {kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks)}
+OWN = (Autopilot, HumanModelAction, ContinuousAction, DiscreteAction, CarStates, CarTracks, TupleObservation)
+OWN_TYPES = {kind.__name__: kind for kind in OWN}
 
 
 class ConfiguredEnv(AbstractEnv):
@@ -35,10 +47,22 @@ class ConfiguredEnv(AbstractEnv):
     action_space: spaces.Space | None
     _running, _stale = False, False  # whether an episode runs; whether a step needs a reset before it
     _coming: Config | None = None  # the configuration of the next episode
+    _spec: EnvSpec | None = None
 
     def __init__(self, config: Config | None = None, render_mode: str | None = None) -> None:
         super().__init__(config, render_mode)
         self._running = False  # nobody has asked for the episode that highway-env starts itself
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What Gymnasium makes the environment from, in types that JSON has."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec.kwargs = as_json(spec.kwargs)
+        self._spec = spec
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
@@ -91,16 +115,18 @@ class ConfiguredEnv(AbstractEnv):
     def define_spaces(self) -> None:
         """Set observation and action type; an action space that did not change keeps its random generator."""
         before = self.action_space
-        self.action_type = self._type(action_factory, self.config["action"])
+        self.action_type = self.type_of(action_factory, self.config["action"])
         self.action_space = self.action_type.space()
         if before == self.action_space:
             self.action_space = before
-        self.observation_type = self._type(observation_factory, self.config["observation"])
-        if isinstance(self.observation_type, GrayscaleObservation):
-            self.observation_type.viewer.enabled = True  # see `Viewer`
+        self.observation_type = self.type_of(observation_factory, self.config["observation"])
+        for part in getattr(self.observation_type, "observation_types", [self.observation_type]):
+            if isinstance(part, GrayscaleObservation):
+                part.viewer.enabled = True  # see `Viewer`
         self.observation_space = finite(self.observation_type.space())
 
-    def _type(self, factory: Any, config: Config) -> Any:
+    def type_of(self, factory: Any, config: Config) -> Any:
+        """Return a type of actions or observations: the package's own, else what a factory of highway-env makes."""
         kind = OWN_TYPES.get(config["type"])
         return kind(self, **config) if kind else factory(self, config)
 
@@ -125,6 +151,20 @@ class ConfiguredEnv(AbstractEnv):
         if self.config["manual_control"]:
             self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
         return start
+
+    def get_available_actions(self) -> Iterable[Any]:
+        """Return the actions among which a planner may choose now: highway-env's of meta-actions, else all.
+
+        Raises:
+            ValueError: for continuous actions.
+        """
+        space: Any = self.action_space
+        if isinstance(space, spaces.Box):
+            given = f"config['action'] is {self.config['action']}"
+            raise ValueError(f"{given}, of which there is no list; give discrete ones")
+        if isinstance(self.action_type, DiscreteMetaAction):
+            return self.action_type.get_available_actions()
+        return product(*map(range, space.nvec)) if isinstance(space, spaces.MultiDiscrete) else range(space.n)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.

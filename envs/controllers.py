@@ -14,7 +14,7 @@ from ms_highway.metareasoning.budget import Budget, OneStepGains
 from ms_highway.metareasoning.horizon import WholeHorizon
 from ms_highway.metareasoning.nearest import Nearest
 from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
-from ms_highway.metareasoning.rule import Order
+from ms_highway.metareasoning.rule import NEVER, Order
 from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
 from ms_highway.planning.compiled_plans import Costs
@@ -30,6 +30,7 @@ Shares = Annotated[
     dict[str, NotNegative],
     Meta(min_length=1, description="give the share of each model, such as {'naive': 0.7, 'tom': 0.3}"),
 ]
+Cooldown = Annotated[int, Meta(ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}")]
 File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
 
 
@@ -168,15 +169,17 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
 
 
 class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
-    """Algorithm 1 chooses from the ladder, at a price per second of planning."""
+    """Algorithm 1 chooses from the ladder, at a price per second of planning; see `QuadraticRule` for its numbers."""
 
     price: NotNegative = field(name="lambda")
+    cooldown: Cooldown = QuadraticRule.cooldown
+    trust_radius: Positive = QuadraticRule.trust_radius
     algorithm: ClassVar[type[QuadraticRule]] = Switching
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
-        return self.algorithm(start.costs, self.price, start.ladder, trust_tolerance=tolerance)
+        return self.algorithm(start.costs, self.price, start.ladder, self.trust_radius, tolerance, self.cooldown)
 
 
 class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):

@@ -64,13 +64,13 @@ def add_rule(settings: type[ControllerSettings]) -> None:
                 CHOOSING.append(name)
 
 
-def named_controller(text: str) -> Any:
-    """Return the settings that a controller's short name stands for, see `controller_config`.
+def named_controller(given: Any) -> Any:
+    """Return the settings of a controller, of its short name, see `controller_config`, or of its configuration.
 
     Raises:
-        ValueError: if it stands for none.
+        ValueError: if it is none of a controller.
     """
-    return controller_settings(controller_config(text))
+    return controller_settings(controller_config(given) if isinstance(given, str) else given)
 
 
 def controller_config(text: str) -> Config:

@@ -1,15 +1,19 @@
 """What an agent sees and does: all cars in the order of their roles, and who drives the robot."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from highway_env.envs.common import action as actions
+from highway_env.envs.common import observation as observations
 from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
 
 from ms_highway.envs.configuration import LARGEST
 from ms_highway.metareasoning.rule import Order
 
+SPEED_RANGE = (0.0, 40.0)  # m/s, the highest is highway-env's
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
 
@@ -56,12 +60,54 @@ class CarTracks(ObservationType):
         return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
 
 
+class TupleObservation(observations.TupleObservation):
+    """Several observations at once, of highway-env's types and of this package's."""
+
+    def __init__(self, env: Any, observation_configs: Sequence[Any], **_: Any) -> None:
+        super().__init__(env, [])
+        self.observation_types = [env.type_of(observations.observation_factory, each) for each in observation_configs]
+
+
 def finite(space: spaces.Space) -> spaces.Space:
-    """Replace infinite bounds of a space, which some of highway-env's observations have, by the ends of its type."""
+    """Replace infinite bounds of a space, which some of highway-env's observations have, by the ends of its type.
+
+    Raises:
+        ValueError: for a space of nothing, which a ``TimeToCollision`` has before a car without target speeds.
+    """
+    if isinstance(space, spaces.Tuple):
+        return spaces.Tuple([finite(part) for part in space])
+    if type(space) is spaces.Space:
+        raise ValueError("TimeToCollision needs a car with target speeds; give the action 'DiscreteMetaAction'")
     if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
         return space
     end = np.finfo(space.dtype).max
     return spaces.Box(np.maximum(space.low, -end), np.minimum(space.high, end), dtype=space.dtype.type)
+
+
+class ContinuousAction(actions.ContinuousAction):
+    """highway-env's throttle and steering, within a range of speeds: by default, full braking stops a car.
+
+    Attributes:
+        speed_range: lowest and highest speed [m/s], None for no limits.
+    """
+
+    def __init__(self, env: Any, speed_range: Sequence[float] | None = SPEED_RANGE, **options: Any) -> None:
+        super().__init__(env, **options)
+        self.speed_range = None if speed_range is None else tuple(speed_range)
+
+    def get_action(self, action: np.ndarray) -> dict[str, float]:
+        """Return the control of an action, less what would lead beyond the range."""
+        control, vehicle = super().get_action(action), self.controlled_vehicle
+        if self.speed_range is not None:
+            changes = (np.array(self.speed_range) - vehicle.speed) * self.env.config["simulation_frequency"]
+            friction = getattr(vehicle, "friction", 0.0)
+            least, most = min(changes[0], 0.0) + friction, max(changes[1], 0.0) + friction
+            control["acceleration"] = float(np.clip(control["acceleration"], least, most))
+        return control
+
+
+class DiscreteAction(ContinuousAction, actions.DiscreteAction):
+    """highway-env's grid of throttle and steering, within a range of speeds."""
 
 
 class Autopilot(ActionType):

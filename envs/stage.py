@@ -80,6 +80,7 @@ class StageEnv(ConfiguredEnv):
         for car in cars:
             car.solid = False  # collisions are seen, without effect
         self.road.vehicles, self.controlled_vehicles, self.collision = cars, cars[:1], False
+        self._terms = dict.fromkeys(self.game.robot.names, 0.0)
 
     @property
     @abstractmethod
@@ -114,9 +115,13 @@ class StageEnv(ConfiguredEnv):
         return bool(self.config.get("terminate_on_collision") and self.collision)
 
     def _info(self, obs: Any, action: Any = None) -> Config:
-        """Describe the last step; after a reset, only the speed of car 0 and what collisions do."""
-        info = {"speed": self.vehicle.speed, "collision_effect": "reward only"}
-        if self.steps == 0:
-            return info
-        happened = {"collision": self.collision, "crashed": self.vehicle.hit, "control": dict(self.vehicle.action)}
-        return info | happened | {"action": action, "rewards": self._rewards(action)}
+        """Describe the last step; after a reset, the reward and its terms are 0."""
+        return {
+            "speed": float(self.vehicle.speed),
+            "collision_effect": "reward only",
+            "collision": self.collision,
+            "crashed": bool(self.vehicle.hit),
+            "control": {name: float(value) for name, value in self.vehicle.action.items()},
+            "action": action,
+            "rewards": self._rewards(action),
+        }

@@ -78,6 +78,13 @@ def drivers_as_they_were() -> Iterator[None]:
         setattr(IDMVehicle, name, value)
 
 
+@pytest.fixture
+def stopped_by_nans() -> Iterator[None]:
+    """Let JAX raise an error where a compiled function returns a NaN, as under JAX_DEBUG_NANS=1."""
+    with jax.debug_nans(True):
+        yield
+
+
 @pytest.fixture(scope="module", autouse=True)
 def little_memory() -> Iterator[None]:
     """Forget what has been compiled where it takes much memory: that of all files would take many gigabytes."""

@@ -73,7 +73,7 @@ class RecordedEnv(ConfiguredEnv):
     moves at 10 Hz, as it was recorded. Here, x goes along the road and y to its right; ``axes`` leads to the map.
 
     ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, numbers
-    of the vehicles that could not enter yet, as somebody is in their place.
+    of the vehicles that could not enter yet, as somebody is in their place. ``info["is_success"]`` is the success, too.
 
     Attributes:
         scenario: the recording.
@@ -88,8 +88,8 @@ class RecordedEnv(ConfiguredEnv):
     types = {  # noqa: RUF012
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
-            "ContinuousAction": RANGES,
-            "DiscreteAction": RANGES | {"actions_per_axis"},
+            "ContinuousAction": RANGES | {"dynamical"},
+            "DiscreteAction": RANGES | {"dynamical", "actions_per_axis"},
         },
         "observation": {name: keys for name, keys in TYPES["observation"].items() if name != "CarStates"},
     }
@@ -190,11 +190,12 @@ class RecordedEnv(ConfiguredEnv):
 
     def _info(self, obs: Any, action: Any = None) -> Config:
         return super()._info(obs, action) | {
+            "is_success": self.success,
             "recorded": {
                 "step": self.step_of_recording,
                 "success": self.success,
                 "collision": bool(self.vehicle.crashed),
                 "off_road": self.off_road,
                 "waiting": self.road.traffic.waiting,
-            }
+            },
         }

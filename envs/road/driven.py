@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from math import ceil
 from typing import Any
 
 import gymnasium as gym
@@ -18,18 +19,19 @@ from highway_env.envs.common.action import (
 )
 
 from ms_highway.control.road import RoadDriver
+from ms_highway.envs.configuration import as_json
 from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
 from ms_highway.envs.stage import StageEnv
-from ms_highway.planning.road.settings import RoadWeights
+from ms_highway.game.road import TRAFFIC
+from ms_highway.planning.road.settings import MODELS, RoadWeights
 from ms_highway.vehicle.appointment import destination_for
-from ms_highway.vehicle.road_robot import RoadRobot
+from ms_highway.vehicle.road_robot import PERIOD, RoadRobot
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
 UNTIL_FIRST = {
-    "models": (),
-    "gains": np.zeros(0),
+    "models": ("",) * TRAFFIC,
     "source": "",
     "broken": False,
     "failed": False,
@@ -38,6 +40,9 @@ UNTIL_FIRST = {
     "compile_seconds": 0.0,
 }
 """What ``info["road"]`` has of the driver's last step, with its values before the first."""
+
+NO_GAINS = np.full((TRAFFIC, len(MODELS)), np.nan)
+SAME = 1e-5  # m/s^2 and rad, by which the frames of a step may differ from its action
 
 
 def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
@@ -95,14 +100,18 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     The environment keeps its spaces, reward and time limits.
 
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
-    control in between. ``info["road"]["action"]`` is what the robots did in this step, an action of the environment's
-    space, to be imitated, see `action_done`; None before the first, and where actions are meta-actions.
-    ``info["action"]`` is only what highway-env's rewards are told: idle, or the control of the step before. Of the
-    first controlled vehicle, ``info["road"]`` says:
+    control in between. ``info["road"]["action"]`` is the ``ContinuousAction`` that does what the robots did in this
+    step, to be imitated, see `action_done`. It is None where there can be none: with discrete actions, with
+    ``dynamical`` ones, and in steps longer than 0.2 s, in which the control changes.
+    ``info["action"]`` is only what highway-env's rewards are told: idle, or the control of the step before.
+    ``info["is_success"]`` is ``info["road"]["success"]``, where the scene has a goal. Every key is there from the reset
+    on, with one shape and type. Of the first controlled vehicle, ``info["road"]`` says:
 
-    * ``models``, ``gains``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``,
-      ``compile_seconds`` of the last plan, see `ms_highway.control.road.RoadStep`;
-    * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then;
+    * ``models``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of
+      the last plan, see `ms_highway.control.road.RoadStep`; ``gains``, by model, what its answer about each of the
+      ``models`` may be worth at most, NaN where that was not estimated;
+    * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then; NaN
+      and an empty text for each plan that was not made;
     * ``late``: how many of these plans were not ready within the budget, so that the plan before drove on;
     * ``model_counts``: how many cars each model predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
@@ -115,7 +124,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     """
 
     def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
-        RecordConstructorArgs.__init__(self, config=config)
+        RecordConstructorArgs.__init__(self, config=as_json(config))
         gym.Wrapper.__init__(self, env)
         check_drivable(env)
         self.settings = RoadSettings.read(config)
@@ -148,7 +157,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             robot = replace_ego(base, RoadRobot.create_from, number)
             robot.drive_with(driver, goal, self.settings.acceleration, self.settings.intentions)
             self.robots.append(robot)
-        return observation, {**info, "road": self._told() | {"action": None}}
+        return observation, {**info, **self._told()}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Let the robot drive for a step; the action is ignored.
@@ -164,12 +173,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             robot.forget()
         kind = self._base.action_type
         *outcome, info = self.env.step(unheeded(kind))
-        kinds = getattr(kind, "agents_action_types", [kind])
-        done: Any = None
-        if not isinstance(kinds[0], DiscreteMetaAction):
-            done = tuple(map(action_done, kinds, self.robots))
-            done = done if isinstance(kind, MultiAgentAction) else done[0]
-        return *outcome, {**info, "road": self._told() | {"action": done}}
+        return *outcome, {**info, **self._told()}
 
     def render(self) -> Any:
         """Show the road, the plan, the predictions and the rungs."""
@@ -181,17 +185,32 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return self.unwrapped
 
     def _told(self) -> dict[str, Any]:
-        robot = self.robots[0]
-        return {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
-            "decisions": [step.planning_seconds + step.decision_seconds for step in robot.steps],
-            "sources": [step.source for step in robot.steps],
+        """Return what ``info`` says of the step, in the same shapes and types before the first."""
+        robot, base, kind, there = self.robots[0], self._base, self._base.action_type, success(self._base)
+        frequency = base.config["simulation_frequency"]
+        frames, frames_of_plan = frequency // base.config["policy_frequency"], max(1, round(PERIOD * frequency))
+        seconds = [step.planning_seconds + step.decision_seconds for step in robot.steps]
+        missing = ceil(frames / frames_of_plan) - len(seconds)
+        gains = getattr(robot.last_step, "gains", NO_GAINS)
+        counts = Counter(name for step in robot.steps for name in step.models)
+        done: Any = tuple(map(action_done, getattr(kind, "agents_action_types", [kind]), self.robots))
+        if frames > frames_of_plan or any(each is None for each in done):
+            done = None
+        elif not isinstance(kind, MultiAgentAction):
+            done = done[0]
+        road = {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
+            "gains": dict(zip(MODELS, gains.T, strict=True)),
+            "decisions": np.array(seconds + [np.nan] * missing),
+            "sources": (*(step.source for step in robot.steps), *[""] * missing),
             "late": sum(step.status == "late" for step in robot.steps),
-            "model_counts": Counter(name for step in robot.steps for name in step.models if name),
-            "acceleration": max(robot.accelerations, default=0.0),
-            "jerk": max(robot.jerks, default=0.0),
+            "model_counts": {name: counts[name] for name in MODELS},
+            "acceleration": float(max(robot.accelerations, default=0.0)),
+            "jerk": float(max(robot.jerks, default=0.0)),
             "destination": destination_for(robot.goal),
-            "success": success(self._base),
+            "success": there,
+            "action": done,
         }
+        return {"road": road} | ({} if there is None else {"is_success": there})
 
 
 def unheeded(action_type: ActionType) -> Any:
@@ -203,14 +222,20 @@ def unheeded(action_type: ActionType) -> Any:
     return _nearest_in(action_type, action_type.controlled_vehicle.action)
 
 
-def action_done(action_type: ContinuousAction, robot: RoadRobot) -> Any:
-    """Return what a robot did in a step, as an action of its environment.
+def action_done(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
+    """Return the ``ContinuousAction`` that does what a robot did in a step; None where actions are others.
 
-    A continuous action is the mean over the frames of the step, clipped to the space; of a ``DiscreteAction``, the one
-    nearest to that.
+    It is NaN where no action of the space does the same: where tyres or highway-env's limits changed the control within
+    the step, or it is beyond the ranges of the space.
     """
+    continuous = isinstance(action_type, ContinuousAction) and not isinstance(action_type, DiscreteAction)
+    if not continuous or action_type.dynamical:
+        return None
     frames = robot.actions or [robot.action]
-    return _nearest_in(action_type, {key: float(np.mean([frame[key] for frame in frames])) for key in frames[0]})
+    action = _nearest_in(action_type, frames[0])
+    does = ContinuousAction.get_action(action_type, action)
+    same = all(abs(frame[key] - does[key]) < SAME for frame in frames for key in does)
+    return action if same else np.full_like(action, np.nan)
 
 
 def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) -> Any:

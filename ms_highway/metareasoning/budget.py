@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from ms_highway.game.game import Game, each_human
 from ms_highway.metareasoning.quadratic_rule import change_of_control
-from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, with_human
+from ms_highway.metareasoning.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, with_human
 from ms_highway.metareasoning.switching import Switching
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, Naive
@@ -90,13 +90,13 @@ class OneStepGains:
             alone, seen = with_human(game, outcome, human)
             return self._gain(alone, seen, jnp.asarray(memory.rungs)[human] == top)[None]
 
-        unknown = jnp.full((game.number, 1), jnp.nan)
+        unknown = jnp.full((game.number, 1), NOT_ESTIMATED)
         return jax.lax.cond(memory.step > 0, lambda: each_human(game, one), lambda: unknown)
 
     def choose(self, memory: Memory, seen: Float[Any, "humans 1"]) -> Decision:
         """Return the gains, and keep the rungs."""
-        gains = jnp.full(jnp.shape(memory.last_check), jnp.nan)
-        gains = gains.at[:, 0].set(0.0 * seen[:, 0]).at[:, -1].set(seen[:, 0])
+        gains = jnp.full(jnp.shape(memory.last_check), NOT_ESTIMATED)
+        gains = gains.at[:, 0].set(jnp.where(jnp.isfinite(seen[:, 0]), 0.0, NOT_ESTIMATED)).at[:, -1].set(seen[:, 0])
         return Decision(memory._replace(step=memory.step + 1), gains, jnp.bool(False))
 
     def _gain(self, game: Game, seen: Outcome, uses_top: Any) -> Scalar:

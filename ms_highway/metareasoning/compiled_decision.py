@@ -11,7 +11,7 @@ from jax import numpy as jnp
 from ms_highway.game.dynamics import recover_control
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.rule import Decision, Memory, Outcome, Rule, first_memory
+from ms_highway.metareasoning.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, first_memory
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, Control, State, Vector
 from ms_highway.runtime.compilation import Layout, in_one_kernel, pack, quick_options
@@ -56,7 +56,7 @@ class CompiledDecision:
         return decide_function(self._layout, jax.tree.structure(self._network), fuses)
 
     def decide(self, memory: Memory, observed: Observation) -> tuple[Decision, float]:
-        """Return the decision, in NumPy arrays, and the seconds that it took.
+        """Return the decision, in NumPy arrays, with NaN where no gain was estimated, and the seconds that it took.
 
         Args:
             memory: of the steps before.
@@ -67,6 +67,7 @@ class CompiledDecision:
         numbers, table = np.array(decided), (humans, rungs)
         chosen, step, checks, gains, failed = np.split(numbers, np.cumsum([humans, 1, humans * rungs, humans * rungs]))
         after = Memory(chosen.astype(np.int32), step[0].astype(np.int32), checks.astype(np.int32).reshape(table))
+        gains = np.where(gains == NOT_ESTIMATED, np.nan, gains)
         return Decision(after, gains.reshape(table), failed[0] > 0), seconds
 
     def warm_up(self, state: State) -> float:

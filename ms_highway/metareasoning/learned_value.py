@@ -18,7 +18,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.rule import Decision, Memory, Outcome
+from ms_highway.metareasoning.rule import NOT_ESTIMATED, Decision, Memory, Outcome
 from ms_highway.metareasoning.situation import describe
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -99,7 +99,7 @@ class LearnedValue:
         failed = ~jnp.isfinite(cautious).all()
         chosen = jnp.where(failed | (price < least), top, jnp.where(price > largest, 0, jnp.argmax(cautious)))
         compared, unknown = (cautious, failed | (price != bounded)) if self.cautious else (means, failed)
-        return chosen, jnp.where(unknown, jnp.nan, compared - compared[rung]), failed
+        return chosen, jnp.where(unknown, NOT_ESTIMATED, compared - compared[rung]), failed
 
     def _over_cheapest(self, seen: Vector, rung: Index) -> tuple[Any, Any, Any]:
         """Return the best rung for a human, the gains over the first, and whether they could not be estimated.

@@ -12,7 +12,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, each_human
-from ms_highway.metareasoning.rule import Decision, Memory, Outcome, check_costs, with_human
+from ms_highway.metareasoning.rule import NOT_ESTIMATED, Decision, Memory, Outcome, check_costs, with_human
 from ms_highway.optimization.trust_region import trust_region_step
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -71,7 +71,7 @@ class QuadraticRule(ABC):
         """Compute what the robot earns with these controls."""
 
     def look(self, game: Game, memory: Memory, outcome: Outcome) -> HumansControl:
-        """Estimate every human's gains of going up and down; NaN where none is needed."""
+        """Estimate every human's gains of going up and down; `NOT_ESTIMATED` where none is needed."""
 
         def one(human: Index) -> Control:
             alone, seen = with_human(game, outcome, human)
@@ -90,7 +90,7 @@ class QuadraticRule(ABC):
         last = jnp.take_along_axis(jnp.asarray(memory.last_check), below, axis=1)[:, 0]
         checked = (self.checks_below(rungs, memory.step, last) & ~goes_up)[:, None] & (places == below)
         last_check = jnp.where(checked, now, memory.last_check)
-        up_gains = jnp.where((places == top) & (below < top), up[:, None], jnp.nan)
+        up_gains = jnp.where((places == top) & (below < top), up[:, None], NOT_ESTIMATED)
         gains = jnp.where(places == below - 1, down[:, None], up_gains)
         return Decision(Memory(chosen, now, last_check), gains, jnp.bool(False))
 
@@ -103,7 +103,7 @@ class QuadraticRule(ABC):
 def estimate_gains(
     rule: QuadraticRule, game: Game, memory: Memory, state: State, robot: Vector, human: Vector, reward: Scalar
 ) -> Control:
-    """Estimate the gains of going up and down about one human; NaN where none is needed.
+    """Estimate the gains of going up and down about one human; `NOT_ESTIMATED` where none is needed.
 
     Args:
         rule: ladder, costs, lambda, trust region and cooldown; expands and evaluates the rewards.
@@ -122,7 +122,7 @@ def estimate_gains(
     rung, top = memory.rungs, len(ladder) - 1
     climbs = (rung < top) & (memory.step > 0)
     checks = rule.checks_below(rung, memory.step, jnp.asarray(memory.last_check)[rung])
-    none, not_estimated = jnp.zeros((len(robot), len(robot))), jnp.float32(jnp.nan)
+    none, not_estimated = jnp.zeros((len(robot), len(robot))), jnp.float32(NOT_ESTIMATED)
 
     def estimate() -> tuple[Scalar, Scalar]:
         expansion = rule.expand(game, state, robot, human)
@@ -130,7 +130,8 @@ def estimate_gains(
         def gain(expected: Vector, influence: Matrix, alternative: Index) -> Scalar:
             change = change_of_control(expansion, human, expected, influence, rule)
             earned = rule.earned(game, state, robot + change, human + expansion.influence @ change)
-            return earned - reward - steps * rule.price * (costs[alternative] - costs[rung])
+            saved = costs[rung] - costs[alternative]
+            return jnp.where(jnp.isnan(saved), not_estimated, earned - reward + steps * rule.price * saved)
 
         def gain_down() -> Scalar:
             below = jnp.maximum(rung - 1, 0)

@@ -24,6 +24,9 @@ SHIPPED_COSTS = {"naive": 0.0015, "idm": 0.0015, "turn": 0.0021, "tom": 0.0021} 
 
 The mean of six episodes of Dense Merge on one core: 1.5 ms, and 0.6 more for each of eight humans under turn or tom."""
 
+NOT_ESTIMATED = -np.inf
+"""Gain of a rung for which none was estimated; NaN would stop all programs where JAX looks for errors by it."""
+
 NEVER = -(2**20)
 """Step of a check that has not been made."""
 
@@ -67,7 +70,7 @@ class Decision(NamedTuple):
 
     Attributes:
         memory: with the rungs of the coming step.
-        gains: estimated gain of each rung for every human, NaN where none was estimated: what is compared to choose,
+        gains: estimated gain of each rung for every human, `NOT_ESTIMATED` where none was: what is compared to choose,
             over the rung in use and less the price of its time. Those of learned values are also less a margin for
             doubt, and with the baseline ``cheapest`` over the first rung; those for budgets have no price and margin.
         failed: whether the rule could not estimate what it needs.
@@ -188,7 +191,7 @@ def at_price(rule: Any, price: Scalar) -> Any:
 
 def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     """Return a decision for some rungs for which no gain was estimated."""
-    gains = jnp.full(np.shape(memory.last_check), jnp.nan)
+    gains = jnp.full(np.shape(memory.last_check), NOT_ESTIMATED)
     return Decision(memory._replace(rungs=rungs.astype(jnp.int32), step=memory.step + 1), gains, jnp.bool(False))
 
 

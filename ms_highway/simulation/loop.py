@@ -21,7 +21,7 @@ from ms_highway.game.dynamics import keep_velocity, recover_control, step, withi
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.metareasoning.belief import counted_on, first_belief, infer
-from ms_highway.metareasoning.rule import Memory, Order, Outcome, at_price, decide, first_memory
+from ms_highway.metareasoning.rule import NOT_ESTIMATED, Memory, Order, Outcome, at_price, decide, first_memory
 from ms_highway.planning.effort import starts_warm
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan, cold_start, one_step_later
@@ -172,7 +172,7 @@ def _before(loop: Loop) -> _Now:
     memory = jax.tree.map(jnp.asarray, first_memory(loop.rule, humans))
     robot, driver = (jax.tree.map(jnp.asarray, no_rest(horizon, number)) for number in (humans, 1))
     drivers = jax.tree.map(lambda part: jnp.broadcast_to(part, (humans, *part.shape)), driver)
-    unknown = jnp.full(memory.last_check.shape, jnp.nan)
+    unknown = jnp.full(memory.last_check.shape, NOT_ESTIMATED)
     return _Now(jnp.zeros(0), memory, unknown, jnp.asarray(first_belief(humans)), robot, drivers)
 
 
@@ -287,7 +287,8 @@ def _move(loop: Loop, now: _Now, own: _Own, plan: Plan, given: _Step) -> tuple[_
     outcome = Outcome(seen, seen_after, own_plan.robot[0], observed, told, own_plan)
     records = Records(rungs, followed.status, reward, collision, now.gains, after)
     belief = infer(game, now.belief, seen, seen_after, own_plan.robot) if loop.belief else now.belief
-    memory, unknown = now.memory._replace(rungs=rungs, step=now.memory.step + 1), jnp.full_like(now.gains, jnp.nan)
+    memory = now.memory._replace(rungs=rungs, step=now.memory.step + 1)
+    unknown = jnp.full_like(now.gains, NOT_ESTIMATED)
     return _Moved(_Now(after, memory, unknown, belief, followed.kept, human_rests), outcome), records
 
 

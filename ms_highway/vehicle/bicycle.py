@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from highway_env.road.road import Road
+from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
@@ -14,6 +15,24 @@ from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.runtime.arrays import Car, Control, State
 from ms_highway.vehicle.road_view import states_of
+
+
+class OfferedSpeeds:
+    """What rewards and observations of highway-env look for in the car that they control.
+
+    Attributes:
+        target_speeds: speeds that the environment offers to drivers of discrete actions [m/s].
+    """
+
+    speed: float
+    target_speeds = MDPVehicle.DEFAULT_TARGET_SPEEDS
+    index_to_speed = MDPVehicle.index_to_speed
+    speed_to_index = MDPVehicle.speed_to_index
+
+    @property
+    def speed_index(self) -> int:
+        """Index of the target speed that is nearest to the present speed."""
+        return int(self.speed_to_index(self.speed))
 
 
 class BicycleVehicle(Vehicle):
@@ -45,6 +64,11 @@ class BicycleVehicle(Vehicle):
     def state(self) -> Car:
         """``(x, y, heading, speed)`` in metres, radians and metres per second."""
         return states_of([self])[0]
+
+    @property
+    def friction(self) -> float:
+        """Acceleration that keeps the speed [m/s^2]."""
+        return float(keep_velocity(self.dynamics, self.state)[1])
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Execute an action until the next one; without one, continue the last."""

@@ -16,7 +16,7 @@ from ms_highway.game.dynamics import within_grip
 from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
 from ms_highway.runtime.arrays import State
-from ms_highway.vehicle.bicycle import BicycleVehicle
+from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds
 from ms_highway.vehicle.road_map import LIMIT
 from ms_highway.vehicle.road_view import RoadView, Route, at_constant_speed, look, states_of
 
@@ -182,7 +182,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self.target_lane_index = self.lane_index
 
 
-class RobotVehicle(PlanningVehicle):
+class RobotVehicle(OfferedSpeeds, PlanningVehicle):
     """The robot; `drive_with` sets its controller."""
 
     COLOR = (45, 160, 80)

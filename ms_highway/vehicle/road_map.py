@@ -2,7 +2,6 @@
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cached_property, wraps
 from itertools import accumulate, islice
 from math import cos, hypot, inf, sin
@@ -19,8 +18,7 @@ from ms_highway.game.road import wrapped
 from ms_highway.vehicle.lane_paths import COARSE, SMOOTHING, Curve, Point, Points, Row, join_lanes, samples
 
 
-@dataclass(frozen=True)
-class Spot:
+class Spot(NamedTuple):
     """A place on a lane.
 
     Attributes:
@@ -206,8 +204,9 @@ class Goal:
 
     def __init__(self, roads: "RoadMap", destination: Destination) -> None:
         self.roads = roads
-        self.spot = destination if isinstance(destination, Spot) else None
-        self.towards = dict(destination) if isinstance(destination, tuple) else {}
+        self.spot, self.towards = destination if isinstance(destination, Spot) else None, dict[str, str]()
+        if isinstance(destination, tuple) and not isinstance(destination, Spot):
+            self.towards = dict(destination)
         destination = self.spot.lane[1] if self.spot else destination
         queue = [destination] if isinstance(destination, str) else []
         for node in queue:

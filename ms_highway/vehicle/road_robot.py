@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 from highway_env.road.road import LaneIndex, Road, Route
-from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
+from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -14,6 +14,7 @@ from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
 from ms_highway.planning.road.motion import SLIP
 from ms_highway.vehicle.appointment import Appointment, RobotGoal, destination_for
+from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.lane_paths import Point
 from ms_highway.vehicle.road_scene import observe_road
 from ms_highway.vehicle.road_view import at_constant_speed
@@ -94,24 +95,6 @@ def keep_grip(
     slowest, fastest = speed * cos(angle) - room, speed * cos(angle) + room
     lowest = max(-most_along, (max(slowest, 0.0) - speed) / dt, -speed / dt)
     return curvature, min(max(acceleration, lowest), most_along, (fastest - speed) / dt)
-
-
-class OfferedSpeeds:
-    """What rewards of highway-env look for in the car that they control.
-
-    Attributes:
-        target_speeds: speeds that the environment offers to drivers of discrete actions [m/s].
-    """
-
-    speed: float
-    target_speeds = MDPVehicle.DEFAULT_TARGET_SPEEDS
-    index_to_speed = MDPVehicle.index_to_speed
-    speed_to_index = MDPVehicle.speed_to_index
-
-    @property
-    def speed_index(self) -> int:
-        """Index of the target speed that is nearest to the present speed."""
-        return int(self.speed_to_index(self.speed))
 
 
 class RoadRobot(OfferedSpeeds, Vehicle):

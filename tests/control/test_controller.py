@@ -20,6 +20,7 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import MODELS, ladder
 
 
+@pytest.mark.usefixtures("stopped_by_nans")
 def test_a_step_tells_what_was_planned_for_every_human(played):
     game, state = played("merger", humans=2)
     step = Driver(game, Nearest(1, ladder(("naive", "turn", "tom")))).step(np.asarray(state))
@@ -114,6 +115,7 @@ def test_a_state_may_be_changed_in_place_between_steps(played):
         np.testing.assert_array_equal(step.plan, expected.plan)
 
 
+@pytest.mark.usefixtures("stopped_by_nans")
 def test_switching_without_a_known_cost_stays_on_its_rung_and_drives_on(played):
     game, state = played("merger")
     controller = Driver(game, Switching(Costs(0.0, np.array([np.nan, 0.17])), 0.1, ladder(("naive", "turn"))))

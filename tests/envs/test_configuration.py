@@ -2,13 +2,15 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from msgspec import defstruct
 
-from ms_highway import always
+from ms_highway import always, drive
 from ms_highway.envs import (
     ENVIRONMENTS,
     SCENARIOS,
@@ -19,6 +21,7 @@ from ms_highway.envs import (
     environment_id,
     short_names,
 )
+from ms_highway.envs.configuration import as_json
 from ms_highway.envs.controllers import ControllerSettings, SwitchingSettings
 from ms_highway.envs.short_names import add_rule, controller_config, named_controller
 
@@ -29,7 +32,16 @@ WRONG = [
     ({"solver": None}, "config['solver'] is None; choose one of 'gradient', 'newton', 'convex_newton'"),
     ({"way_out": 1}, "config['way_out'] is 1; it must be True or False"),
     ({"humans": 21}, "config['humans'] is 21; it must be a whole number from"),
-    ({"controller": "tom"}, "config['controller'] is 'tom'; its 'type' must be one of switching, horizon"),
+    ({"controller": "oracle"}, "unknown controller 'oracle'; name a model (naive, idm, turn, tom"),
+    ({"controller": 3}, "config['controller'] is 3; its 'type' must be one of switching, horizon"),
+    (
+        {"controller": {"type": "switching", "lambda": 1, "cooldown": 0}},
+        "['cooldown'] is 0; it must be a number of steps",
+    ),
+    (
+        {"controller": {"type": "horizon", "lambda": 1, "trust_radius": 0}},
+        "['trust_radius'] is 0; it must be a positive",
+    ),
     ({"controller": {"lamda": 1}}, "unknown key 'lamda' in config['controller']; did you mean 'lambda'"),
     ({"controller": {"type": "switching", "lambda": -1}}, "config['controller']['lambda'] is -1; it must be a number"),
     ({"controller": {"type": "horizon"}}, "config['controller'] needs 'lambda': it must be a number from 0"),
@@ -55,6 +67,18 @@ WRONG = [
     ({"screen_width": -3}, "config['screen_width'] is -3; it must be a positive number"),
     ({"action": {"type": "HumanModelAction", "lamda": 1}}, "did you mean 'lambda'"),
     ({"observation": {"type": "Kinematics", "absolut": True}}, "did you mean 'absolute'"),
+    (
+        {"action": {"type": "ContinuousAction", "speed_range": [0]}},
+        "config['action']['speed_range'] is [0]; give the lowest and the highest value",
+    ),
+    (
+        {"action": {"type": "DiscreteAction", "acceleration_range": [5, -5]}},
+        "config['action']['acceleration_range'] is [5, -5]; give the lowest value first",
+    ),
+    (
+        {"observation": {"type": "TupleObservation", "observation_configs": [{"type": "CarState"}]}},
+        "config['observation']['observation_configs'][0] is {'type': 'CarState'}; its 'type' must be one of CarStates",
+    ),
     ([], "the configuration is []; it must be a dictionary"),
     (
         {"ladder": ["tom@4", "tom"], "costs": "shipped", "controller": {"type": "nearest", "count": 1, "belief": True}},
@@ -104,6 +128,9 @@ def test_the_demonstration_refuses_what_it_has_not():
 def test_nested_configurations_merge_and_a_new_type_replaces():
     assert make(controller={"lambda": 3}).config["controller"] == {"type": "learned", "lambda": 3}
     assert make(controller=NAN_MODEL).config["controller"] == NAN_MODEL
+    env = make(controller={"type": "fixed", "model": "tom", "belief": True})
+    env.reset(options={"config": {"controller": "naive"}})  # a short name stands for the whole
+    assert env.config["controller"] == NAN_MODEL
     env = make(controller=NAN_MODEL, human_reward={"speed": 2.0, "off_road": -100.0})
     env.reset(options={"config": {"human_reward": {"speed": 3.0}}})
     assert env.config["human_reward"] == {"speed": 3.0}
@@ -172,9 +199,19 @@ def test_a_change_that_is_refused_in_an_episode_leaves_it_as_it_was(change, mess
 
 def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_next_reset_on():
     env = make(controller=NAN_MODEL)
-    env.config["controller"] = {"type": "fixed", "model": "turn"}
-    env.reset(seed=0)
-    assert env.step(0)[-1]["model"] == "turn"
+    for controller in ({"type": "fixed", "model": "turn"}, "turn"):
+        env.config["controller"] = controller
+        env.reset(seed=0)
+        assert env.step(0)[-1]["model"] == "turn"
+
+
+def test_cooldown_and_trust_radius_are_those_of_the_rule():
+    rule = make(
+        controller={"type": "switching", "lambda": 0.1, "cooldown": 5, "trust_radius": 0.5}
+    ).robot.controller.rule
+    assert (rule.price, rule.cooldown, rule.trust_radius) == (0.1, 5, 0.5)
+    rule = make(controller="horizon:0.1").robot.controller.rule
+    assert (rule.price, rule.cooldown, rule.trust_radius) == (0.1, 3, 1.5)
 
 
 @pytest.mark.parametrize(
@@ -218,6 +255,63 @@ def test_a_scenario_of_ones_own_needs_a_name_of_its_own(name):
     with pytest.raises(ValueError, match=f"cannot be called '{name}'; choose one word in lower case"):
         add_scenario(environment)
     assert list(SCENARIOS) == ["stay_back", "merger", "give_way", "dense_merge", "crossing_crowd"]
+
+
+class ZipperEnv(MergerEnv):
+    """A scenario of one's own."""
+
+    scenario = replace(MergerEnv.scenario, name="zipper")
+
+
+@pytest.fixture
+def zipper(monkeypatch):
+    """The id of a scenario that is known only for one test."""
+    for known in (ENVIRONMENTS, SCENARIOS):
+        monkeypatch.setitem(known, "zipper", None)
+    monkeypatch.setitem(gym.registry, "ms-highway/zipper-v0", None)
+    return add_scenario(ZipperEnv)
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+def test_specifications_are_json_of_which_the_same_environment_is_made(zipper):
+    limit = {"controller": NAN_MODEL, "control_limit": np.array([0.2, 9.0]), "grip": np.float32(8)}
+    ladder = {"driver": "priced", "ladder": np.array(["naive", "idm"])}
+    for env in (
+        gym.make(zipper, config=limit),
+        gym.make("ms-highway/recorded-v0", config={"recording": Path("us101")}),
+        drive(gym.make("merge-v0"), ladder),
+    ):
+        again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+        assert type(again.unwrapped) is type(env.unwrapped)
+        assert [str(part) for part in again.unwrapped.config.values()] == [
+            str(as_json(part)) for part in env.unwrapped.config.values()
+        ]
+        assert getattr(again, "settings", None) == getattr(env, "settings", None)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "action", "available"),
+    [
+        (PAIR, {"type": "Autopilot"}, [0]),
+        (PAIR, {"type": "HumanModelAction", "lambda": 1}, [0, 1, 2]),
+        (
+            SEVERAL,
+            {"type": "HumanModelAction", "lambda": 1},
+            [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2)],
+        ),
+        (PAIR, {"type": "DiscreteAction", "actions_per_axis": 2}, [0, 1, 2, 3]),
+    ],
+)
+def test_planners_are_told_all_actions_of_a_discrete_space(scenario, action, available):
+    env = make(scenario, action=action, **({"humans": 2} if scenario == SEVERAL else {}))
+    env.reset(seed=0)
+    assert list(env.get_available_actions()) == available
+    assert all(env.action_space.contains(each) for each in available)
+
+
+def test_planners_are_told_that_continuous_actions_have_no_list():
+    with pytest.raises(ValueError, match=r"config\['action'\] is .*ContinuousAction.*; give discrete ones"):
+        make(**CONTINUOUS).get_available_actions()
 
 
 class Plain(ControllerSettings, tag="plain"):

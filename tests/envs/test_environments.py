@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from importlib import reload
+from itertools import product
 
 import gymnasium as gym
 import numpy as np
@@ -15,6 +16,7 @@ from gymnasium.utils.env_checker import check_env
 
 import ms_highway
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+from ms_highway.envs.demonstration import ACTION
 from ms_highway.envs.stage import Timing
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT
@@ -143,17 +145,18 @@ def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, a
     assert (env.time, env.steps) == (0, 0)
 
 
-def test_the_control_of_a_robot_divided_by_the_ranges_is_the_action_that_does_the_same():
-    robot = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
-    copy = gym.make("ms-highway/merger-v0", config={"action": {"type": "ContinuousAction"}})
-    (first, _), _ = robot.reset(seed=0), copy.reset(seed=0)
-    for _ in range(5):
-        seen, *_, info = robot.step(0)
-        done = np.array([info["control"]["acceleration"] / 5.0, info["control"]["steering"] / 0.1], np.float32)
-        followed = copy.step(done)[0]
-        assert np.abs(done).max() < 1
-        np.testing.assert_allclose(seen[0], followed[0], atol=1e-5)
-    assert not np.allclose(first, seen)
+def test_the_control_of_a_robot_divided_by_ranges_that_reach_it_is_the_action_that_does_the_same():
+    robot, copy = make("merger", "turn"), make("merger", action=ACTION)
+    robot.reset(seed=0), copy.reset(seed=0)
+    ends, done = np.array([ACTION["acceleration_range"][1], ACTION["steering_range"][1]]), []
+    for _ in range(40):
+        control = robot.step(0)[4]["control"]
+        done.append(np.array([control["acceleration"], control["steering"]]))
+        action = (done[-1] / ends).astype(np.float32)
+        assert copy.action_space.contains(action)
+        copy.step(action)
+        np.testing.assert_allclose(copy.unwrapped.robot.position, robot.unwrapped.robot.position, rtol=0, atol=1e-3)
+    assert np.abs(done).max(axis=0)[0] > 5.0  # beyond the default range
 
 
 def test_a_horizon_of_a_second_is_planned_with_steps_that_hold():
@@ -186,11 +189,22 @@ def test_observations_stay_in_their_space_and_name_the_cars_by_role():
         assert env.observation_space.contains(observation)
 
 
-@pytest.mark.parametrize("kind", ["CarStates", "Kinematics", "OccupancyGrid"])
-def test_observations_have_finite_spaces(kind):
-    env = make("merger", observation={"type": kind})
+SEVERAL = {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "TimeToCollision"}]}
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("merger", "CarStates"),
+        *product(("merger", "recorded"), ("Kinematics", "OccupancyGrid", "TimeToCollision", "TupleObservation")),
+    ],
+)
+def test_observations_have_finite_spaces(name, kind):
+    kinds = SEVERAL if kind == "TupleObservation" else {"type": kind}
+    env = gym.make(f"ms-highway/{name}-v0", config={"observation": kinds})
     observation, _ = env.reset(seed=0)
-    assert np.isfinite([env.observation_space.low, env.observation_space.high]).all()
+    spaces = env.observation_space if kind == "TupleObservation" else [env.observation_space]
+    assert all(np.isfinite([space.low, space.high]).all() for space in spaces)
     assert env.observation_space.contains(observation)
 
 
@@ -326,6 +340,40 @@ def test_a_worker_that_was_forked_after_jax_had_begun_says_so_instead_of_waiting
     assert done.stdout.count("start it with context='forkserver' or 'spawn'") == 2
 
 
+def kinds_of(info, within=()):
+    """The type of every value of an info, and the shape of numbers."""
+    for key, value in info.items():
+        if isinstance(value, dict):
+            yield from kinds_of(value, (*within, key))
+        elif isinstance(value, (bool, int, float, np.ndarray, np.number)):
+            yield (*within, key), (np.asarray(value).dtype, np.shape(value))
+        else:
+            yield (*within, key), (type(value), len(value) if isinstance(value, tuple) else 0)
+
+
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: make("merger"),
+        lambda: make("dense_merge"),
+        lambda: make("merger", action=ACTION),
+        lambda: gym.make("ms-highway/demonstration-v0"),
+        lambda: gym.make("ms-highway/recorded-v0"),
+        lambda: ms_highway.drive(gym.make("highway-fast-v0", config={"action": ACTION}), {"driver": "fixed:naive"}),
+        lambda: ms_highway.drive(gym.make("intersection-v0"), {"driver": "fixed:naive"}),
+    ],
+)
+def test_each_key_of_info_has_one_type_and_shape_in_all_steps_that_have_it(made):
+    env = made()
+    infos = [env.reset(seed=0)[1], *(env.step(env.action_space.sample())[4] for _ in range(3)), env.reset(seed=1)[1]]
+    kinds = {}
+    for info in infos:
+        for key, kind in kinds_of(info):
+            assert kinds.setdefault(key, kind) == kind, key
+    assert len(kinds) > 5
+
+
 @pytest.mark.parametrize("controller", ["naive", "switching:0.1"])
 def test_a_copy_through_pickle_goes_on_like_the_original(controller):
     env = make("merger", controller)
@@ -342,6 +390,33 @@ def test_a_continuous_action_drives_the_robot():
     _, states, *_ = drive(env, steps=1, action=np.array([1.0, 0.0]))
     before, after = states[:, 0, 3]
     assert after == pytest.approx(before + 0.1 * (5.0 - 0.2 * before))  # 5 m/s^2 against 0.2 1/s of friction
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("demonstration", "ContinuousAction"),
+        *product(("merger", "recorded"), ("ContinuousAction", "DiscreteAction")),
+    ],
+)
+def test_full_braking_stops_a_car_and_drives_it_backwards_only_if_a_range_of_speeds_says_so(name, kind):
+    brakes = np.array([-1.0, 0.0], np.float32) if kind == "ContinuousAction" else 1
+    for speeds, lowest in (({}, 0.0), ({"speed_range": [-2.0, 30.0]}, -2.0)):
+        env = gym.make(f"ms-highway/{name}-v0", config={"action": {"type": kind, **speeds}}).unwrapped
+        env.reset(seed=0)
+        env.vehicle.speed = 1.0
+        driven = [(env.step(brakes), env.vehicle.speed)[1] for _ in range(8)]
+        assert driven[-1] == min(driven) == pytest.approx(lowest, abs=1e-6)
+
+
+def test_a_recorded_road_has_highway_envs_dynamical_car():
+    config = {"action": {"type": "ContinuousAction", "dynamical": True}, "traffic": "replay"}
+    env = gym.make("ms-highway/recorded-v0", config=config).unwrapped
+    env.reset(seed=0)
+    env.step(np.array([0.0, 0.1], np.float32))
+    assert env.vehicle.lateral_speed != 0
+    with pytest.raises(ValueError, match="unknown key 'dynamical' in config\\['action'\\]"):
+        make("merger", action=config["action"])
 
 
 def test_a_longer_time_step_makes_fewer_steps_of_the_same_episode():

@@ -84,6 +84,7 @@ def test_the_highest_gain_that_is_told_is_the_model_that_plans(scenario, price):
     assert len(seen) > 1 or scenario == "stay_back"
 
 
+@pytest.mark.usefixtures("stopped_by_nans")
 def test_at_a_price_that_was_not_learned_nothing_is_compared():
     env = make_environment("merger", "learned:0")
     env.reset(seed=0)

@@ -110,13 +110,14 @@ def scene(request, played):
 
 @pytest.fixture(scope="module")
 def records_of(scene):
-    """The records of a batch under each of the rules."""
+    """The records of a batch under each of the rules, none of which returns a NaN."""
     game, starts = scene
     named = rules(game.number)
-    return {
-        name: simulated(Loop(game, OneOf(tuple(named.values()), np.int32(which), PAPERS)), starts)
-        for which, name in enumerate(named)
-    }
+    with jax.debug_nans(True):
+        return {
+            name: simulated(Loop(game, OneOf(tuple(named.values()), np.int32(which), PAPERS)), starts)
+            for which, name in enumerate(named)
+        }
 
 
 def agree(records, episode, live, models):
@@ -141,6 +142,7 @@ def test_models_and_efforts_on_schedules(played, humans):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("stopped_by_nans")
 @pytest.mark.parametrize("name", rules(1))
 def test_rules(scene, records_of, name):
     game, starts = scene

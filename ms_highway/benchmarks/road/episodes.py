@@ -182,10 +182,10 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         steps=len(rewards),
         reward=sum(rewards),
         **watch.motion(),
-        decisions=tuple(seconds for road in roads for seconds in road["decisions"]),
+        decisions=tuple(seconds for road in roads for seconds in road["decisions"] if seconds >= 0),
         late=sum(road.get("late", 0) for road in roads),
-        sources=Counter(source for road in roads for source in road.get("sources", ())),
-        rungs=sum((road.get("model_counts", Counter()) for road in roads), Counter[str]()),
+        sources=Counter(source for road in roads for source in road.get("sources", ()) if source),
+        rungs=sum((Counter(road.get("model_counts", {})) for road in roads), Counter[str]()),
     )
 
 

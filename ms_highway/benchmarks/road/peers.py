@@ -18,7 +18,7 @@ from ms_highway.envs.recorded.environment import RecordedEnv
 from ms_highway.envs.road.driven import unheeded
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.vehicle.appointment import Appointment
-from ms_highway.vehicle.road_robot import OfferedSpeeds
+from ms_highway.vehicle.bicycle import OfferedSpeeds
 
 
 class Peer(gym.Wrapper):
