@@ -8,22 +8,22 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import DiscreteMetaAction, action_factory
+from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import observation_factory
 
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
 from ms_highway.envs.spaces import (
+    SPEED_RANGE,
     Autopilot,
     CarStates,
     CarTracks,
-    ContinuousAction,
-    DiscreteAction,
     HumanModelAction,
     TupleObservation,
     finite,
+    limit_speed,
 )
 
-OWN = (Autopilot, HumanModelAction, ContinuousAction, DiscreteAction, CarStates, CarTracks, TupleObservation)
+OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, TupleObservation)
 OWN_TYPES = {kind.__name__: kind for kind in OWN}
 
 
@@ -90,6 +90,8 @@ class ConfiguredEnv(AbstractEnv):
         """Set observation and action type; an action space that did not change keeps its random generator."""
         before = self.action_space
         self.action_type = self.type_of(action_factory, self.config["action"])
+        if isinstance(self.action_type, ContinuousAction):
+            limit_speed(self.action_type, as_json(self.config["action"].get("speed_range", SPEED_RANGE)))
         self.action_space = self.action_type.space()
         if before == self.action_space:
             self.action_space = before
