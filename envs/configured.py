@@ -10,23 +10,23 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import DiscreteMetaAction, action_factory
+from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import GrayscaleObservation, observation_factory
 
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
 from ms_highway.envs.graphics import Viewer
 from ms_highway.envs.spaces import (
+    SPEED_RANGE,
     Autopilot,
     CarStates,
     CarTracks,
-    ContinuousAction,
-    DiscreteAction,
     HumanModelAction,
     TupleObservation,
     finite,
+    limit_speed,
 )
 
-OWN = (Autopilot, HumanModelAction, ContinuousAction, DiscreteAction, CarStates, CarTracks, TupleObservation)
+OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, TupleObservation)
 OWN_TYPES = {kind.__name__: kind for kind in OWN}
 
 
@@ -116,6 +116,8 @@ class ConfiguredEnv(AbstractEnv):
         """Set observation and action type; an action space that did not change keeps its random generator."""
         before = self.action_space
         self.action_type = self.type_of(action_factory, self.config["action"])
+        if isinstance(self.action_type, ContinuousAction):
+            limit_speed(self.action_type, as_json(self.config["action"].get("speed_range", SPEED_RANGE)))
         self.action_space = self.action_type.space()
         if before == self.action_space:
             self.action_space = before
@@ -127,6 +129,8 @@ class ConfiguredEnv(AbstractEnv):
 
     def type_of(self, factory: Any, config: Config) -> Any:
         """Return a type of actions or observations: the package's own, else what a factory of highway-env makes."""
+        if "observation_shape" in config:  # a tuple for highway-env, which JSON does not have
+            config = {**config, "observation_shape": tuple(config["observation_shape"])}
         kind = OWN_TYPES.get(config["type"])
         return kind(self, **config) if kind else factory(self, config)
 

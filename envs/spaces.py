@@ -1,6 +1,7 @@
 """What an agent sees and does: all cars in the order of their roles, and who drives the robot."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -84,30 +85,24 @@ def finite(space: spaces.Space) -> spaces.Space:
     return spaces.Box(np.maximum(space.low, -end), np.minimum(space.high, end), dtype=space.dtype.type)
 
 
-class ContinuousAction(actions.ContinuousAction):
-    """highway-env's throttle and steering, within a range of speeds: by default, full braking stops a car.
+def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | None) -> None:
+    """Let a type of actions keep its car within a range of speeds [m/s]; None sets no limits.
 
-    Attributes:
-        speed_range: lowest and highest speed [m/s], None for no limits.
+    No subclass does, as highway-env's keyboard drives its own class only.
     """
-
-    def __init__(self, env: Any, speed_range: Sequence[float] | None = SPEED_RANGE, **options: Any) -> None:
-        super().__init__(env, **options)
-        self.speed_range = None if speed_range is None else tuple(speed_range)
-
-    def get_action(self, action: np.ndarray) -> dict[str, float]:
-        """Return the control of an action, less what would lead beyond the range."""
-        control, vehicle = super().get_action(action), self.controlled_vehicle
-        if self.speed_range is not None:
-            changes = (np.array(self.speed_range) - vehicle.speed) * self.env.config["simulation_frequency"]
-            friction = getattr(vehicle, "friction", 0.0)
-            least, most = min(changes[0], 0.0) + friction, max(changes[1], 0.0) + friction
-            control["acceleration"] = float(np.clip(control["acceleration"], least, most))
-        return control
+    kind.speed_range = speed_range and tuple(speed_range)
+    kind.get_action = partial(_within_speeds, kind)
 
 
-class DiscreteAction(ContinuousAction, actions.DiscreteAction):
-    """highway-env's grid of throttle and steering, within a range of speeds."""
+def _within_speeds(kind: actions.ContinuousAction, action: np.ndarray) -> dict[str, float]:
+    """Return the control of an action, less what would lead beyond the range of speeds."""
+    control, vehicle = actions.ContinuousAction.get_action(kind, action), kind.controlled_vehicle
+    if kind.speed_range is not None:
+        changes = (np.array(kind.speed_range) - vehicle.speed) * kind.env.config["simulation_frequency"]
+        friction = getattr(vehicle, "friction", 0.0)
+        least, most = min(changes[0], 0.0) + friction, max(changes[1], 0.0) + friction
+        control["acceleration"] = float(np.clip(control["acceleration"], least, most))
+    return control
 
 
 class Autopilot(ActionType):
