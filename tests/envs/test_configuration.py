@@ -276,8 +276,10 @@ def zipper(monkeypatch):
 def test_specifications_are_json_of_which_the_same_environment_is_made(zipper):
     limit = {"controller": NAN_MODEL, "control_limit": np.array([0.2, 9.0]), "grip": np.float32(8)}
     ladder = {"driver": "priced", "ladder": np.array(["naive", "idm"])}
+    pictures = {"type": "GrayscaleObservation", "observation_shape": [64, 32], "stack_size": 2}
     for env in (
         gym.make(zipper, config=limit),
+        gym.make(zipper, config={"observation": pictures | {"weights": [0.3, 0.6, 0.1]}}),
         gym.make("ms-highway/recorded-v0", config={"recording": Path("us101")}),
         drive(gym.make("merge-v0"), ladder),
     ):
