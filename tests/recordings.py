@@ -100,11 +100,10 @@ def pedestrian(number, along, samples=STEPS, kind="pedestrian"):
     return moving(number, states, kind, "<circle><radius>0.3</radius></circle>")
 
 
-def standing(number, shape, x=None, y=None, orientation=TURN, kind="parkedVehicle"):
-    """An obstacle that stands; without a place, its shape is on the map."""
-    role = "environment" if x is None else "static"
-    placed = "" if x is None else state("initialState", 0, x, y, orientation)
-    return f'<{role}Obstacle id="{number}"><type>{kind}</type><shape>{shape}</shape>{placed}</{role}Obstacle>'
+def standing(number, shape, x, y, orientation=TURN):
+    """An obstacle that stands."""
+    there = f"<type>parkedVehicle</type><shape>{shape}</shape>{state('initialState', 0, x, y, orientation)}"
+    return f'<staticObstacle id="{number}">{there}</staticObstacle>'
 
 
 def sign(number, values):

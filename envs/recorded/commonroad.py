@@ -30,7 +30,7 @@ from ms_highway.vehicle.lane_paths import from_heading
 COMPRESSED = ".xml.gz"
 VERSIONS = "2018b", "2020a"
 
-ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"
+ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # the last of which, buildings, is left out
 
 DRIVERS = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
 """Types of obstacles that drive in lanes; all others only go as they were recorded."""
@@ -124,7 +124,7 @@ def _recording(root: Element, source: str, with_problems: bool) -> TrafficRecord
         source=source,
         lanelets=lanes,
         tracks=tracks,
-        obstacles=tuple(one for some in _each(root, _standing, *ROLES[1:]) for one in some),
+        obstacles=tuple(one for some in _each(root, _standing, "staticObstacle") for one in some),
         problems=tuple(problems),
     )
 
@@ -191,15 +191,18 @@ def _sign(number: int, element: Element) -> tuple[int, list[float]]:
     with needing("commonroad"):
         from commonroad.scenario.traffic_sign import TrafficSignIDCountries
     known = {sign.value for signs in TrafficSignIDCountries.values() for sign in signs if sign.name == "MAX_SPEED"}
-    shown = [one for one in element.iterfind("trafficSignElement") if one.findtext("trafficSignID") in known]
+    shown = [
+        one for one in element.iterfind("trafficSignElement") if (one.findtext("trafficSignID") or "").strip() in known
+    ]
     return number, [_number(one, "additionalValue", LEAST_LIMIT, MOST_LIMIT) for one in shown]
 
 
-def _lanelet(number: int, element: Element, signs: dict[int, list[float]]) -> tuple[Lanelet, set[str | None]]:
+def _lanelet(number: int, element: Element, signs: dict[int, list[float]]) -> tuple[Lanelet, set[str]]:
     """Return a lanelet and its types."""
     left, right = (_points(_child(element, side)) for side in ("leftBound", "rightBound"))
-    if len(left) != len(right) or not np.ptp(left + right, axis=0).any():
-        raise ValueError(f"its bounds have {len(left)} and {len(right)} points; they need the same, at least two")
+    if len(left) != len(right) or len(left) < 2 or not np.ptp(left + right, axis=0).any():
+        points = f"its bounds have {len(left)} and {len(right)} points"
+        raise ValueError(f"{points}; they need the same number, two or more, around a middle line")
     limits = [_number(element, "speedLimit", LEAST_LIMIT, MOST_LIMIT)] if element.find("speedLimit") is not None else []
     for reference in element.iterfind("trafficSignRef"):
         sign = _attribute(reference, "ref")
@@ -222,7 +225,7 @@ def _lanelet(number: int, element: Element, signs: dict[int, list[float]]) -> tu
         (same_way[0], same_way[1]),
         min(limits, default=None),
     )
-    return lanelet, {kind.text for kind in element.iterfind("laneletType")}
+    return lanelet, {(kind.text or "").strip() for kind in element.iterfind("laneletType")}
 
 
 def _track(number: int, element: Element) -> RecordedTrack:
@@ -235,7 +238,7 @@ def _track(number: int, element: Element) -> RecordedTrack:
         raise ValueError("its times do not follow each other")
     size, middle = _box(np.concatenate(_outlines(_child(element, "shape"))))
     samples[:, 1:3] += _turned(np.tile(middle, (len(samples), 1)), samples[:, 3])
-    return RecordedTrack(number, size, samples, element.findtext("type") in DRIVERS)
+    return RecordedTrack(number, size, samples, (element.findtext("type") or "").strip() in DRIVERS)
 
 
 def _sample(state: Element) -> list[float]:
@@ -251,8 +254,7 @@ def _pose(state: Element) -> tuple[float, float, float]:
 
 def _standing(number: int, element: Element) -> list[Obstacle]:
     """Return an obstacle for each shape of what stands: a box along the shape's longest edge."""
-    in_the_map = element.tag == "environmentObstacle"
-    x, y, orientation = (0.0, 0.0, 0.0) if in_the_map else _pose(_child(element, "initialState"))
+    x, y, orientation = _pose(_child(element, "initialState"))
     found = []
     for outline in _outlines(_child(element, "shape")):
         edges = np.diff(outline, axis=0, append=outline[:1])

@@ -1,7 +1,6 @@
 """What the commands share: how they are declared, what they print, and how they show that they are at work."""
 
 import argparse
-import io
 import os
 import re
 import sys
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 TABLE_WIDTH = 120  # characters
+NARROWEST = 40  # characters of help texts
 COLUMN = 26  # characters before the second column of rows in help texts
 
 
@@ -82,12 +82,15 @@ def add_first_words(commands: Any) -> None:
         rows = "\n".join(f"  {name:{COLUMN - 2}}{summary}" for name, summary in names.items())
         parser = add_command(commands, word, "", f"commands:\n{rows}")
         parser.usage = f"ms-highway {word} COMMAND ..."
-        parser.add_argument("words", nargs="*", help=argparse.SUPPRESS)
-        parser.set_defaults(run=partial(_refuse, parser, f"{word} is no command; name one of {', '.join(names)}"))
+        message = f"{word} is no command; name one of {', '.join(names)}"
+        parser.add_argument("words", nargs="*", action=_Refuse, const=message, help=argparse.SUPPRESS)
 
 
-def _refuse(parser: Command, message: str, _: argparse.Namespace) -> NoReturn:
-    parser.error(message)
+class _Refuse(argparse.Action):
+    """Refuse whatever is given, while arguments are parsed, before anything is loaded."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        parser.error(str(self.const))
 
 
 def filled(text: str) -> str:
@@ -107,7 +110,7 @@ def filled(text: str) -> str:
 
 def help_width() -> int:
     """Return the width of help texts [characters]: that of the terminal, but no more than that of a page."""
-    return min(get_terminal_size().columns, TABLE_WIDTH) - 2
+    return max(min(get_terminal_size().columns, TABLE_WIDTH) - 2, NARROWEST)
 
 
 @contextmanager
@@ -141,12 +144,12 @@ def print_tables(*tables: "Table") -> None:
     from ms_highway.visualization.tables import fitting
 
     known = sys.stdout.isatty() or "COLUMNS" in os.environ
-    printed = io.StringIO()  # or else rich would end the process where nobody reads
-    console = Console(file=printed, force_terminal=sys.stdout.isatty() or None, width=None if known else TABLE_WIDTH)
-    for table in tables:
-        for part in fitting(table, console):
-            console.print(part)
-    say(printed.getvalue().removesuffix("\n"))
+    console = Console(width=None if known else TABLE_WIDTH)
+    with console.capture() as printed:  # or else rich would end the process where nobody reads
+        for table in tables:
+            for part in fitting(table, console):
+                console.print(part)
+    say(printed.get().removesuffix("\n"))
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:

@@ -138,7 +138,8 @@ def this_run(command: str = "") -> Run:
 def _checkout(directory: Path) -> Checkout:
     if not (directory / ".git").exists():
         return {}
-    command = ["git", "-C", str(directory), "status", "--porcelain=v2", "--branch", "--untracked-files=no"]
+    git = ["git", "--no-optional-locks", "-C", str(directory)]
+    command = [*git, "status", "--porcelain=v2", "--branch", "--untracked-files=no"]
     try:
         told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):  # without git, or where it does not trust the directory's owner

@@ -88,11 +88,11 @@ def check_records(records: pd.DataFrame) -> None:
 
 
 def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
-    """Check that a table of steps or episodes has numbers where they belong, of a size that can be.
+    """Check that a table of steps or episodes has numbers where they belong, within their possible ranges.
 
     Args:
         table: all of whose columns but `TEXTS` hold numbers.
-        holes: whether any cell may be empty, not only prices, T(M) and gains, which may be unknown.
+        holes: whether any cell may be empty, not only prices and gains, which may be unknown.
 
     Raises:
         ValueError: naming what is wrong, and where.
@@ -105,7 +105,7 @@ def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
         least, most = -LARGEST if signed else 0, 1 if share else 2**63 - 1 if name in ("seed", "step") else LARGEST
         numbers = table[name].astype(float)
         right = numbers.between(least, most)
-        if holes or name in ("price", COUNTED) or name.startswith("gain_"):
+        if holes or name == "price" or name.startswith("gain_"):
             right |= numbers.isna()
         if not right.all():
             wrong = table[~right].iloc[0]

@@ -87,8 +87,8 @@ class Sweep:
         """
         there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
         parts = {part: self.files(part) for part in self.parts}
-        for file in there.difference(*parts.values()):
-            raise ValueError(f"{file} is no part of this sweep, but would be read as one; move it away")
+        if strangers := sorted(there.difference(*parts.values())):
+            raise ValueError(f"{strangers[0]} is no part of this sweep, but would be read as one; move it away")
         return [part for part, files in parts.items() if not there.issuperset(files)]
 
     def read(self) -> pd.DataFrame:
@@ -110,9 +110,9 @@ def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
         ValueError: if the sweep is impossible, or a part that is there cannot be read or holds something else.
     """
     batch, missing = make_batch(sweep.comparison, sweep.scenario), sweep.missing()
-    count = 0
+    count, columns = 0, dict[str, list[str]]()
     for part in sorted({*sweep.parts} - {*missing}):
-        _check(sweep, batch, part)
+        _check(sweep, batch, part, columns)
         count += len(batch.keys(*sweep.places(part)))
     yield count
     for part, tables in compute(sweep, missing):
@@ -123,8 +123,8 @@ def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
         yield count
 
 
-def _check(sweep: Sweep, batch: Batch, part: int) -> None:
-    """Check that the files of a part hold its episodes."""
+def _check(sweep: Sweep, batch: Batch, part: int, columns: dict[str, list[str]]) -> None:
+    """Check that the files of a part hold its episodes, in the same columns as other parts, by kind."""
     for file in sweep.files(part):
         steps = batch.steps if file.parent.name == STEPS else 1
         expected = [key for key in batch.keys(*sweep.places(part)) for _ in range(steps)]
@@ -132,6 +132,8 @@ def _check(sweep: Sweep, batch: Batch, part: int) -> None:
             rows = pd.read_parquet(file)
             if [*rows[["controller", "seed"]].itertuples(index=False, name=None)] != expected:
                 raise ValueError("it holds other episodes than its number says")
+            if list(rows) != columns.setdefault(file.parent.name, list(rows)):
+                raise ValueError("its columns are not those of the parts before")
             check_numbers(rows)
 
 

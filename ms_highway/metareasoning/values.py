@@ -89,7 +89,7 @@ class Values:
             raise ValueError(f"the weights of the networks are beyond {MOST_WEIGHT:g}, or not finite")
         counts = (len(self.ladder), 2) if self.baseline == "top" else (0, 0)
         orders = [list(part) == sorted(part) for part in (self.costs, self.prices)]
-        if (len(self.costs), len(self.prices)) != counts or not all(orders) or 0 in self.costs:
+        if (len(self.costs), len(self.prices)) != counts or not all(orders) or min(self.costs, default=1) <= 0:
             raise ValueError(f"costs are {self.costs} and prices {self.prices}; they must be positive and not decrease")
         if min((*self.spread, *self.prices)) < least:
             raise ValueError(f"spreads or prices are below {least:g}")

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,8 @@ def replacing(path: Path) -> Iterator[Path]:
         OSError: naming the file, if it cannot be written.
     """
     check_writable(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path), temporary(part_of(path)) as part:
         yield part
         with part.open("rb+") as file:
@@ -72,8 +72,9 @@ def check_writable(path: Path, directory: bool = False) -> None:
         if path.exists() and not (path.is_dir() if directory else path.is_file()):
             raise OSError("it is no directory" if directory else "it is a directory or a device")
         places = (path, *path.parents) if directory else path.parents
-        with TemporaryFile(dir=next(place for place in places if place.exists())):
-            pass
+        place = next(place for place in places if place.exists())
+        with temporary(place / f"{PART}{token_hex(8)}.{path.name}") as part:
+            part.touch()
 
 
 def part_of(path: Path) -> Path:

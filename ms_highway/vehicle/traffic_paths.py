@@ -73,7 +73,7 @@ def traffic_of(
         vehicle: the robot.
         roads: of its network.
         route: its path.
-        numbers: of the others at the last look; then those of this one, in which who is seen again keeps its number.
+        numbers: of the other vehicles at the last look, updated in place; a vehicle seen again keeps its number.
         intentions: whether others show which way they take.
     """
     seen, unused = _in_sight(vehicle), max(numbers.values(), default=-1) + 1

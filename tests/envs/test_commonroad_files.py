@@ -76,8 +76,8 @@ def covered(obstacles, points):
     ("standing_obstacle", "corners"),
     [
         (standing(9, rectangle(centre(2, 0)), 30, 10, 0.5), [(-0.25, -0.9), (4.25, -0.9), (4.25, 0.9), (-0.25, 0.9)]),
-        (standing(9, rectangle("<orientation>0.3</orientation>")), None),
-        (standing(9, polygon((0, 0), (3, 3), (1, 5), (-2, 2)), kind="building"), [(0, 0), (3, 3), (1, 5), (-2, 2)]),
+        (standing(9, rectangle("<orientation>0.3</orientation>"), 30, 10, 0.5), None),
+        (standing(9, polygon((0, 0), (3, 3), (1, 5), (-2, 2)), 30, 10, 0.5), [(0, 0), (3, 3), (1, 5), (-2, 2)]),
     ],
 )
 def test_what_stands_is_as_large_and_where_the_file_says(standing_obstacle, corners, tmp_path):
@@ -86,8 +86,7 @@ def test_what_stands_is_as_large_and_where_the_file_says(standing_obstacle, corn
     if corners is None:
         corners = shapely.affinity.rotate(shapely.box(-2.25, -0.9, 2.25, 0.9), 0.3, use_radians=True).exterior.coords
     there = shapely.Polygon(corners)
-    if "static" in standing_obstacle:
-        there = shapely.affinity.translate(shapely.affinity.rotate(there, 0.5, (0, 0), use_radians=True), 30, 10)
+    there = shapely.affinity.translate(shapely.affinity.rotate(there, 0.5, (0, 0), use_radians=True), 30, 10)
     points = np.random.default_rng(0).uniform(-8, 8, (400, 2)) + there.centroid.coords[0]
     found = covered(read(tmp_path, CARS + standing_obstacle).obstacles, points)
     np.testing.assert_array_equal(found, shapely.contains_xy(there, points))
@@ -242,7 +241,7 @@ def varied():
         cars=car(100, 60, 0, 5)
         + pedestrian(102, 120, 5)
         + standing(103, rectangle(), *place(180, 3.5))
-        + standing(104, polygon((0, 50), (9, 50), (9, 70)), kind="building"),
+        + standing(104, polygon((0, 50), (9, 50), (9, 70)), 0, 0),
         problems=problem(speeds=(5.0, 20.0), headings=(0.0, 1.0)).replace("</planningP", goals),
     )
 

@@ -141,7 +141,12 @@ def test_a_part_that_was_damaged_or_is_a_copy_of_another_is_named(kind, copied, 
 
 @pytest.mark.parametrize(
     ("kind", "column", "value"),
-    [("episodes", "reward", float("nan")), ("episodes", "share_naive", 1.5), ("steps", "robot_x", float("inf"))],
+    [
+        ("episodes", "reward", float("nan")),
+        ("episodes", "share_naive", 1.5),
+        ("steps", "robot_x", float("inf")),
+        ("steps", "counted_seconds", float("nan")),
+    ],
 )
 def test_a_number_that_cannot_be_in_a_part_is_named(kind, column, value, swept, tmp_path, refused):
     shutil.copytree(swept, tmp_path / "out")
@@ -151,6 +156,15 @@ def test_a_number_that_cannot_be_in_a_part_is_named(kind, column, value, swept, 
     rows.to_parquet(part, index=False)
     where = f"{rows['controller'][5]} with seed {rows['seed'][5]}"
     assert f"part-000002.parquet cannot be read ({column} of {where} is {value}; " in refused(f"{SWEEP} out")
+
+
+def test_a_part_that_lacks_a_column_is_named(swept, tmp_path, refused):
+    shutil.copytree(swept, tmp_path / "out")
+    part = tmp_path / "out" / "episodes" / "part-000002.parquet"
+    pd.read_parquet(part).drop(columns="reward").to_parquet(part, index=False)
+    assert "part-000002.parquet cannot be read (its columns are not those of the parts before)" in refused(
+        f"{SWEEP} out"
+    )
 
 
 def test_a_file_that_pandas_would_read_with_the_parts_is_refused(swept, tmp_path, refused):
