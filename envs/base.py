@@ -34,8 +34,8 @@ class InteractionEnv(StageEnv):
     at all; the robot succeeds if it ends in the target lane and never collides.
 
     Configuration, beside highway-env's own; defaults that are not named here are the scenario's. All changes, by
-    ``reset`` or ``configure``, act from the next reset on, and ``config`` is that of the episode until then; when no
-    episode runs, ``configure`` changes ``config`` and spaces at once:
+    ``reset`` or ``configure``, act from the next reset on, and ``config`` is that of the episode until then;
+    before the first reset and after an episode's end, ``configure`` changes ``config`` and spaces at once:
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
@@ -100,7 +100,7 @@ class InteractionEnv(StageEnv):
     ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
     ``steering`` [rad]. Plans ask for more than the default ranges of actions reach; divided by the ends of wider ones,
     such as `ms_highway.envs.demonstration.ACTION` for the default ``control_limit``, the control is the
-    ``ContinuousAction`` that does the same. It holds
+    ``ContinuousAction`` that does the same within ``speed_range``. It holds
     ``models``, the name of every human's model in the plan that is followed; ``model``, the most expensive of them;
     ``gains``, the highest estimated gain of each model over all humans, by which the choice is made, see
     `ms_highway.metareasoning.rule.Decision`; ``status``, ``human_status``, a status for each human; ``timing``,

@@ -163,9 +163,12 @@ def _check_type(place: str, values: Any, known: Mapping[str, set[str]]) -> None:
         raise ValueError(f"{place} is {values!r}; its 'type' must be one of {', '.join(known)}")
     refuse_unknown(place, values, {"type"} | known[values["type"]])
     if values["type"] == TUPLE:
-        parts = {name: keys for name, keys in known.items() if name != TUPLE}
-        for number, part in enumerate(values.get("observation_configs", [])):
-            _check_type(f"{place}['observation_configs'][{number}]", part, parts)
+        parts = values.get("observation_configs")
+        if not isinstance(parts, (list, tuple)) or not parts:
+            raise ValueError(f"{place}['observation_configs'] is {parts!r}; give a list of observations")
+        known = {name: keys for name, keys in known.items() if name != TUPLE}
+        for number, part in enumerate(parts):
+            _check_type(f"{place}['observation_configs'][{number}]", part, known)
 
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
@@ -215,7 +218,7 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
     for key, known in types.items():
         _check_type(f"config[{key!r}]", config[key], known)
     keys = types["action"][config["action"]["type"]]
-    for key in [key for key in config["action"] if key in RANGES and key.endswith("_range")]:
+    for key in [key for key in config["action"] if key.endswith("_range")]:
         place, ends = f"config['action'][{key!r}]", as_json(config["action"][key])
         _check(place, ends, Range)
         if ends is not None and ends[0] >= ends[1]:

@@ -1,6 +1,6 @@
 """What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import product
 from typing import Any, ClassVar
@@ -11,10 +11,10 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction, action_factory
-from highway_env.envs.common.observation import GrayscaleObservation, observation_factory
+from highway_env.envs.common.observation import observation_factory
 
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
-from ms_highway.envs.graphics import Viewer
+from ms_highway.envs.graphics import Viewer, enable_pictures
 from ms_highway.envs.spaces import (
     SPEED_RANGE,
     Autopilot,
@@ -90,8 +90,9 @@ class ConfiguredEnv(AbstractEnv):
             self._read()
             super().configure(None)
             if hasattr(self, "road"):  # or else it is only being made
+                road, self.road = self.road, None  # spaces do not depend on the cars of the last episode
                 self.define_spaces()
-                self._stale = True
+                self.road, self._stale = road, True
 
     @contextmanager
     def _all_or_nothing(self) -> Iterator[None]:
@@ -122,14 +123,12 @@ class ConfiguredEnv(AbstractEnv):
         if before == self.action_space:
             self.action_space = before
         self.observation_type = self.type_of(observation_factory, self.config["observation"])
-        for part in getattr(self.observation_type, "observation_types", [self.observation_type]):
-            if isinstance(part, GrayscaleObservation):
-                part.viewer.enabled = True  # see `Viewer`
+        enable_pictures(self)
         self.observation_space = finite(self.observation_type.space())
 
     def type_of(self, factory: Any, config: Config) -> Any:
         """Return a type of actions or observations: the package's own, else what a factory of highway-env makes."""
-        if "observation_shape" in config:  # a tuple for highway-env, which JSON does not have
+        if "observation_shape" in config:  # highway-env needs a tuple; JSON has only lists
             config = {**config, "observation_shape": tuple(config["observation_shape"])}
         kind = OWN_TYPES.get(config["type"])
         return kind(self, **config) if kind else factory(self, config)
@@ -150,13 +149,14 @@ class ConfiguredEnv(AbstractEnv):
             self._running = False
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
+            self.road = None
             start = super().reset(seed=seed)
         self._running, self._stale = True, False
         if self.config["manual_control"]:
             self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
         return start
 
-    def get_available_actions(self) -> Iterable[Any]:
+    def get_available_actions(self) -> Sequence[Any]:
         """Return the actions among which a planner may choose now: highway-env's of meta-actions, else all.
 
         Raises:
@@ -168,7 +168,7 @@ class ConfiguredEnv(AbstractEnv):
             raise ValueError(f"{given}, of which there is no list; give discrete ones")
         if isinstance(self.action_type, DiscreteMetaAction):
             return self.action_type.get_available_actions()
-        return product(*map(range, space.nvec)) if isinstance(space, spaces.MultiDiscrete) else range(space.n)
+        return [*product(*map(range, space.nvec))] if isinstance(space, spaces.MultiDiscrete) else range(space.n)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.

@@ -13,6 +13,7 @@ import numpy as np
 import pygame
 import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
+from highway_env.envs.common.observation import GrayscaleObservation
 from highway_env.road.graphics import LaneGraphics, RoadGraphics, WorldSurface
 
 from ms_highway.control.controller import ControlStep
@@ -85,9 +86,33 @@ def model_meaning(name: str) -> str:
     return MODEL_MEANINGS.get(base_of(human_model(name)).name, "") if is_model(name) else ""
 
 
+class PictureViewer(EnvViewer):
+    """highway-env's viewer of an observation of pictures, which can be copied, and is never black."""
+
+    def __init__(self, env: Any, config: Any) -> None:
+        super().__init__(env, config)
+        self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
+
+    def __reduce__(self) -> Any:
+        """Be copied and pickled as a new viewer of the same environment."""
+        return type(self), (self.env, self.config)
+
+
+def enable_pictures(env: Any) -> bool:
+    """Give each observation of pictures of an environment a `PictureViewer`; return whether one was black before."""
+    kind, black = env.observation_type, False
+    parts = getattr(kind, "observation_types", None) or getattr(kind, "agents_observation_types", [kind])
+    for part in parts:
+        if isinstance(part, GrayscaleObservation) and not isinstance(part.viewer, PictureViewer):
+            black |= not part.viewer.enabled
+            part.viewer = PictureViewer(env, part.viewer.config)
+    return black
+
+
 class Viewer(EnvViewer):
     """highway-env's viewer, which here draws also without a display, beside others of its kind."""
 
+    # all else that `EnvViewer.__init__` sets
     observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = None, None, None, None, 0
 
     def __init__(self, env: Any) -> None:
@@ -95,6 +120,7 @@ class Viewer(EnvViewer):
         if not self.offscreen:
             super().__init__(env)
         else:  # without `pygame.display`, which surfaces do not need, and which may complain that there is no screen
+            pygame.font.init()  # for labels
             size = self.config["screen_width"], self.config["screen_height"]
             self.sim_surface = WorldSurface(size, 0, pygame.Surface(size))
             self.sim_surface.scaling = self.config["scaling"]

@@ -2,6 +2,7 @@
 
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import Obstacle as RoadObstacle
@@ -72,8 +73,9 @@ class RecordedEnv(ConfiguredEnv):
     collision and without leaving the road before, by any corner. It ends then, or with the last goal's time. The road
     moves at 10 Hz, as it was recorded. Here, x goes along the road and y to its right; ``axes`` leads to the map.
 
-    ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, numbers
-    of the vehicles that could not enter yet, as somebody is in their place. ``info["is_success"]`` is the success, too.
+    ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, for
+    each vehicle of the scenario's ``tracks``, whether it could not enter yet, as somebody is in its place.
+    ``info["is_success"]`` is the success, too.
 
     Attributes:
         scenario: the recording.
@@ -196,6 +198,6 @@ class RecordedEnv(ConfiguredEnv):
                 "success": self.success,
                 "collision": bool(self.vehicle.crashed),
                 "off_road": self.off_road,
-                "waiting": self.road.traffic.waiting,
+                "waiting": np.isin([track.number for track in self.scenario.tracks], self.road.traffic.waiting),
             },
         }

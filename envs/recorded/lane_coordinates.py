@@ -97,7 +97,7 @@ def fits(line: Points) -> Iterator[LaneCoordinates]:
         yield LaneCoordinates(make_smoothing_spline(even, points, lam=smoothed**4 / spacing), float(distance[-1]))
 
 
-def filled(line: Points) -> Points:
+def dense(line: Points) -> Points:
     """Return the points of a line, and more between those that are farther than a metre apart."""
     places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
     even = np.union1d(places, np.arange(0.0, places[-1], 1.0))
@@ -107,7 +107,7 @@ def filled(line: Points) -> Points:
 def fit_lane_coordinates(line: Points) -> LaneCoordinates:
     """Fit coordinates to a line, smoothed as much as its curves allow."""
     for road in fits(line):
-        if np.abs(road.locate(filled(line)).y).max() <= KINKS:
+        if np.abs(road.locate(dense(line)).y).max() <= KINKS:
             break
     return road
 

@@ -9,7 +9,7 @@ from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
 from highway_env.utils import get_class_path
 
-from ms_highway.envs.recorded.lane_coordinates import Values, filled, fits, side_by_side
+from ms_highway.envs.recorded.lane_coordinates import Values, dense, fits, side_by_side
 from ms_highway.envs.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 from ms_highway.game.road import wrapped
 from ms_highway.vehicle.lane_paths import along_bend, from_heading
@@ -179,7 +179,7 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
         widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
         limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
         lane = SampledLane(axes.positions(smooth.curve(places)), widths, lines, limit)
-        found = np.array([lane.local_coordinates(position) for position in axes.positions(filled(centre))])
+        found = np.array([lane.local_coordinates(position) for position in axes.positions(dense(centre))])
         off = max(np.abs(found[:, 1]).max(), -found[:, 0].min(), found[:, 0].max() - lane.length)
         if off <= WITHIN:
             return lane

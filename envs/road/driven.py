@@ -20,6 +20,7 @@ from highway_env.envs.common.action import (
 
 from ms_highway.control.road import RoadDriver
 from ms_highway.envs.configuration import as_json
+from ms_highway.envs.graphics import enable_pictures
 from ms_highway.envs.road.graphics import show
 from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
@@ -146,6 +147,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             check_drivable(self.env)
             raise
         base = self._base
+        if enable_pictures(base) and self.env.observation_space == base.observation_space:
+            observation = base.observation_type.observe()  # the first was black
         planning = self.settings.planning(desired_speed_of(base))
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
@@ -231,7 +234,9 @@ def action_done(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
     continuous = isinstance(action_type, ContinuousAction) and not isinstance(action_type, DiscreteAction)
     if not continuous or action_type.dynamical:
         return None
-    frames = robot.actions or [robot.action]
+    if not robot.actions:  # at the reset, nothing has been done yet
+        return np.full(action_type.space().shape, np.nan, np.float32)
+    frames = robot.actions
     action = _nearest_in(action_type, frames[0])
     does = ContinuousAction.get_action(action_type, action)
     same = all(abs(frame[key] - does[key]) < SAME for frame in frames for key in does)

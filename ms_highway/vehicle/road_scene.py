@@ -29,7 +29,7 @@ class Memory:
         goal: to which its lanes lead.
         lanes: that it follows, none before the first look.
         way: at which its rear axle is along them [m].
-        numbers: of the others that it saw last.
+        numbers: of the others that it has seen.
     """
 
     goal: Destination = None

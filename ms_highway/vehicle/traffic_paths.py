@@ -73,13 +73,12 @@ def traffic_of(
         vehicle: the robot.
         roads: of its network.
         route: its path.
-        numbers: of the other vehicles at the last look, updated in place; a vehicle seen again keeps its number.
+        numbers: of all vehicles seen so far; those seen first now are added.
         intentions: whether others show which way they take.
     """
-    seen, unused = _in_sight(vehicle), max(numbers.values(), default=-1) + 1
-    known = {car: numbers.get(car, unused + place) for place, car in enumerate(seen)}
-    numbers.clear()
-    numbers.update(known)
+    seen = _in_sight(vehicle)
+    for car in seen:
+        numbers.setdefault(car, len(numbers))
     ways = [way for owner, car in enumerate(seen) for way in _ways(car, owner, roads, intentions)]
     if len(ways) > TRAFFIC:
         ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]

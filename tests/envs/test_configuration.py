@@ -307,7 +307,7 @@ def test_specifications_are_json_of_which_the_same_environment_is_made(zipper):
 def test_planners_are_told_all_actions_of_a_discrete_space(scenario, action, available):
     env = make(scenario, action=action, **({"humans": 2} if scenario == SEVERAL else {}))
     env.reset(seed=0)
-    assert list(env.get_available_actions()) == available
+    assert [*env.get_available_actions()] == available
     assert all(env.action_space.contains(each) for each in available)
 
 

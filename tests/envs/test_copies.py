@@ -12,6 +12,7 @@ import ms_highway
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
+PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
 DRIVEN = ("merge-v0", "roundabout-v0", "exit-v0", "intersection-v0")
 OWN = ("merger", "ms-highway/demonstration-v0", "ms-highway/recorded-v0")
 
@@ -21,7 +22,7 @@ def made(name):
     if name in DRIVEN:
         env = ms_highway.drive(gym.make(name, render_mode="rgb_array"), {"driver": "fixed:naive"})
     elif "/" in name:
-        env = gym.make(name, render_mode="rgb_array")
+        env = gym.make(name, render_mode="rgb_array", config={"observation": PIXELS} if "recorded" in name else None)
     else:
         env = make(name, render_mode="rgb_array")
     env.reset(seed=0)
@@ -35,10 +36,11 @@ def test_copies_of_an_environment_that_is_rendered_drive_as_it_does_and_can_be_r
     for _ in range(4):
         env.render()
         copies, action = [env, deepcopy(env), loads(dumps(env))], env.action_space.sample()
-        states = []
+        states, seen = [], []
         for each in copies:
-            each.step(action)
+            seen.append(each.step(action)[0])
             states.append([[*car.position, car.heading, car.speed] for car in each.unwrapped.road.vehicles])
         np.testing.assert_array_equal(states[1:], [states[0]] * 2)
+        np.testing.assert_array_equal(seen[1:], [seen[0]] * 2)
     for each in copies[1:]:
         np.testing.assert_allclose(each.render().mean(), env.render().mean(), rtol=0.05)

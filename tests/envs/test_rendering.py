@@ -58,7 +58,7 @@ def test_pictures_are_never_black_and_leave_the_process_and_the_pictures_of_othe
     before = dict(os.environ)
     own = [make("merger", render_mode="rgb_array", observation=PIXELS)]
     own += [gym.make(f"ms-highway/{name}-v0", render_mode="rgb_array") for name in ("demonstration", "recorded")]
-    own += [drive(gym.make("highway-fast-v0", render_mode="rgb_array"))]
+    own += [drive(gym.make("highway-fast-v0", render_mode="rgb_array", config={"observation": PIXELS}))]
     others = [gym.make("highway-fast-v0", render_mode="rgb_array", config={"observation": PIXELS})]
     for env in own if driver else own + others:  # highway-env's own pictures are black under a dummy driver
         observation, _ = env.reset(seed=0)
