@@ -42,6 +42,7 @@ class ConfiguredEnv(AbstractEnv):
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
     viewer_type: ClassVar[type[Viewer]] = Viewer
     viewer: Viewer | None
+    road: Any
     config: Config
     metadata: Config
     action_space: spaces.Space | None

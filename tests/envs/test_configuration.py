@@ -79,6 +79,7 @@ WRONG = [
         {"observation": {"type": "TupleObservation", "observation_configs": [{"type": "CarState"}]}},
         "config['observation']['observation_configs'][0] is {'type': 'CarState'}; its 'type' must be one of CarStates",
     ),
+    ({"observation": {"type": "TupleObservation"}}, "['observation_configs'] is None; give a list of observations"),
     ([], "the configuration is []; it must be a dictionary"),
     (
         {"ladder": ["tom@4", "tom"], "costs": "shipped", "controller": {"type": "nearest", "count": 1, "belief": True}},

@@ -150,6 +150,7 @@ def test_each_action_told_of_the_robot_leads_where_it_went_and_where_none_does_i
     """In a turn, tyres limit the control within some of the steps of three frames."""
     env, stock = driven("intersection-v0", config=CONTINUOUS), gym.make("intersection-v0", config=CONTINUOUS)
     stock.reset(seed=0)
+    assert np.isnan(env.reset(seed=0)[1]["road"]["action"]).all()
     told = []
     for _ in range(40):
         copy, own = stock.unwrapped.vehicle, env.unwrapped.vehicle

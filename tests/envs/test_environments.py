@@ -208,6 +208,15 @@ def test_observations_have_finite_spaces(name, kind):
     assert env.observation_space.contains(observation)
 
 
+def test_spaces_do_not_depend_on_the_car_of_the_last_episode():
+    env = gym.make("ms-highway/recorded-v0", config={"action": {"type": "ContinuousAction"}}).unwrapped
+    env.reset(seed=0)
+    changes = {"action": {"type": "DiscreteMetaAction"}, "observation": {"type": "TimeToCollision"}}
+    observation, _ = env.reset(seed=0, options={"config": changes})
+    assert observation.any()
+    assert observation in env.observation_space
+
+
 def test_action_spaces_and_frame_rates_are_an_environments_own():
     env = make("merger", action=ACTIONS["human_model"]).unwrapped
     shared, space = dict(type(env).metadata), env.action_space
