@@ -29,6 +29,7 @@ from ms_highway.runtime import forks, interrupt  # noqa: F401  # a hook is set w
 interrupt.watch()  # first of all, as what follows takes seconds
 
 from importlib.metadata import version  # noqa: E402
+from importlib.util import find_spec as _find_spec  # noqa: E402
 
 import lazy_loader  # noqa: E402
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
@@ -36,6 +37,11 @@ from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
 from ms_highway.runtime.retired import NAMES, replacement  # noqa: E402
 
+if getattr(_find_spec("pygame"), "origin", None) is None:
+    raise ImportError(
+        "pygame is not whole: pygame and pygame-ce share a folder, and uninstalling one breaks the other; "
+        "run `pip install --force-reinstall pygame-ce`"
+    )
 if not interrupt.is_command():  # which loads it when it needs it
     import highway_env  # noqa: F401  # whose own environments are expected beside ours
 
