@@ -154,7 +154,7 @@ def _remedy(annotation: Any, message: str) -> str:
 
 
 def _check_type(place: str, values: Any, known: Mapping[str, set[str]]) -> None:
-    """Check a type of actions or observations, and those that it is made of.
+    """Check an action or observation type and, of a tuple, its parts.
 
     Raises:
         ValueError: for an unknown type or key.

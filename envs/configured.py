@@ -52,11 +52,11 @@ class ConfiguredEnv(AbstractEnv):
 
     def __init__(self, config: Config | None = None, render_mode: str | None = None) -> None:
         super().__init__(config, render_mode)
-        self._running = False  # nobody has asked for the episode that highway-env starts itself
+        self._running = False  # the episode that highway-env starts in its constructor does not count
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What Gymnasium makes the environment from, in types that JSON has."""
+        """Gymnasium's specification; its arguments have only types that JSON has."""
         return self._spec
 
     @spec.setter
@@ -91,7 +91,7 @@ class ConfiguredEnv(AbstractEnv):
             self._read()
             super().configure(None)
             if hasattr(self, "road"):  # or else it is only being made
-                road, self.road = self.road, None  # spaces do not depend on the cars of the last episode
+                road, self.road = self.road, None  # spaces must not depend on the cars of the last episode
                 self.define_spaces()
                 self.road, self._stale = road, True
 
@@ -158,7 +158,7 @@ class ConfiguredEnv(AbstractEnv):
         return start
 
     def get_available_actions(self) -> Sequence[Any]:
-        """Return the actions among which a planner may choose now: highway-env's of meta-actions, else all.
+        """Return the actions available now: highway-env's selection of meta-actions, or else all discrete actions.
 
         Raises:
             ValueError: for continuous actions.

@@ -87,19 +87,19 @@ def model_meaning(name: str) -> str:
 
 
 class PictureViewer(EnvViewer):
-    """highway-env's viewer of an observation of pictures, which can be copied, and is never black."""
+    """highway-env's viewer of image observations; it can be copied and also draws under a dummy video driver."""
 
     def __init__(self, env: Any, config: Any) -> None:
         super().__init__(env, config)
         self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
 
     def __reduce__(self) -> Any:
-        """Be copied and pickled as a new viewer of the same environment."""
+        """Copy and pickle as a new viewer of the same environment."""
         return type(self), (self.env, self.config)
 
 
 def enable_pictures(env: Any) -> bool:
-    """Give each observation of pictures of an environment a `PictureViewer`; return whether one was black before."""
+    """Give each image observation of an environment a `PictureViewer`; return whether one could not draw before."""
     kind, black = env.observation_type, False
     parts = getattr(kind, "observation_types", None) or getattr(kind, "agents_observation_types", [kind])
     for part in parts:
@@ -138,7 +138,7 @@ class Viewer(EnvViewer):
             pygame.display.flip()
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
-        """Be pickled as None: a copy of an environment makes a viewer of its own once it is rendered."""
+        """Copy and pickle as None; the copied environment makes its own viewer when it renders."""
         return type(None), ()
 
     def close(self) -> None:
@@ -154,7 +154,7 @@ class InteractionViewer(Viewer):
     """
 
     panel_height = 150  # px
-    longest = 0.0  # s, of the plans that are drawn in the same scale elsewhere
+    longest = 0.0  # s, longest planning time in all films that share this scale
 
     def display(self) -> None:
         """Draw everything; the view follows the robot along the road and keeps the road in place."""

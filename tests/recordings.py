@@ -95,7 +95,7 @@ def car(number, start, right, samples=STEPS, first=0, shape=RECTANGLE):
 
 
 def pedestrian(number, along, samples=STEPS, kind="pedestrian"):
-    """Somebody who crosses the road from the right, at 1.5 m/s."""
+    """A pedestrian that crosses the road from the right at 1.5 m/s."""
     states = [(step, *place(along, 5.0 - 0.15 * step), TURN + np.pi / 2, 1.5) for step in range(samples)]
     return moving(number, states, kind, "<circle><radius>0.3</radius></circle>")
 

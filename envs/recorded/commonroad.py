@@ -1,7 +1,7 @@
 """Read CommonRoad scenarios, such as those of the US-101 highway.
 
-Elements are read here, and not by commonroad-io: its versions differ in what they lose of shapes, fill in what is
-missing with zeros, and fail without naming the element.
+This module parses the XML elements itself. Versions of commonroad-io drop different parts of shapes, replace missing
+numbers by zeros, and raise errors that do not name the element.
 """
 
 import gzip
@@ -30,7 +30,7 @@ from ms_highway.vehicle.lane_paths import from_heading
 COMPRESSED = ".xml.gz"
 VERSIONS = "2018b", "2020a"
 
-ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # the last of which, buildings, is left out
+ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # buildings, the last, are ignored
 
 DRIVERS = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
 """Types of obstacles that drive in lanes; all others only go as they were recorded."""
@@ -130,7 +130,7 @@ def _recording(root: Element, source: str, with_problems: bool) -> TrafficRecord
 
 
 def _each(root: Element, read: Callable[[int, Element], Read], *tags: str) -> list[Read]:
-    """Return what is read of each element of some kinds, from its number and itself; errors name it."""
+    """Apply ``read`` to the id and the element of all elements with these tags; an error names the element."""
     found: dict[int, Read] = {}
     for element in root:
         if element.tag in tags:
@@ -162,10 +162,10 @@ def _child(element: Element, name: str) -> Element:
 def _number(
     element: Element, path: str, least: float = -FARTHEST, most: float = FARTHEST, lacking: float | None = None
 ) -> float:
-    """Return the number at a path of tags below an element; by default, it has to be there.
+    """Return the number at a path of tags below an element, or the value ``lacking`` if there is none.
 
     Raises:
-        ValueError: naming it, if it is not there, an interval, no number, or out of range.
+        ValueError: naming the path, if the number is missing, an interval, no number, or out of range.
     """
     text = element.findtext(path)
     if text is None:
@@ -229,7 +229,7 @@ def _lanelet(number: int, element: Element, signs: dict[int, list[float]]) -> tu
 
 
 def _track(number: int, element: Element) -> RecordedTrack:
-    """Return a moving obstacle with the step of time, position x and y of its middle, orientation and speed."""
+    """Return the track of a moving obstacle; x and y are those of its centre."""
     if element.find("occupancySet") is not None:
         raise ValueError("<occupancySet> does not say where it goes; only a <trajectory> can be read")
     states = [_child(element, "initialState"), *element.iterfind("trajectory/state")]
@@ -242,7 +242,7 @@ def _track(number: int, element: Element) -> RecordedTrack:
 
 
 def _sample(state: Element) -> list[float]:
-    """Return the step of time, position, orientation and speed of a state, all of which have to be exact."""
+    """Return the time step, x, y, orientation and speed of a state; intervals are refused."""
     time = _number(state, "time/exact", 0, MOST_STEPS)
     return [float(round(time)), *_pose(state), _number(state, "velocity/exact", -MOST_SPEED, MOST_SPEED)]
 
@@ -253,7 +253,7 @@ def _pose(state: Element) -> tuple[float, float, float]:
 
 
 def _standing(number: int, element: Element) -> list[Obstacle]:
-    """Return an obstacle for each shape of what stands: a box along the shape's longest edge."""
+    """Return a box along the longest edge of each shape of a static obstacle."""
     x, y, orientation = _pose(_child(element, "initialState"))
     found = []
     for outline in _outlines(_child(element, "shape")):
@@ -266,7 +266,7 @@ def _standing(number: int, element: Element) -> list[Obstacle]:
 
 
 def _outlines(shape: Element) -> list[Points]:
-    """Return the corners of each of the shapes that an element holds.
+    """Return the corners of each shape of an element.
 
     Raises:
         ValueError: if there is none, or one of an unknown kind, or without an area.
@@ -297,7 +297,7 @@ def _outline(piece: Element) -> Points:
 
 
 def _box(corners: Points, turn: float = 0.0) -> tuple[tuple[float, float], Points]:
-    """Return length, width and middle of the box around points whose length goes in a direction [rad]."""
+    """Return length, width and centre of the box around points, its length along a direction [rad]."""
     turned = _turned(corners, -turn)
     low, high = turned.min(axis=0), turned.max(axis=0)
     length, width = (high - low).tolist()
@@ -318,7 +318,7 @@ def _problem(number: int, element: Element, areas: dict[int, Points]) -> Problem
 
 
 def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
-    """Yield a goal for each of the shapes and lanelets that a goal's position is made of."""
+    """Yield a goal for each shape or lanelet of a goal's position."""
     if unknown := {part.tag for part in state} - {"position", "time", "velocity", "orientation"}:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
     times = _between(state, "time", 0, MOST_STEPS)
@@ -339,7 +339,7 @@ def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
 
 
 def _between(state: Element, name: str, least: float, most: float) -> tuple[float, float] | None:
-    """Return the first and the last value of an interval, or twice an exact value; None where there is nothing."""
+    """Return both ends of an interval, an exact value twice, or None without the element."""
     element = state.find(name)
     if element is None:
         return None

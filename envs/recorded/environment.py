@@ -63,7 +63,7 @@ class RecordedEnv(ConfiguredEnv):
       ``"us101"``, which comes with the package.
     * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
       first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
-      Who does not drive in lanes, such as a pedestrian or a train, always goes where it went.
+      Road users outside lanes, such as pedestrians and trains, are always replayed.
     * ``ego``: ``"problem"``, the first planning problem, or ``"problem:NUMBER"``, any; or the number of a recorded
       vehicle, to start in its place and go to its own last position, at the latest 2 s after it was there.
     * ``goal_reward``, ``collision_reward``, ``off_road_reward``: once, at the end; ``progress_reward``: of each metre
@@ -74,8 +74,8 @@ class RecordedEnv(ConfiguredEnv):
     moves at 10 Hz, as it was recorded. Here, x goes along the road and y to its right; ``axes`` leads to the map.
 
     ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, for
-    each vehicle of the scenario's ``tracks``, whether it could not enter yet, as somebody is in its place.
-    ``info["is_success"]`` is the success, too.
+    each of the scenario's ``tracks``, whether another vehicle blocks its entry. ``info["is_success"]`` repeats the
+    success.
 
     Attributes:
         scenario: the recording.

@@ -162,22 +162,22 @@ def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
 
 
 def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]) -> SampledLane:
-    """Return the lane of a lanelet: its centre, smoothed, together with the lanes before and after it if possible.
+    """Return the lane of a lanelet: its centre, smoothed, with the lanes before and after it if possible.
 
     Raises:
-        ValueError: if no smooth lane is near that.
+        ValueError: if every smooth lane is too far from the centre.
     """
     centre = lanelet.centre
     before = [known[number].centre for number in lanelet.before[:1] if number in known]
     after = [known[number].centre for number in lanelet.after[:1] if number in known]
     parts = [_last(line, BRIDGED) for line in before] + [centre] + [_last(line[::-1], BRIDGED)[::-1] for line in after]
+    limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
     for smooth in itertools.chain(fits(np.concatenate(parts)), fits(centre)):
         along = smooth.locate(centre).x
         first, last = np.clip(along[[0, -1]], 0.0, smooth.length)
         places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
         order = np.argsort(along, kind="stable")
         widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
-        limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
         lane = SampledLane(axes.positions(smooth.curve(places)), widths, lines, limit)
         found = np.array([lane.local_coordinates(position) for position in axes.positions(dense(centre))])
         off = max(np.abs(found[:, 1]).max(), -found[:, 0].min(), found[:, 0].max() - lane.length)

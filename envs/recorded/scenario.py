@@ -59,7 +59,7 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         number: its identifier.
         size: length and width [m].
         samples: step of time, x, y, orientation and speed [times, 5].
-        drives: whether it drives in lanes; otherwise, like a pedestrian, it only goes as it was recorded.
+        drives: whether it drives in lanes; other road users, such as pedestrians, are replayed.
     """
 
     number: int

@@ -90,11 +90,11 @@ class Traffic(ABC):
         """Move those on the road for a step, let those leave who have reached its end, and others enter."""
 
     def _is_replayed(self, track: RecordedTrack) -> bool:
-        """Return whether a track's vehicle goes as it was recorded: pedestrians and others who do not drive do."""
+        """Return whether a track is replayed, as all pedestrians and other road users outside lanes are."""
         return not track.drives
 
     def _move_on(self, leaves: Callable[[int], bool]) -> None:
-        """Count the step, let vehicles leave and enter, and move those that go as they were recorded."""
+        """Count the step, let vehicles leave and enter, and move replayed vehicles."""
         self.step += 1
         for place in list(self.vehicles):
             track = self.tracks[place]

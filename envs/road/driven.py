@@ -102,8 +102,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
     control in between. ``info["road"]["action"]`` is the ``ContinuousAction`` that does what the robots did in this
-    step, to be imitated, see `action_done`. It is None where there can be none: with discrete actions, with
-    ``dynamical`` ones, and in steps longer than 0.2 s, in which the control changes.
+    step, to be imitated, see `action_done`. It is None with discrete or ``dynamical`` actions, and in steps
+    longer than 0.2 s, within which the control changes.
     ``info["action"]`` is only what highway-env's rewards are told: idle, or the control of the step before.
     ``info["is_success"]`` is ``info["road"]["success"]``, where the scene has a goal. Every key is there from the reset
     on, with one shape and type. Of the first controlled vehicle, ``info["road"]`` says:
@@ -188,8 +188,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return self.unwrapped
 
     def _told(self) -> dict[str, Any]:
-        """Return what ``info`` says of the step, in the same shapes and types before the first."""
-        robot, base, kind, there = self.robots[0], self._base, self._base.action_type, success(self._base)
+        """Return the driver's part of ``info``; shapes and types are the same before and after the first step."""
+        robot, base, kind, reached = self.robots[0], self._base, self._base.action_type, success(self._base)
         frequency = base.config["simulation_frequency"]
         frames, frames_of_plan = frequency // base.config["policy_frequency"], max(1, round(PERIOD * frequency))
         seconds = [step.planning_seconds + step.decision_seconds for step in robot.steps]
@@ -210,10 +210,10 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             "acceleration": float(max(robot.accelerations, default=0.0)),
             "jerk": float(max(robot.jerks, default=0.0)),
             "destination": destination_for(robot.goal),
-            "success": there,
+            "success": reached,
             "action": done,
         }
-        return {"road": road} | ({} if there is None else {"is_success": there})
+        return {"road": road} | ({} if reached is None else {"is_success": reached})
 
 
 def unheeded(action_type: ActionType) -> Any:
@@ -226,10 +226,10 @@ def unheeded(action_type: ActionType) -> Any:
 
 
 def action_done(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
-    """Return the ``ContinuousAction`` that does what a robot did in a step; None where actions are others.
+    """Return the ``ContinuousAction`` that repeats a robot's step; None for other types of actions.
 
-    It is NaN where no action of the space does the same: where tyres or highway-env's limits changed the control within
-    the step, or it is beyond the ranges of the space.
+    It is NaN where no action of the space does the same: tyres or highway-env's limits changed the control within the
+    step, or the control is outside the ranges of the space.
     """
     continuous = isinstance(action_type, ContinuousAction) and not isinstance(action_type, DiscreteAction)
     if not continuous or action_type.dynamical:

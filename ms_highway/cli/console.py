@@ -76,7 +76,7 @@ def add_command(commands: Any, name: str, summary: str, description: str, exampl
 
 
 def add_first_words(commands: Any) -> None:
-    """Add the words that several commands begin with and that are none themselves; their help lists the commands."""
+    """Add a help page for each first word of two-word commands, such as ``irl``; it lists these commands."""
     for word in dict.fromkeys(name.split()[0] for name in commands.choices if name.split()[0] not in commands.choices):
         names = {name: parser.summary for name, parser in commands.choices.items() if name.startswith(f"{word} ")}
         rows = "\n".join(f"  {name:{COLUMN - 2}}{summary}" for name, summary in names.items())
@@ -87,7 +87,7 @@ def add_first_words(commands: Any) -> None:
 
 
 class _Refuse(argparse.Action):
-    """Refuse whatever is given, while arguments are parsed, before anything is loaded."""
+    """Refuse any arguments during parsing, before anything is loaded."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         parser.error(str(self.const))
@@ -117,7 +117,7 @@ def help_width() -> int:
 def printing() -> Iterator[None]:
     """Write what the block prints to standard output at once; the block should do nothing else.
 
-    Where nobody reads it any more, as behind ``| head``, this and all that follows is dropped.
+    Once the reader has closed the pipe, as ``| head`` does, drop this and all later output.
 
     Raises:
         OSError: if standard output is on a full disk.

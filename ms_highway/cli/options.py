@@ -101,7 +101,7 @@ def add_number(
 
 
 def file_to_write(text: str) -> Path:
-    """Return the path of a file, for the type of an option, once it is known that the file can be written.
+    """Return the path of a file after checking that it can be written; the type of an option.
 
     Raises:
         OSError: if it cannot.
@@ -111,7 +111,11 @@ def file_to_write(text: str) -> Path:
 
 
 def directory_to_write(text: str) -> Path:
-    """Return the path of a directory, likewise."""
+    """Return the path of a directory after checking that files can be written there; the type of an option.
+
+    Raises:
+        OSError: if they cannot.
+    """
     check_writable(Path(text), directory=True)
     return Path(text)
 

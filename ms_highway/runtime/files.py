@@ -52,8 +52,8 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: naming the file, if it cannot be written.
     """
-    check_writable(path)
     with naming(path):
+        _check_kind(path)
         path.parent.mkdir(parents=True, exist_ok=True)
     with naming(path), temporary(part_of(path)) as part:
         yield part
@@ -63,23 +63,26 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def check_writable(path: Path, directory: bool = False) -> None:
-    """Check that a file can be written, or that files can in a directory, and leave everything as it is.
+    """Check that a file, or files in a directory, can be written; change nothing.
 
     Raises:
         OSError: naming it.
     """
     with naming(path):
-        if path.exists() and not (path.is_dir() if directory else path.is_file()):
-            raise OSError("it is no directory" if directory else "it is a directory or a device")
+        _check_kind(path, directory)
         places = (path, *path.parents) if directory else path.parents
-        place = next(place for place in places if place.exists())
-        with temporary(place / f"{PART}{token_hex(8)}.{path.name}") as part:
+        with temporary(part_of(path, next(place for place in places if place.exists()))) as part:
             part.touch()
 
 
-def part_of(path: Path) -> Path:
-    """Return a new, unpredictable name beside a file or directory, for what is to replace it."""
-    return path.with_name(f"{PART}{token_hex(8)}.{path.name}")
+def _check_kind(path: Path, directory: bool = False) -> None:
+    if path.exists() and not (path.is_dir() if directory else path.is_file()):
+        raise OSError("it is no directory" if directory else "it is a directory or a device")
+
+
+def part_of(path: Path, place: Path | None = None) -> Path:
+    """Return an unpredictable name for what is to replace a file or directory, beside it or in another place."""
+    return (place or path.parent) / f"{PART}{token_hex(8)}.{path.name}"
 
 
 def tidy(directory: Path) -> None:

@@ -18,7 +18,7 @@ from ms_highway.vehicle.road_view import states_of
 
 
 class OfferedSpeeds:
-    """What rewards and observations of highway-env look for in the car that they control.
+    """Target speeds, which rewards and observations of highway-env read from the controlled car.
 
     Attributes:
         target_speeds: speeds that the environment offers to drivers of discrete actions [m/s].

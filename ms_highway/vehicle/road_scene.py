@@ -23,7 +23,7 @@ UNSURE = 1.5  # m, by which a lane that leads to the goal may be farther than th
 
 @dataclass
 class Memory:
-    """What a robot remembers of its looks at the road; it belongs to the vehicle, so that a copy sees the same.
+    """Route and vehicle numbers that a robot keeps between looks; stored on the vehicle, so that copies see the same.
 
     Attributes:
         goal: to which its lanes lead.

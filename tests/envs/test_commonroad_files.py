@@ -1,4 +1,4 @@
-"""Files of CommonRoad: what is read of each element, and that a damaged file is refused by file and element."""
+"""Read each element of CommonRoad files; refuse a damaged file by the names of the file and the element."""
 
 import copy
 import random
@@ -133,7 +133,7 @@ def test_any_heading_reaches_a_goal_whose_headings_are_a_full_turn(tmp_path):
 
 
 def signed(values, points=30):
-    """Two lanes, of which the left has a speed sign."""
+    """Two lanes; the left one has a speed sign."""
     first, rest = linked_lanes(points=points).split("<laneletType>", 1)
     return f'{first}<trafficSignRef ref="50"/><laneletType>{rest}{sign(50, values)}'
 

@@ -110,7 +110,7 @@ def scene(request, played):
 
 @pytest.fixture(scope="module")
 def records_of(scene):
-    """The records of a batch under each of the rules, none of which returns a NaN."""
+    """The records of a batch under each rule; no rule may return NaN."""
     game, starts = scene
     named = rules(game.number)
     with jax.debug_nans(True):

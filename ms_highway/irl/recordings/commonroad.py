@@ -14,8 +14,8 @@ from ms_highway.irl.recordings.recording import Recording
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
     """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
-    Every moving vehicle is a driver, except those seen only once or moving against the road; who does not drive in
-    lanes, such as a pedestrian, is a neighbour. Files of one recording, such as ``USA_US101-10_4_T-1`` and
+    Every moving vehicle is a driver, except those seen only once or moving against the road. Road users outside
+    lanes, such as pedestrians, are neighbours. Files of one recording, such as ``USA_US101-10_4_T-1`` and
     ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in the first file that has it, and a
     neighbour in the others.
 
