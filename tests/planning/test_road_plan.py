@@ -9,10 +9,10 @@ from roads import PLANNING, WEIGHTS, crossing, execute, proposals_of, scene_of
 
 from ms_highway.control.road import answered_by, proposed_for
 from ms_highway.control.road import plan_of as planned
-from ms_highway.game.road import BEHIND, SPACING, TRAFFIC
+from ms_highway.game.road import BEHIND, KNOTS, SPACING, TRAFFIC
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.plan import no_plan
-from ms_highway.planning.road.settings import MODELS
+from ms_highway.planning.road.settings import LANE, MODELS
 
 STEPS = PLANNING.steps
 MEMORY = no_plan(PLANNING)
@@ -121,6 +121,15 @@ def test_who_brakes_hard_ahead_is_expected_to_stop_and_nobody_else():
     assert covered(ahead, -2.0) > 22.0
     assert covered(behind, -6.0) > 12.0
     assert covered(far_aside, -6.0) > 12.0
+
+
+def test_where_the_cars_ahead_here_and_in_the_next_lane_brake_too_hard_a_plan_goes_to_the_free_lane_beyond():
+    edges = np.tile(np.float32([[-2.5 * LANE], [0.5 * LANE]]), KNOTS)
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(20.0, 0, 22.0), (33.0, -1, 17.0)])
+    scene = replace(accelerating(scene, -6.0, -6.0), edges=edges, paved=edges)
+    plan = plan_of(scene, "idm")
+    assert not plan.broken
+    assert plan.path[-1, 1] < -1.5 * LANE
 
 
 def test_who_may_cross_is_expected_to_keep_its_speed_and_not_to_follow_a_car_on_one_of_its_ways():

@@ -1,4 +1,4 @@
-"""Propose plans: to each lane, by speed profiles, or round what cannot move, simulated against traffic that answers."""
+"""Propose plans: to lanes, by speed profiles, or round what cannot move, simulated against traffic that answers."""
 
 from typing import NamedTuple
 
@@ -34,10 +34,11 @@ IN_EACH_LANE = (  # share of the desired speed, acceleration, whether it follows
     *((1.0, acceleration, False, False) for acceleration in STEADY),
 )
 ALL = (
-    *((lane, *profile, 0.0, 0) for lane in range(LANES) for profile in IN_EACH_LANE),
-    *((1, 1.0, 0.0, True, False, seconds, 0) for seconds in YIELDING),
-    *((1, share, 0.0, True, False, 0.0, side) for share in ROUND for side in (-1, 1)),
-    (1, 1.0, 0.0, False, False, 0.0, 0),  # the rest of the last plan
+    *((lane, *profile, 0.0, 0, False) for lane in range(LANES) for profile in IN_EACH_LANE),
+    *((lane, 1.0, min(STEADY), False, False, 0.0, 0, True) for lane in (0, LANES - 1)),
+    *((1, 1.0, 0.0, True, False, seconds, 0, False) for seconds in YIELDING),
+    *((1, share, 0.0, True, False, 0.0, side, False) for share in ROUND for side in (-1, 1)),
+    (1, 1.0, 0.0, False, False, 0.0, 0, False),  # the rest of the last plan
 )
 
 PROPOSALS = len(ALL)
@@ -95,6 +96,7 @@ class Profiles(NamedTuple):
         closes: whether it closes up as it follows.
         yields: it lets all cars pass that come to where they cross its route within this time [s].
         side: on which it goes round what cannot move in the robot's lane: -1, left; 1, right; 0, it does not.
+        beyond: whether it goes on to the lane beyond.
         given: whether its controls are given.
         controls: those.
     """
@@ -106,6 +108,7 @@ class Profiles(NamedTuple):
     closes: PlanFlags
     yields: Plans
     side: Lane
+    beyond: PlanFlags
     given: PlanFlags
     controls: ManyControls
 
@@ -191,9 +194,9 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
 def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
     """Return the lateral position that a plan goes to where its rear axle is at s."""
     passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
-    return jnp.where(
-        passes, now.obstruction.sides[(plan.side > 0).astype(int)], interpolate(now.scene.lanes[plan.lane], s)
-    )
+    own, goal = (interpolate(now.scene.lanes[lane], s) for lane in (1, plan.lane))
+    goal = jnp.where(plan.beyond, 2 * goal - own, goal)
+    return jnp.where(passes, now.obstruction.sides[(plan.side > 0).astype(int)], goal)
 
 
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
