@@ -188,6 +188,15 @@ def test_nothing_crosses_the_way_of_a_robot_that_has_passed(robot_s, crosses):
     assert now_in(crossing(robot_s, 30.0)).crossings.exist[0] == crosses
 
 
+def test_where_a_robot_waits_for_a_car_that_crosses_does_not_jump_as_that_car_comes_nearer():
+    lines = []
+    for come_from in np.arange(28.0, 32.0, 0.25):
+        ahead = (SPACING * np.arange(TRAFFIC_KNOTS) - BEHIND - come_from) * np.sqrt(0.5)
+        scene = on_path(crossing(20.0, come_from), 40.0 + ahead, ahead, np.pi / 4, 0.0)
+        lines.append(float(now_in(scene).crossings.line[0]))
+    assert np.ptp(lines) < 0.4
+
+
 def test_a_plan_that_has_not_reached_a_better_lane_earns_nothing_for_it():
     scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0))
     own = np.asarray(scores_of(scene, KEEPING, KEEPING, lanes=(OWN, RIGHT))[1].own)

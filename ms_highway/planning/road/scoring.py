@@ -19,7 +19,6 @@ from ms_highway.planning.road.traffic import (
     STANDING,
     Situation,
     leads,
-    way_knots,
 )
 from ms_highway.runtime.arrays import Numbers
 
@@ -238,13 +237,13 @@ def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     The robot goes on as fast as it is then, and faster; the car at its speed. Who comes towards it in its lane counts
     in `ms_highway.planning.road.prospects.prospects`.
     """
-    scene, ways = now.scene, now.ways
+    scene, ways = now.scene, now.crossings
     s, d, _, speed = driven.robot[..., -1]
     rear, front = s[..., None] - CLEARANCE, s[..., None] + scene.size[0] + CLEARANCE
-    across = now.crossings.aslant & (jnp.abs(ways.d - d[..., None]) < CORRIDOR)
-    here, knots = across & (ways.s > rear) & (ways.s < front), way_knots(ways)
+    across = jnp.abs(ways.d - d[..., None]) < CORRIDOR
+    here = across & (ways.s > rear) & (ways.s < front)
     leaving = (highest(ways.s, across) + CLEARANCE - s) / (speed + 1.0)
     along = driven.along[..., -1]
-    coming = (lowest(knots, here) - scene.sizes[:, 0] - along) / jnp.maximum(driven.speeds[..., -1], 1.0)
-    comes = (along < highest(knots, here)) & (coming < leaving + 0.5) & (coming < AWAITED)
+    coming = (lowest(ways.places, here) - scene.sizes[:, 0] - along) / jnp.maximum(driven.speeds[..., -1], 1.0)
+    comes = (along < highest(ways.places, here)) & (coming < leaving + 0.5) & (coming < AWAITED)
     return scene.present & scene.moving & comes

@@ -10,7 +10,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.road import BEHIND, SPACING, Flags, Knots, Pose, RoadScene, Traffic, interpolate, locate
 from ms_highway.planning.car_following import FAR, highest, idm_acceleration, lowest
-from ms_highway.planning.road.arrays import EachFlag, EachStep, Steps
+from ms_highway.planning.road.arrays import EachStep, Steps
 from ms_highway.planning.road.motion import speed_caps
 from ms_highway.planning.road.obstruction import Obstruction, obstruction_of
 from ms_highway.planning.road.settings import RoadPlanning, RoadWeights
@@ -19,7 +19,7 @@ from ms_highway.runtime.arrays import Scalar
 STANDING = 1.0
 """Speed up to which a car stands [m/s]."""
 
-ROOM, WAITING = 0.4, 1.2
+ROOM, WAITING = 0.4, 0.8
 """Distance between bodies that pass, and between the robot that waits and those who cross [m]."""
 
 SHARING, SAME_WAY, FOLLOWED, CROSSING = 0.85, 0.8, 0.7, 0.5
@@ -28,6 +28,7 @@ follows the robot if it is behind, and does not cross its way."""
 
 CORRIDOR = 3.0  # m, of the robot's way to each side
 PASSED = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
+STRIDE = 0.5  # m, between places on ways that may cross: knots move with cars, and lines would jump with knots
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
 
@@ -49,13 +50,17 @@ class Crossings(NamedTuple):
     """Where paths of traffic cross the robot's route.
 
     Attributes:
-        aslant: at which knots they go at an angle to the route, from the robot on, oncoming vehicles left out.
+        places: on the paths [m].
+        s, d: of these places on the route [m]; d is far away where they do not go at an angle to the route, or lie
+            behind the robot, and for oncoming vehicles.
         come: which vehicles come towards the robot in its lane.
         line: position on the route where the front of the robot waits for those who cross it [m].
         begin, last: positions on the path where they begin and end to [m]; far away where they never do.
     """
 
-    aslant: EachFlag
+    places: Steps
+    s: Knots
+    d: Knots
     come: Flags
     line: Traffic
     begin: Traffic
@@ -108,27 +113,27 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     Vehicles in the robot's lane, and those that merge behind the robot, are not crossing traffic where their ways part:
     one of them follows the other. Nothing crosses behind the robot.
     """
-    now, inside = int(BEHIND / SPACING), jnp.abs(ways.d) < CORRIDOR
-    along = inside & (ways.cosine > SHARING)
-    joins = along & (ways.s < scene.robot[0]) & (jnp.arange(ways.s.shape[-1]) >= now)
+    places = jnp.arange(-BEHIND, SPACING * ways.s.shape[-1] - BEHIND, STRIDE)
+    s, d, apart, cosine = (
+        jax.vmap(interpolate, (0, None))(field, places) for field in (ways.s, ways.d, jnp.abs(ways.d), ways.cosine)
+    )
+    now, inside = int(BEHIND / STRIDE), apart < CORRIDOR  # not abs(d): between knots, d may jump to its opposite
+    along = inside & (cosine > SHARING)
+    joins = along & (s < scene.robot[0]) & (places >= 0)
     shares = along[:, now] | joins.any(axis=-1)
-    come = inside[:, now] & (ways.cosine[:, now] < -SHARING) & (ways.s[:, now] > scene.robot[0])
+    come = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0])
     come = come & scene.moving & scene.present
-    aslant = (ways.s > scene.robot[0] - PASSED) & (ways.cosine < SHARING) & ~shares[:, None]
+    aslant = (s > scene.robot[0] - PASSED) & (cosine < SHARING) & ~shares[:, None]
     across = inside & aslant
-    knots, line = way_knots(ways), lowest(ways.s, across) - scene.sizes[:, 1] / 2 - WAITING
-    return Crossings(aslant & ~come[:, None], come, line, lowest(knots, across), highest(knots, across))
+    line = lowest(s[:, 1:], across[:, 1:] & across[:, :-1]) - scene.sizes[:, 1] / 2 - WAITING
+    aside = jnp.where(aslant & ~come[:, None], jnp.sign(d) * apart, FAR)
+    return Crossings(places, s, aside, come, line, lowest(places, across), highest(places, across))
 
 
 def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
     """Return which vehicles are ahead of the robot's rear axle, go its way, and are less than this far aside [m]."""
     s, d, cosine = on_route(ways, scene.states[:, 0], scene.states[:, 1])
     return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < reach) & (cosine > CROSSING)
-
-
-def way_knots(ways: Ways) -> Knots:
-    """Return the positions of the knots on the paths [m]."""
-    return SPACING * jnp.arange(ways.s.shape[-1]) - BEHIND
 
 
 def follow_all(
