@@ -8,9 +8,7 @@ import jax
 import numpy as np
 from highway_env.road.road import Road
 
-from ms_highway.control.controller import ControlStep
-from ms_highway.control.driver import Driver, drivable, fixed
-from ms_highway.control.yielding import Unmoved
+from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.settings import Settings
@@ -20,7 +18,9 @@ from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
-from ms_highway.metareasoning.rule import Order
+from ms_highway.loop.controller import ControlStep
+from ms_highway.loop.driver import Driver, drivable, fixed
+from ms_highway.loop.yielding import Unmoved
 from ms_highway.planning.compiled_plans import Costs, measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
@@ -43,10 +43,10 @@ class InteractionEnv(StageEnv):
       ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise (highway-env's own +-45 degrees spin
       a car of 20 m/s at the first step).
     * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default,
-      for naive, turn and tom at their default costs), a learned value of computation does, with ``"values"``,
+      for naive, turn and tom), a learned value of computation does, with ``"values"``,
       ``"shipped"`` or a file of ``ms-highway values learn``;
       ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``, the paper's Algorithm 1 does, with
-      the numbers of `ms_highway.metareasoning.quadratic_rule.QuadraticRule`; ``{"type": "budget", "milliseconds":
+      the numbers of `ms_highway.choice.quadratic.Quadratic`; ``{"type": "budget", "milliseconds":
       20}``, what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the two
       nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
@@ -55,8 +55,8 @@ class InteractionEnv(StageEnv):
       `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
       Any of them with ``"belief": True`` infers from what a human does which model predicts it
       (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
-    * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm`` (`ms_highway.planning.effort`), or
-      ``"best"``.
+    * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm``, or ``"best"``, see
+      `ms_highway.planning.human_models`.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
       ``"published"`` (default with one human); ``"shipped"`` (default with several), what plans among several humans
       take on one core; ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in
@@ -73,7 +73,7 @@ class InteractionEnv(StageEnv):
     * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
       are drawn around, or ``"true"``, their own.
     * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"`` yield, but keep
-      their velocity; ``"always"``, make room for it (`ms_highway.control.yielding.Unmoved`); or ``"mixed"``, each of
+      their velocity; ``"always"``, make room for it (`ms_highway.loop.yielding.Unmoved`); or ``"mixed"``, each of
       them never or always, drawn when the episode starts.
     * ``way_out``: whether the robot keeps a way out from humans who do not yield, see `ms_highway.planning.way_out`.
     * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
@@ -83,7 +83,7 @@ class InteractionEnv(StageEnv):
       None sets no such limit, as in the paper. It does not apply where the agent drives.
     * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
       ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a reward whose jumps are smooth,
-      with a small cost of not keeping the velocity (`ms_highway.optimization.convex_newton.EASE`), so that what is
+      with a small cost of not keeping the velocity (`ms_highway.numerics.convex_newton.EASE`), so that what is
       seen changes plans steadily, and a cost of leaving no room to stop (`ms_highway.game.stopping`).
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
       robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
@@ -103,7 +103,7 @@ class InteractionEnv(StageEnv):
     ``ContinuousAction`` that does the same within ``speed_range``. It holds
     ``models``, the name of every human's model in the plan that is followed; ``model``, the most expensive of them;
     ``gains``, the highest estimated gain of each model over all humans, by which the choice is made, see
-    `ms_highway.metareasoning.rule.Decision`; ``status``, ``human_status``, a status for each human; ``timing``,
+    `ms_highway.choice.rule.Decision`; ``status``, ``human_status``, a status for each human; ``timing``,
     ``counted_seconds``, T of the step's own plan; with a controller's ``belief``, ``belief``, the probability of every
     model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also holds
     ``humans_MODEL``, how many humans each model above the first predicts; ``success`` and ``is_success``, whether the

@@ -8,15 +8,13 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct, field
 
+from ms_highway.choice.budget import Budget, OneStepGains
+from ms_highway.choice.nearest import Nearest
+from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
+from ms_highway.choice.rule import NEVER, Order
+from ms_highway.choice.values import SHIPPED_VALUES, load_values
 from ms_highway.envs.configuration import NotNegative, Positive, read
 from ms_highway.game.scenario import Semantics
-from ms_highway.metareasoning.budget import Budget, OneStepGains
-from ms_highway.metareasoning.horizon import WholeHorizon
-from ms_highway.metareasoning.nearest import Nearest
-from ms_highway.metareasoning.quadratic_rule import TRUST_TOLERANCE, QuadraticRule
-from ms_highway.metareasoning.rule import NEVER, Order
-from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
-from ms_highway.metareasoning.values import SHIPPED_VALUES, load_values
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
 from ms_highway.runtime import retired
@@ -58,7 +56,7 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
     """What a controller's configuration says.
 
     Attributes:
-        belief: whether it infers which model predicts each human, see `ms_highway.metareasoning.belief`.
+        belief: whether it infers which model predicts each human, see `ms_highway.choice.belief`.
         quantile: of planning times, by which costs are measured.
         chooses: whether a rule chooses from the ladder.
     """
@@ -82,7 +80,7 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         return ()
 
     def rule(self, start: Start) -> Any:
-        """Return the `ms_highway.metareasoning.rule.Rule` of an episode, or its `Order`."""
+        """Return the `ms_highway.choice.rule.Rule` of an episode."""
         raise NotImplementedError
 
 
@@ -169,30 +167,31 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
 
 
 class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
-    """Algorithm 1 chooses from the ladder, at a price per second of planning; see `QuadraticRule` for its numbers."""
+    """Algorithm 1 chooses from the ladder, at a price per second of planning; see `Quadratic` for its numbers."""
 
     price: NotNegative = field(name="lambda")
-    cooldown: Cooldown = QuadraticRule.cooldown
-    trust_radius: Positive = QuadraticRule.trust_radius
-    algorithm: ClassVar[type[QuadraticRule]] = Switching
+    cooldown: Cooldown = Quadratic.cooldown
+    trust_radius: Positive = Quadratic.trust_radius
+    horizon_steps: ClassVar[int | None] = 1
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
-        return self.algorithm(start.costs, self.price, start.ladder, self.trust_radius, tolerance, self.cooldown)
+        numbers = self.trust_radius, tolerance, self.cooldown, self.horizon_steps
+        return Quadratic(start.costs, self.price, start.ladder, *numbers)
 
 
 class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):
     """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
 
-    algorithm = WholeHorizon
+    horizon_steps = None
 
 
 class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     """A learned value of computation chooses, at a price per second of planning.
 
     Attributes:
-        values: ``"shipped"`` or a file of `ms_highway.metareasoning.values`; ``""`` and None mean shipped.
+        values: ``"shipped"`` or a file of `ms_highway.choice.values`; ``""`` and None mean shipped.
     """
 
     price: NotNegative = field(name="lambda")
@@ -234,7 +233,7 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         if self.values == ONE_STEP:
-            gains: Any = OneStepGains(Switching(start.costs, 0.0, start.ladder))
+            gains: Any = OneStepGains(Quadratic(start.costs, 0.0, start.ladder))
         else:
             gains = replace(_learned(self.values, start, 0.0), cautious=False)
         return Budget(gains, start.costs, self.budget)

@@ -16,12 +16,11 @@ from highway_env.envs.common.graphics import EnvViewer
 from highway_env.envs.common.observation import GrayscaleObservation
 from highway_env.road.graphics import LaneGraphics, RoadGraphics, WorldSurface
 
-from ms_highway.control.controller import ControlStep
+from ms_highway.choice.learned_value import LearnedValue
+from ms_highway.choice.rule import Order
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
-from ms_highway.metareasoning.learned_value import LearnedValue
-from ms_highway.metareasoning.rule import Order
-from ms_highway.planning.effort import Effort, base_of
+from ms_highway.loop.controller import ControlStep
 from ms_highway.planning.human_models import MODELS, PACKAGE_MODELS, cheapest_first, human_model, is_model
 from ms_highway.runtime.arrays import Belief, Car, Controls
 
@@ -72,18 +71,16 @@ def model_color(name: str | None) -> Color:
     if name is None or not is_model(name):
         return FAINT
     model = human_model(name)
-    base = base_of(model).name
+    base = type(model).name
     registered = [known for known in MODELS if known not in MODEL_COLORS]
     color = MODEL_COLORS.get(base) or OTHER_COLORS[registered.index(base) % len(OTHER_COLORS)]
-    if not isinstance(model, Effort):
-        return color
     paler = PALEST * max(0.0, 1 - (model.steps or FULL) / FULL)
     return tuple(round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
 
 
 def model_meaning(name: str) -> str:
     """Return what a human model takes the human to do, in a few words; nothing for registered models."""
-    return MODEL_MEANINGS.get(base_of(human_model(name)).name, "") if is_model(name) else ""
+    return MODEL_MEANINGS.get(type(human_model(name)).name, "") if is_model(name) else ""
 
 
 class PictureViewer(EnvViewer):

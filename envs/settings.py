@@ -7,6 +7,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
+from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
 from ms_highway.envs.controllers import ControllerSettings, Start
 from ms_highway.envs.short_names import named_controller
@@ -15,11 +16,9 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
-from ms_highway.metareasoning.rule import PUBLISHED_COSTS, SHIPPED_COSTS
-from ms_highway.optimization.convex_newton import ANSWERED_STEPS, STEPS
-from ms_highway.optimization.solvers import Solver
+from ms_highway.numerics.convex_newton import ANSWERED_STEPS, STEPS
+from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.effort import seconds_of
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
 HUMAN_REWARDS = {"paper": "learned", "released": "published"}
@@ -129,7 +128,7 @@ class Settings(Struct, frozen=True):
             steps = ANSWERED_STEPS if model.responds else STEPS
             if self.solver != "convex_newton":
                 steps = gradient_steps(self.planning)[0]
-            seconds = seconds_of(model, given, steps)
+            seconds = model.seconds(given, steps)
             if seconds is not None:
                 known[model.name] = seconds
         return known

@@ -11,8 +11,8 @@ from highway_env.envs.common import observation as observations
 from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
 
+from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import LARGEST
-from ms_highway.metareasoning.rule import Order
 
 SPEED_RANGE = (0.0, 40.0)  # m/s, the highest is highway-env's
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1

@@ -3,11 +3,11 @@
 import jax
 import numpy as np
 
-from ms_highway.control.driver import fixed
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.game import swap_roles
-from ms_highway.simulation.loop import simulate
-from ms_highway.simulation.records import DECIDES, USUAL, Episodes
+from ms_highway.loop.batch import simulate
+from ms_highway.loop.driver import fixed
+from ms_highway.loop.records import DECIDES, USUAL, Episodes
 
 SCENES = {1: "merger", 2: "dense_merge"}
 """Scenarios by number of humans."""

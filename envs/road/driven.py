@@ -18,7 +18,6 @@ from highway_env.envs.common.action import (
     MultiAgentAction,
 )
 
-from ms_highway.control.road import RoadDriver
 from ms_highway.envs.configuration import as_json
 from ms_highway.envs.graphics import enable_pictures
 from ms_highway.envs.road.graphics import show
@@ -26,6 +25,7 @@ from ms_highway.envs.road.settings import RoadSettings
 from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
 from ms_highway.envs.stage import StageEnv
 from ms_highway.game.road import TRAFFIC
+from ms_highway.loop.road import RoadDriver
 from ms_highway.planning.road.settings import MODELS, RoadWeights
 from ms_highway.vehicle.appointment import destination_for
 from ms_highway.vehicle.road_robot import PERIOD, RoadRobot
@@ -109,7 +109,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     on, with one shape and type. Of the first controlled vehicle, ``info["road"]`` says:
 
     * ``models``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of
-      the last plan, see `ms_highway.control.road.RoadStep`; ``gains``, by model, what its answer about each of the
+      the last plan, see `ms_highway.loop.road.RoadStep`; ``gains``, by model, what its answer about each of the
       ``models`` may be worth at most, NaN where that was not estimated;
     * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then; NaN
       and an empty text for each plan that was not made;

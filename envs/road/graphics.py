@@ -8,8 +8,8 @@ import numpy as np
 import pygame
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.control.road import RoadStep
 from ms_highway.envs.graphics import INK, PAPER, Viewer, model_color, words
+from ms_highway.loop.road import RoadStep
 from ms_highway.planning.road.settings import MODELS
 
 PANEL, SIZE, GAP = 24, 13, 10  # px: height of the line of text, of its letters, and between its parts

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta, Struct, ValidationError, convert
 
-from ms_highway.control.road import SHIPPED_COSTS, RoadDriver
+from ms_highway.choice.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
-from ms_highway.metareasoning.road import BudgetedRungs, FixedRung, PricedRungs, RungChoice
+from ms_highway.loop.road import SHIPPED_COSTS, RoadDriver
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.road.settings import MODELS, RoadPlanning
 from ms_highway.runtime import retired

@@ -16,12 +16,13 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
+from ms_highway.choice.quadratic import Switching
+from ms_highway.choice.rule import PUBLISHED_COSTS
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.compiled_decision import CompiledDecision
-from ms_highway.metareasoning.rule import PUBLISHED_COSTS, first_memory
-from ms_highway.metareasoning.switching import Switching
+from ms_highway.loop.driver import decision_function
+from ms_highway.loop.step import begin
 from ms_highway.planning.compiled_plans import CompiledPlans, Costs, checked_state
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.several import plan_for
@@ -136,12 +137,14 @@ def _compile_each(plans: CompiledPlans, state: State, cache: str | None) -> list
 def _decision(game: Game, models: tuple[HumanModel, ...], rung: int, state: State) -> float:
     """Time a decision that never goes up, so that it checks the rung below whenever the cooldown allows."""
     costs = Costs(0.0, np.array([PUBLISHED_COSTS.get(model.name, 0.0) for model in models]))
-    compiled = CompiledDecision(Switching(costs, 1e9, models), game)
-    checking = first_memory(compiled.rule, 1)._replace(rungs=np.array([rung]), step=np.ones((), int))
+    rule = Switching(costs, 1e9, models)
+    carry = begin(rule, game, state)
+    checking = carry.memory._replace(rungs=np.array([rung], np.int32), step=np.ones((), np.int32))
     waiting = checking._replace(last_check=np.zeros_like(checking.last_check))
+    numbers = jax.device_put((rule, game))
+    function = decision_function(None).of(*numbers, carry, state)
     check, wait = (
-        median(_times(compiled.function, *compiled.arguments(memory, compiled.still(state))))
-        for memory in (checking, waiting)
+        median(_times(function, *numbers, carry._replace(memory=memory), state)) for memory in (checking, waiting)
     )
     return (check + (Switching.cooldown - 1) * wait) / Switching.cooldown
 

@@ -18,9 +18,9 @@ from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison, episode_steps
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
+from ms_highway.loop.devices import use_devices
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.jax_settings import high_throughput, own_process
-from ms_highway.simulation.devices import use_devices
 
 AFTER = 1, 5, 10, 20
 """Steps from the start after which the change of the robot's path is measured."""
@@ -43,7 +43,7 @@ def steadiness(
         comparison: controllers, seeds, two at least, and configuration.
         scenario: one of its scenarios.
         noises: standard deviations [m].
-        devices: how many to use, see `ms_highway.simulation.devices.use_devices`.
+        devices: how many to use, see `ms_highway.loop.devices.use_devices`.
         modules: to import in the other process, for scenarios and models that they add.
         seen: whether the noise is in what the robot sees, rather than in the start.
 
@@ -80,7 +80,7 @@ def changes(
         scenario: one of its scenarios.
         controller: one of its controllers there.
         noises: standard deviations s [m], see this module.
-        devices: how many to use, see `ms_highway.simulation.devices.use_devices`.
+        devices: how many to use, see `ms_highway.loop.devices.use_devices`.
         seen: whether the noise is in what the robot sees, rather than in the start.
 
     Returns:

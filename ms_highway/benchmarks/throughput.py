@@ -10,9 +10,9 @@ from ms_highway.benchmarks.latency import most_memory, one_core
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.loop.devices import use_devices
 from ms_highway.runtime.jax_settings import high_throughput, own_process
 from ms_highway.runtime.timing import timed
-from ms_highway.simulation.devices import use_devices
 
 EPISODES = 5  # of the environment
 SECONDS, RUNS = 2.0, 5  # of one batch, at most
@@ -32,7 +32,7 @@ def throughput(
         scenario: its name.
         controllers: short names of controllers.
         sizes: numbers of episodes in a batch.
-        devices: how many to use, see `ms_highway.simulation.devices.use_devices`.
+        devices: how many to use, see `ms_highway.loop.devices.use_devices`.
         modules: to import in the other process, for scenarios and models that they add.
         config: of the environments.
 

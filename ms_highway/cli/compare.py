@@ -85,7 +85,7 @@ def _compare(options: argparse.Namespace) -> None:
 
 
 def _with_learned(asked: "Comparison") -> "Comparison":
-    """Return a comparison with learned values, before switching, where they suit the ladder and the costs."""
+    """Return a comparison with learned values, before switching, where they suit the ladder."""
     controllers = {}
     for scenario, names in asked.controllers.items():
         place = next((place for place, name in enumerate(names) if name.startswith("switching")), len(names))

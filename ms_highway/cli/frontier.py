@@ -62,7 +62,7 @@ def _frontier(options: argparse.Namespace) -> None:
     from ms_highway.experiments.analysis.regret import best, regrets
     from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.frontier import Outcomes, search
-    from ms_highway.simulation.devices import use_devices
+    from ms_highway.loop.devices import use_devices
     from ms_highway.visualization.tables import regret_tables
     from ms_highway.visualization.tradeoff import frontier
 

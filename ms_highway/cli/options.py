@@ -167,7 +167,7 @@ def add_keys(parser: argparse.ArgumentParser) -> None:
 
 
 def add_devices(parser: Any) -> None:
-    """Add ``--devices``, see `ms_highway.simulation.devices.use_devices`, to a command."""
+    """Add ``--devices``, see `ms_highway.loop.devices.use_devices`, to a command."""
     add_number(parser, "--devices", None, "how many devices to use (default: all, or one per core)")
 
 

@@ -73,7 +73,7 @@ def _sweep(options: argparse.Namespace) -> None:
         from ms_highway.experiments import sweep as module
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
     from ms_highway.experiments.analysis.summary import summary
-    from ms_highway.simulation.devices import use_devices
+    from ms_highway.loop.devices import use_devices
     from ms_highway.visualization.comparison import table
     from ms_highway.visualization.tradeoff import curve
 

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 HELP = """\
 Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that episodes
-come through, every model of the ladder plans a step, and the rule that was learned so far chooses from there on;
-networks are fitted to what was earned and planned, and so on for some rounds. One file serves all lambdas from 0.001
-to 100.
+come through, a human is predicted by every model of the ladder for some steps, and then as the rule that was learned so
+far chooses; networks are fitted to what was earned more than by the cheapest model, and so on for some rounds. One file
+serves all lambdas and costs.
 
-Among several humans (dense_merge, crossing_crowd), every human has a value of its own: what the robot earns more with
-this one human predicted by a more expensive model. The file is for learned:LAMBDA:FILE there.
+Among several humans (dense_merge, crossing_crowd), every human has a value of its own. The file is for
+learned:LAMBDA:FILE there.
 
 After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
 starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
@@ -33,11 +33,11 @@ examples:
 
 DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
 SEVERAL: dict[str, Any] = {
-    "baseline": "cheapest",
     "prices": (30.0, 30.0),
     "rounds": 2,
     "states": (100, 100),
     "horizon": 25,
+    "held": 25,
 }
 """How values are learned among several humans, where that differs from the defaults of ``Learning``."""
 
@@ -51,7 +51,7 @@ def add_values(commands: Any) -> None:
     )
     states = "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
     add_number(parser, "--states", None, states + "among several humans 100 in every round)")
-    add_number(parser, "--rounds", None, "of rollouts and fits (default: 5; among several humans 2)", most=100)
+    add_number(parser, "--rounds", None, "of rollouts and fits (default: 4; among several humans 2)", most=100)
     steps = "of a rollout (default: 20; among several humans 25)"
     add_number(parser, "--horizon-steps", None, steps, most=100, metavar="STEPS", dest="horizon")
     add_number(parser, "--seed", 0, "of everything that is drawn", 0)
@@ -69,9 +69,9 @@ def add_values(commands: Any) -> None:
 def _learn(options: argparse.Namespace) -> None:
     from shutil import rmtree
 
+    from ms_highway.choice.values import save_values
     from ms_highway.experiments.values.learning import learn, rollouts_directory
-    from ms_highway.metareasoning.values import save_values
-    from ms_highway.simulation.devices import use_devices
+    from ms_highway.loop.devices import use_devices
 
     if options.out.suffix != ".npz":
         raise ValueError(f"--out is {options.out}; give the file a name that ends in .npz")
@@ -97,14 +97,13 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     Raises:
         ValueError: naming what cannot be learned.
     """
+    from ms_highway.choice.rule import SHIPPED_COSTS
     from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
     from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.experiments.directory import this_run
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
-    from ms_highway.metareasoning.rule import SHIPPED_COSTS
-    from ms_highway.planning.effort import starts_warm
     from ms_highway.planning.human_models import cheapest_first, human_model
 
     names, config = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS)), configuration(options)
@@ -123,7 +122,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         for name in names
     ]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
-    if any(starts_warm(human_model(name)) for name in models):
+    if any(human_model(name).warm for name in models):
         why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
         raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
     if any(batch.loop.yielding for batch in batches):

@@ -17,7 +17,7 @@ import pandas as pd
 from gymnasium.utils import seeding
 from jax.sharding import Mesh
 
-from ms_highway.control.fallback import BRAKING, PREVIOUS_PLAN, STATUSES, WAY_OUT
+from ms_highway.choice.rule import Order, Rule, highest_gains
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import read_own
@@ -35,13 +35,13 @@ from ms_highway.experiments.records import (
     state_columns,
 )
 from ms_highway.game.scenario import REACHED
-from ms_highway.metareasoning.rule import Order, Rule, highest_gains
+from ms_highway.loop.batch import simulate
+from ms_highway.loop.devices import usual_chunk
+from ms_highway.loop.fallback import BRAKING, PREVIOUS_PLAN, STATUSES, WAY_OUT
+from ms_highway.loop.records import ALWAYS_YIELDS, DECIDES, NEVER_YIELDS, USUAL, Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive, cheapest_first, human_model
 from ms_highway.runtime.arrays import Array
-from ms_highway.simulation.devices import usual_chunk
-from ms_highway.simulation.loop import simulate
-from ms_highway.simulation.records import ALWAYS_YIELDS, DECIDES, NEVER_YIELDS, USUAL, Episodes, Loop, Records
 
 Key: TypeAlias = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
@@ -109,9 +109,9 @@ class Batch:
 
         Args:
             keys: which.
-            mesh: see `ms_highway.simulation.loop.simulate`.
+            mesh: see `ms_highway.loop.batch.simulate`.
             shifts: what is added to the starts of the first cars, the robot before the humans [episodes, cars, 4].
-            errors: of what the robot sees, see `ms_highway.simulation.records.Episodes`.
+            errors: of what the robot sees, see `ms_highway.loop.records.Episodes`.
 
         Raises:
             ValueError: without an episode, or for a negative seed.
@@ -147,7 +147,7 @@ class Batch:
         """Return the rule of a controller that chooses models from the ladder.
 
         Raises:
-            ValueError: if its values were learned on another ladder, or with other costs.
+            ValueError: if its values were learned on another ladder.
         """
         costs = Costs.of([self.costs[name] for name in self.rungs], self.humans)
         return settings.rule(self.environment.settings.start(costs, self.steps, np.random.default_rng()))
@@ -313,7 +313,7 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
 
     Args:
         comparison: what to simulate.
-        mesh: see `ms_highway.simulation.loop.simulate`.
+        mesh: see `ms_highway.loop.batch.simulate`.
 
     Raises:
         ValueError: for anything unknown or impossible, and for costs that are to be measured.

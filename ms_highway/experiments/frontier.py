@@ -45,7 +45,7 @@ class Outcomes:
         Args:
             batch: the scenario.
             file: where all outcomes are kept, as CSV; without, nowhere.
-            mesh: devices, see `ms_highway.simulation.devices.device_mesh`.
+            mesh: devices, see `ms_highway.loop.devices.device_mesh`.
 
         Raises:
             ValueError: if the file is there and holds something else.

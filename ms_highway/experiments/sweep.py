@@ -15,8 +15,8 @@ from jax.sharding import Mesh
 from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import check_numbers
+from ms_highway.loop.records import Records
 from ms_highway.runtime.files import reading, replacing
-from ms_highway.simulation.records import Records
 
 EPISODES, STEPS = "episodes", "steps"
 """Directories of a sweep's parts, with a row per episode and per step."""
@@ -143,7 +143,7 @@ def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -
     Args:
         sweep: which they are parts of.
         parts: their numbers.
-        mesh: devices, see `ms_highway.simulation.devices.device_mesh`; by default, the first device.
+        mesh: devices, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
     """
     batch, together = make_batch(sweep.comparison, sweep.scenario), 1 if mesh is None else mesh.size
     for place in range(0, len(parts), together):

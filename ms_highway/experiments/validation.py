@@ -15,12 +15,12 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.choice.rule import PUBLISHED_COSTS, Memory, Outcome, decide, first_memory
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import build_game
 from ms_highway.game.scenarios import GIVE_WAY, MERGER, STAY_BACK
-from ms_highway.metareasoning.rule import PUBLISHED_COSTS, Memory, Outcome, decide, first_memory
-from ms_highway.metareasoning.switching import RELEASED_TRUST_TOLERANCE, Switching
 from ms_highway.planning.compiled_plans import CompiledPlans, Costs
 from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
 from ms_highway.planning.plans import Plan
@@ -156,7 +156,7 @@ def _choices(switching: Switching, game: Game, rungs: Any, *happened: Any) -> Ar
         plan = Plan(robot[None], human[None, None])  # not looked at
         outcome = Outcome(state, state, robot, human[None], earned, plan)
         memory = decide(switching, game, memory._replace(rungs=rung[None]), outcome).memory
-        return memory, memory.rungs[0]
+        return memory._replace(step=memory.step + 1), memory.rungs[0]
 
     first = first_memory(switching, 1)._replace(step=jnp.int32(1))
     return jax.lax.scan(choose, first, (rungs, *happened))[1]

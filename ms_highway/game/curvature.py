@@ -14,21 +14,13 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.collision_risk import (
-    CAR_SHARPNESS,
-    CONTACT,
-    NEAR,
-    OBSTACLE_SHARE,
-    OBSTACLE_SHARPNESS,
-    body_points,
-    obstacles_as_bodies,
-)
+from ms_highway.game.collision_risk import CONTACT, NEAR, bodies_around, body_distance, body_points
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import attention, depth_off_road
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.game.stopping import stopping_curvature
-from ms_highway.runtime.arrays import Scalar, unrolled_sum
+from ms_highway.runtime.arrays import Scalar
 
 Blocks = Float[jax.Array, "times 5 5"]
 
@@ -68,49 +60,38 @@ def curvature(scene: Scene, parameters: Reward, own: Motion, others: Motion, bra
     slopes = jnp.stack([jnp.stack(slope) for _, slope in costs])
     bent = jnp.einsum("j,jft,jgt->tfg", factors, slopes, slopes)
     risk, contact = parameters.price("collision_risk"), parameters.price("collision")
-    bent = bent.at[:, :4, :4].add(_bend_of_closeness(scene, own, others, scene.car_size, CAR_SHARPNESS, risk, contact))
-    if len(scene.obstacles):
-        bodies, share = obstacles_as_bodies(scene, own.x.ndim), OBSTACLE_SHARE * risk
-        near = _bend_of_closeness(scene, own, bodies, scene.obstacle_size, OBSTACLE_SHARPNESS, share, contact)
-        bent = bent.at[:, :4, :4].add(near)
+    bent = bent.at[:, :4, :4].add(_bend_of_closeness(scene, own, others, risk, contact))
     if braking is not None:
         bent += contact * stopping_curvature(scene, braking, own)
     return bent
 
 
 def _bend_of_closeness(
-    scene: Scene,
-    own: Motion,
-    bodies: Motion,
-    size: Float[jax.Array, "2"],
-    sharpness: float,
-    risk: Scalar,
-    contact: Scalar,
+    scene: Scene, own: Motion, others: Motion, risk: Scalar, contact: Scalar
 ) -> Float[jax.Array, "times 4 4"]:
-    """Return the part of `ms_highway.game.collision_risk` with bodies of a size, in x, y, cosine and sine."""
-    px, py = body_points(scene)
-    x, y, cosine, sine = (field[..., None] for field in own[:4])
-    dx = (x + cosine * px - sine * py) - bodies.x[..., None]
-    dy = (y + sine * px + cosine * py) - bodies.y[..., None]
-    along, across = 4 / size[0] ** 2, 4 / size[1] ** 2
-    turned, slant = bodies.cosine[..., None], bodies.sine[..., None]
-    ahead, aside = turned * dx + slant * dy, turned * dy - slant * dx
-    excess = along * ahead**2 + across * aside**2 - 1
-    gx = 2 * (along * ahead * turned - across * aside * slant)
-    gy = 2 * (along * ahead * slant + across * aside * turned)
-    close, depth = risk * jnp.exp(-sharpness * excess), CONTACT * contact * jnp.maximum(NEAR - excess, 0.0)
-    bend = sharpness**2 * close + 6 * depth
-    fall = sharpness * close + 3 * depth * jnp.maximum(NEAR - excess, 0.0)
-    # A point moves by a dx + b dy with (x, y, cosine, sine): first sum over bodies what belongs to dx and dy.
-    one, zero = jnp.ones_like(px), jnp.zeros_like(px)
-    a, b = jnp.stack([one, zero, px, -py]), jnp.stack([zero, one, py, px])
-    pairs = [a[:, None] * a, a[:, None] * b + b[:, None] * a, b[:, None] * b]
-    bodily = (
-        along * turned**2 + across * slant**2,
-        (along - across) * turned * slant,
-        along * slant**2 + across * turned**2,
-    )
-    products = zip((gx * gx, gx * gy, gy * gy), bodily, strict=True)
-    bent = [unrolled_sum(bend * square + 2 * fall * shape, axis=0) for square, shape in products]
-    summed = jnp.concatenate(bent, axis=1) @ jnp.concatenate(pairs, axis=2).reshape(16, -1).T
-    return summed.reshape(-1, 4, 4)
+    """Return the part of `ms_highway.game.collision_risk.collision_risk`, in x, y, cosine and sine.
+
+    A point moves by ``M dz`` with z = (x, y, cosine, sine). The square D of its distance to a body with the ellipse
+    matrix A has the slope ``2 A d`` in its offset d, and bends by ``2 A``.
+    """
+    bodies = bodies_around(scene, others)
+    distance = body_distance(scene, own, bodies)
+    close, depth = risk * bodies.share * jnp.exp(-bodies.sharpness * distance), jnp.maximum(NEAR - distance, 0.0)
+    bend = bodies.sharpness**2 * close + 6 * CONTACT * contact * depth
+    fall = bodies.sharpness * close + 3 * CONTACT * contact * depth**2
+    other, points = Motion(*(field[:, None] for field in bodies.motion)), body_points(scene)
+    along, aside = points.T.reshape(2, 9, *[1] * own.x.ndim)
+    dx = own.x + own.cosine * along - own.sine * aside - other.x
+    dy = own.y + own.sine * along + own.cosine * aside - other.y
+    per_length, per_width = 4 / bodies.length**2, 4 / bodies.width**2
+    xx = per_length * other.cosine**2 + per_width * other.sine**2
+    xy = (per_length - per_width) * other.cosine * other.sine
+    yy = per_length * other.sine**2 + per_width * other.cosine**2
+    slope_x, slope_y = 2 * (xx * dx + xy * dy), 2 * (xy * dx + yy * dy)
+    products = (slope_x**2, xx), (slope_x * slope_y, xy), (slope_y**2, yy)
+    bodily = jnp.stack([bend * slopes + 2 * fall * matrix for slopes, matrix in products], axis=1)
+    bent = jnp.sum(bodily, axis=0)
+    zero, one, (along, aside) = jnp.zeros(9), jnp.ones(9), points.T
+    a, b = jnp.stack([one, zero, along, -aside]), jnp.stack([zero, one, aside, along])  # the rows of M, [4, points]
+    pairs = jnp.stack([a[:, None] * a, a[:, None] * b + b[:, None] * a, b[:, None] * b])
+    return (bent.reshape(27, -1).T @ jnp.moveaxis(pairs, -1, 1).reshape(27, 16)).reshape(-1, 4, 4)

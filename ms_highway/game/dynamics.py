@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array, SameArray, Scalar
 
@@ -107,17 +107,15 @@ def rollout(
     """
     if dynamics.friction != "linear":
         raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
-    dt, plain = dynamics.time_step, _plain(controls.shape[-2], controls.dtype)[0]
-    speed = speeds(dynamics, state[..., 3], controls[..., 1])
+    dt, (omega, acceleration) = dynamics.time_step, jnp.moveaxis(controls, -1, 0)
+    speed = speeds(dynamics, state[..., 3], acceleration)
     before = speed[..., :-1]
-    yaw_rate = before * controls[..., 0] if dynamics.steering == "curvature" else controls[..., 0]
-    heading = _accumulate(plain, state[..., 2], yaw_rate * dt)
-    # Without the barrier, XLA would compute sines and cosines again at each use.
-    direction = jax.lax.optimization_barrier(jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-2))
-    distance = before * dt + (controls[..., 1] - _resistance(dynamics, before)) * dt**2 / 2
-    position = _accumulate(plain[1:], state[..., :2], distance[..., None, :] * direction[..., :-1])
-    x, y, cosine, sine = (pair[..., i, :] for pair in (position, direction[..., 1:]) for i in range(2))
-    return Motion(x, y, cosine, sine, speed[..., 1:])
+    heading = _accumulate(state[..., 2], (before * omega if dynamics.steering == "curvature" else omega) * dt)
+    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
+    x = _accumulate(state[..., 0], distance * cosine[..., :-1])
+    y = _accumulate(state[..., 1], distance * sine[..., :-1])
+    return Motion(*(field[..., 1:] for field in (x, y, cosine, sine, speed)))
 
 
 def rollout_jacobian(
@@ -134,13 +132,13 @@ def rollout_jacobian(
     With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a `rollout`.
     """
     dt, steps = dynamics.time_step, len(controls)
-    plain = _plain(steps, controls.dtype)[0]
-    executed = plain[1:, 1:]  # [states, controls], 1 for controls before a state
+    left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
+    executed = _shares(steps)[1:, 1:]  # [states, controls], 1 for controls before a state
     speed = speeds(dynamics, car[3], controls[:, 1])
-    faster = _fading(dynamics, steps, controls.dtype)[:, 1:] * dt
+    faster = _shares(steps, left)[:, 1:] * dt
     curved = dynamics.steering == "curvature"
     per_omega = dt * (speed[:-1] if curved else jnp.ones(steps))
-    heading = car[2] + plain @ jnp.concatenate([jnp.zeros(1), per_omega * controls[:, 0]])
+    heading = _accumulate(car[2], per_omega * controls[:, 0])
     turned_by_speed = executed @ (dt * controls[:, :1] * faster[:-1]) if curved else jnp.zeros((steps, steps))
 
     def ravelled(by_omega: jax.Array, by_acceleration: jax.Array) -> jax.Array:
@@ -149,7 +147,7 @@ def rollout_jacobian(
     zero = jnp.zeros((steps, steps))
     turned = ravelled(executed * per_omega, turned_by_speed)
     turned_before = jnp.concatenate([jnp.zeros((1, 2 * steps)), turned[:-1]])
-    distance = speed[:-1] * dt + (controls[:, 1] - _resistance(dynamics, speed[:-1])) * dt**2 / 2
+    distance = speed[:-1] * dt + (controls[:, 1] - dynamics.drag * speed[:-1]) * dt**2 / 2
     farther = ravelled(zero, faster[:-1] * (dt - dynamics.drag * dt**2 / 2) + np.eye(steps) * dt**2 / 2)
     cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
     along = cosine[:-1] * farther - distance[:, None] * sine[:-1] * turned_before
@@ -162,26 +160,25 @@ def speeds(
     dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
 ) -> Float[jax.Array, "*cars states"]:
     """Return the speeds now and after each of a sequence of accelerations, with linear friction, see `rollout`."""
-    fading = _fading(dynamics, accelerations.shape[-1], accelerations.dtype)
-    return _accumulate(fading, speed, accelerations * dynamics.time_step)
+    left = 1 - dynamics.drag * dynamics.time_step  # share of a speed that friction leaves after a step
+    return _accumulate(speed, accelerations * dynamics.time_step, left)
 
 
-def _fading(dynamics: Dynamics, steps: int, dtype: np.dtype) -> Float[jax.Array, "states terms"]:
-    """Return the share of a speed, or of a change of it, that linear friction leaves until each state."""
-    plain, age = _plain(steps, dtype)
-    return plain * (1 - dynamics.drag * dynamics.time_step) ** np.maximum(age, 0)
+def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar | None = None) -> jax.Array:
+    """Accumulate changes on an initial value, of which a share is left after each step, if it is given.
+
+    Unlike a small matrix product, XLA fuses this.
+    """
+    shares = _shares(changes.shape[-1], left)
+    return jnp.sum(shares * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
 
 
-def _plain(steps: int, dtype: np.dtype) -> tuple[Float[jax.Array, "states terms"], Int[np.ndarray, "states terms"]]:
-    """Return weights of cumulative sums, 1 for terms up to a state, and the steps from each term to each state."""
-    terms = np.arange(steps + 1)
+def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
+    """Return what is left at each state of what was there at first, and of what was added in each step."""
+    terms = np.arange(1 + steps)
     age = terms[:, None] - terms  # below 0: not yet
-    return jnp.asarray(age >= 0, dtype=dtype), age
-
-
-def _accumulate(weights: Float[jax.Array, "states terms"], initial: jax.Array, changes: jax.Array) -> jax.Array:
-    """Accumulate weighted changes on an initial value; unlike a small matrix product, XLA fuses this."""
-    return jnp.sum(weights * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
+    there = (age >= 0).astype(float)
+    return there if left is None else there * left ** np.maximum(age, 0.0)
 
 
 def within_grip(

@@ -5,7 +5,7 @@ so that weights do not depend on metres.
 """
 
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import partial
 
 import jax
 from jax import numpy as jnp
@@ -15,7 +15,7 @@ from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.reward import TRAFFIC_FEATURES, Feature, Reward
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array, Times, unrolled_reduce, unrolled_sum
+from ms_highway.runtime.arrays import Array, Times
 
 HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
 SOFT_EDGE = 0.2  # m, depth off the road from which on the smooth feature grows with the square
@@ -64,8 +64,7 @@ def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion,
             traffic stay as they are.
     """
     columns = motion_features(scene, parameters, own, others, smooth)
-    weighted = [weight * column for weight, column in zip(jnp.unstack(parameters.weights), columns, strict=True)]
-    return reduce(jnp.add, weighted)
+    return jnp.sum(jnp.asarray(parameters.weights) * jnp.stack(columns, axis=-1), axis=-1)
 
 
 def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
@@ -79,25 +78,25 @@ def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motio
 
     Takes the arguments of `motion_reward`. Constants are inverted once, not divided by at every state.
     """
-    per_unit, per_limit = 1 / scene.length_unit, 1 / parameters.speed_limit
-    forward = own.speed * own.cosine * per_limit
-    lane = reduce(lambda a, b: jnp.where(jnp.abs(own.y - a) <= jnp.abs(own.y - b), a, b), jnp.unstack(scene.lanes))
+    per_unit = 1 / scene.length_unit
+    forward = own.speed * own.cosine / parameters.speed_limit
     risk, collision = collision_risk(scene, own, others, smooth)
-    leader_x = own.x if scene.leader is None else others.x[scene.leader - 1]
-    gap_error = jnp.zeros_like(own.x) if scene.leader is None else (own.x - (leader_x - parameters.gap)) * per_unit
-    partner = Motion(*(field[0] for field in others))
+    behind = jnp.zeros_like(own.x)
+    if scene.leader is not None:
+        behind = (own.x - others.x[scene.leader - 1] + parameters.gap) * per_unit
+    aside, merged = _merging(scene, own, others, smooth)
     traffic = _traffic(scene, parameters, own, others) if TRAFFIC_FEATURES[0] in parameters.names else []
     return [
         -forward * (forward - 2),
-        -(_off_all_lanes(scene, own) if smooth else ((own.y - lane) * per_unit) ** 2) + HEADING_SHARE * own.cosine,
+        HEADING_SHARE * own.cosine - _off_lanes(scene, own, smooth) * per_unit**2,
         risk,
         collision,
         (depth_off_road(scene, own, smooth) * per_unit) ** 2,
-        -(((own.y - scene.target_lane) * per_unit) ** 2),
-        -(gap_error**2),
-        _merged(scene, own, smooth),
-        -(((partner.y - scene.target_lane) * per_unit) ** 2),
-        _merged(scene, partner, smooth),
+        -(aside[0] ** 2),
+        -(behind**2),
+        merged[0],
+        -(aside[1] ** 2),
+        merged[1],
         *traffic,
         *(_at_every_moment(function, scene, own, others) for function in parameters.own),
     ]
@@ -131,16 +130,20 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
     return [
         own.cosine,
-        -unrolled_sum(ahead * (gap - STANDSTILL_GAP - parameters.headway * speed) ** 2, axis=0),
-        -unrolled_sum(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
-        -unrolled_sum(behind * braking**2, axis=0),
+        -jnp.sum(ahead * (gap - STANDSTILL_GAP - parameters.headway * speed) ** 2, axis=0),
+        -jnp.sum(ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0),
+        -jnp.sum(behind * braking**2, axis=0),
     ]
 
 
-def _off_all_lanes(scene: Scene, car: Motion) -> Times:
-    """Return the squared distance from the nearest lane, in length units, with a smooth top between lanes."""
-    squares = [-(((car.y - lane) / SOFT_LANE) ** 2) for lane in jnp.unstack(scene.lanes)]
-    return -reduce(jnp.logaddexp, squares) * (SOFT_LANE / scene.length_unit) ** 2
+def _off_lanes(scene: Scene, car: Motion, smooth: bool) -> Times:
+    """Return the squared distance from the nearest lane [m^2], if it is to be smooth with a round top between lanes."""
+    squares = (car.y[..., None] - jnp.asarray(scene.lanes)) ** 2
+    nearest = squares.min(axis=-1)
+    if not smooth:
+        return nearest
+    nearest = jax.lax.stop_gradient(nearest)  # what is subtracted before the exponential makes no difference
+    return nearest - SOFT_LANE**2 * jnp.log(jnp.sum(jnp.exp((nearest[..., None] - squares) / SOFT_LANE**2), axis=-1))
 
 
 def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, Times]:
@@ -159,7 +162,7 @@ def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:
     length, width = scene.car_size
     slant = jnp.sqrt(car.sine**2 + SOFT_SLANT**2) - SOFT_SLANT if smooth else jnp.abs(car.sine)
     reach = (length * slant + width * jnp.abs(car.cosine)) / 2
-    low, high = (unrolled_reduce(choice, jnp.asarray(scene.lanes)) for choice in (jnp.minimum, jnp.maximum))
+    low, high = jnp.min(jnp.asarray(scene.lanes)), jnp.max(jnp.asarray(scene.lanes))
     depth = jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
     return soft_positive(depth, SOFT_EDGE) if smooth else jnp.where(depth > 0, depth, 0.0)
 
@@ -170,15 +173,15 @@ def soft_positive(excess: Array, soft: float) -> Array:
     return positive**2 / (positive + soft)
 
 
-def _merged(scene: Scene, car: Motion, smooth: bool) -> Times:
-    """Return 1 where ``y + width / 2 sin(heading)`` is beyond the inner edge of the target lane, else 0.
+def _merging(scene: Scene, own: Motion, others: Motion, smooth: bool) -> tuple[Times, Times]:
+    """Return the distance from the target lane [length units] of the car and its partner, and whether they are in it.
 
-    If it is to be smooth, a sigmoid instead.
+    In it is 1 where ``y + width / 2 sin(heading)`` is beyond the lane's inner edge, else 0; a sigmoid of the depth
+    beyond, if it is to be smooth.
     """
-    middle = unrolled_sum(jnp.asarray(scene.lanes)) / len(scene.lanes)
-    side = jnp.where(scene.target_lane <= middle, -1.0, 1.0)
-    depth = side * (car.y + scene.car_size[1] / 2 * car.sine - scene.target_lane)
-    if smooth:
-        return jax.nn.sigmoid((depth + scene.lane_width / 2) / SOFT_LANE)
-    inside = depth > -scene.lane_width / 2
-    return jax.lax.stop_gradient(inside.astype(car.y.dtype))
+    y, sine = jnp.stack([own.y, others.y[0]]), jnp.stack([own.sine, others.sine[0]])
+    side = jnp.where(scene.target_lane <= jnp.mean(jnp.asarray(scene.lanes)), -1.0, 1.0)
+    aside = y - scene.target_lane
+    depth = side * (aside + scene.car_size[1] / 2 * sine) + scene.lane_width / 2
+    merged = jax.nn.sigmoid(depth / SOFT_LANE) if smooth else jax.lax.stop_gradient(depth > 0).astype(y.dtype)
+    return aside / scene.length_unit, merged

@@ -6,8 +6,8 @@ them to curvatures and accelerations.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
-from typing import Any
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -29,10 +29,11 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.game.stopping import stopping_cost
-from ms_highway.optimization.second_derivatives import Influence
-from ms_highway.optimization.solvers import Planner, project
+from ms_highway.numerics.second_derivatives import Influence, along_fields
+from ms_highway.numerics.solvers import Planner, project
 from ms_highway.runtime.arrays import (
     Car,
+    Control,
     Controls,
     HumansControls,
     Index,
@@ -42,7 +43,6 @@ from ms_highway.runtime.arrays import (
     State,
     Trajectories,
     Trajectory,
-    unrolled_sum,
 )
 
 
@@ -61,7 +61,7 @@ class Game:
         world: dynamics of the real cars, from which executed controls are recovered.
         planner: horizon, solver and limits of all plans.
         influence: form of the humans' response to the robot, see
-            `ms_highway.optimization.second_derivatives.response` (static).
+            `ms_highway.numerics.second_derivatives.response` (static).
     """
 
     scene: Scene
@@ -79,9 +79,9 @@ class Game:
 
     @property
     def braking(self) -> Scalar | None:
-        """Deceleration by which plans for seconds keep room to stop before obstacles; None for others."""
+        """Deceleration by which plans of a smooth reward keep room to stop before obstacles; None for others."""
         planner = self.planner
-        if not planner.for_seconds or len(self.scene.obstacles) == 0:
+        if not planner.smooth or len(self.scene.obstacles) == 0:
             return None
         limit = jnp.asarray(planner.control_limit)[1]
         return limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip))
@@ -131,11 +131,11 @@ def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, Stat
 def swap_roles(game: Game, human: Index = 0) -> Game:
     """Return the game in which a human plans, and the robot is its only partner.
 
-    Humans plan anew in every step, by the paper's solver; by the robot's where that is made for horizons of seconds,
-    and for their own comfort only.
+    Humans plan anew in every step, by the paper's solver; by the robot's where that climbs a smooth reward, and for
+    their own comfort only.
     """
-    solver = game.planner.solver if game.planner.for_seconds else "gradient"
-    planner = replace(game.planner, solver=solver, persistent=False, ease=0.0)
+    solver = game.planner.solver if game.planner.smooth else "gradient"
+    planner = replace(game.planner, solver=solver, persistent=False, manoeuvres=False, ease=0.0)
     return replace(game, robot=game.human(human), humans=_alone(game.robot), planner=planner)
 
 
@@ -154,84 +154,156 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
     controls, planner = project(game.planner, controls), game.planner
     if planner.grip is None:
         return controls
+    bend = 0.0 if game.scene.bend is None else game.scene.bend
     physical = controls * planner.control_scale
-    now = jnp.broadcast_to(car[3], physical.shape[:-2])
-    speed = jnp.maximum(speeds(game.dynamics, now, physical[..., 1])[..., :-1], 0.0)
-    grip, bend = jnp.asarray(planner.grip), jnp.asarray(0.0 if game.scene.bend is None else game.scene.bend)
-    return within_grip(game.dynamics, grip, speed, physical, bend) / planner.control_scale
+    return _held(game.dynamics, jnp.asarray(planner.grip), jnp.asarray(bend), car, physical) / planner.control_scale
+
+
+@jax.jit
+def _held(dynamics: Dynamics, grip: Scalar, bend: Scalar, car: Car, controls: ManyControls) -> ManyControls:
+    now = jnp.broadcast_to(car[3], controls.shape[:-2])
+    speed = jnp.maximum(speeds(dynamics, now, controls[..., 1])[..., :-1], 0.0)
+    return within_grip(dynamics, grip, speed, controls, bend)
 
 
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
     """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled.
 
-    For horizons of seconds, the planner's ``ease`` is added to its comfort. That of steering falls with the square of
-    the lateral acceleration that it causes, relative to that at the speed limit: a car that stands steers for nothing.
+    The planner's ``ease`` is added to its comfort. That of steering falls with the square of the lateral acceleration
+    that it causes, relative to that at the speed limit: a car that stands steers for nothing.
     """
     kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
-    comfort = game.robot.comfort
-    if game.planner.for_seconds:
-        pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
-        steering = pace**4 if game.dynamics.steering == "curvature" else pace**2
-        comfort = comfort + game.planner.ease * jnp.stack([steering, jnp.ones_like(pace)])
+    pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
+    steering = pace**4 if game.dynamics.steering == "curvature" else pace**2
+    comfort = game.robot.comfort + game.planner.ease * jnp.stack([steering, jnp.ones_like(pace)])
     return jnp.sum(comfort * (controls - kept) ** 2) / 2
 
 
-@jax.jit  # traced once, like `trajectory_reward`
 def move(game: Game, car: Car, controls: Controls) -> Trajectory:
     """Return the trajectory of a car under scaled controls."""
-    return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
+    return _move(game.dynamics, car, controls * game.planner.control_scale)
+
+
+@jax.jit
+def _move(dynamics: Dynamics, car: Car, controls: Controls) -> Trajectory:
+    return jnp.stack(rollout(dynamics, car, controls))
 
 
 def move_jacobian(game: Game, car: Car, controls: Controls) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of `move` in the ravelled scaled controls."""
-    scale = jnp.asarray(game.planner.control_scale)
-    return rollout_jacobian(game.dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
+    return _moved_by(game.dynamics, jnp.asarray(game.planner.control_scale), car, controls)
+
+
+@jax.jit
+def _moved_by(dynamics: Dynamics, scale: Control, car: Car, controls: Controls) -> jax.Array:
+    return rollout_jacobian(dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
 
 
 def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:
     """Return the trajectories of some cars under scaled controls."""
     if len(cars) == 1:
         return move(game, cars[0], controls[0])[None]
-    return jax.vmap(lambda car, own: move(game, car, own))(cars, controls)
+    return jax.vmap(partial(move, game))(cars, controls)
 
 
-@jax.jit  # traced and differentiated once for all plans
-def trajectory_reward(game: Game, state: State, own: Trajectory, others: Trajectories) -> Scalar:
-    """Sum car 0's `step_rewards` over its trajectory and those of others.
+def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectories:
+    """Return the trajectories of some cars, and of all cars after them, which keep their velocity.
 
     Args:
-        game: rewards and dynamics.
-        state: all cars now; those beyond car 0 and the others keep their velocity.
-        own: trajectory of car 0.
-        others: trajectories of the next cars, its partner first.
+        game: its dynamics.
+        state: all cars now.
+        players: trajectories of the first cars after car 0.
     """
-    return unrolled_sum(step_rewards(game, state, own, others))
+    scripted = coast(game.dynamics, state[1 + len(players) :], players.shape[-1])
+    return jnp.concatenate([players, jnp.stack(scripted, axis=1)])
 
 
-def step_rewards(game: Game, state: State, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
+def trajectory_reward(game: Game, own: Trajectory, others: Trajectories) -> Scalar:
+    """Sum car 0's reward over its trajectory, among the trajectories of all others; see `step_rewards`."""
+    return _summed(*_weighed(game), own, others)
+
+
+def reward_slopes(game: Game, own: Trajectory, others: Trajectories) -> tuple[Trajectory, Trajectories]:
+    """Differentiate `trajectory_reward` in car 0's trajectory, and in those of all others."""
+    return _slopes(*_weighed(game), own, others)
+
+
+class Bends(NamedTuple):
+    """Derivatives of car 0's reward at every step of its trajectory.
+
+    Attributes:
+        slope: in its own fields.
+        own: twice in its own fields, [fields, fields, steps].
+        partner: in its own fields, then in those of its partner.
+    """
+
+    slope: Trajectory
+    own: Float[jax.Array, "fields fields steps"]
+    partner: Float[jax.Array, "fields fields steps"]
+
+
+def reward_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
+    """Differentiate `trajectory_reward` twice, in as many directions as a motion has fields."""
+    return _bends(*_weighed(game), own, others)
+
+
+def step_rewards(game: Game, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
     """Compute car 0's reward after each step.
 
-    For horizons of seconds it is the smooth one, and the car pays for leaving no room to stop before obstacles:
-    `ms_highway.game.stopping.stopping_cost`, at the price of a collision.
+    Where the planner wants it smooth, the car also pays for leaving no room to stop before obstacles, at the price of
+    a collision, see `ms_highway.game.stopping.stopping_cost`.
     """
-    motion, others = Motion(*own), around(game, state, others)
-    rewards, braking = motion_reward(game.scene, game.robot, motion, others, game.planner.for_seconds), game.braking
+    return _rewards(*_weighed(game), own, others)
+
+
+def _weighed(game: Game) -> tuple[bool, Scene, Reward, Scalar | None]:
+    """Return what the reward of a trajectory depends on; few arguments, so that all plans share what is traced."""
+    return game.planner.smooth, game.scene, game.robot, game.braking
+
+
+def _rewards(
+    smooth: bool, scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories
+) -> Float[Any, "steps"]:
+    motion = Motion(*own)
+    rewards = motion_reward(scene, reward, motion, Motion(*jnp.moveaxis(others, 1, 0)), smooth)
     if braking is None:
         return rewards
-    return rewards - game.robot.price("collision") * stopping_cost(game.scene, braking, motion)
+    return rewards - reward.price("collision") * stopping_cost(scene, braking, motion)
 
 
-def around(game: Game, state: State, others: Trajectories) -> Motion:
-    """Return the motion of all cars but car 0; those beyond the trajectories given keep their velocity."""
-    rest = coast(game.dynamics, state[1 + len(others) :], others.shape[-1])
-    # One human's fields are read one by one: XLA then fuses its plans into the same kernels, to the last digit.
-    fields = [field[None] for field in others[0]] if len(others) == 1 else jnp.unstack(others, axis=1)
-    return Motion(*(jnp.concatenate([known, more]) for known, more in zip(fields, rest, strict=True)))
+@partial(jax.jit, static_argnums=0)
+def _summed(
+    smooth: bool, scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories
+) -> Scalar:
+    return jnp.sum(_rewards(smooth, scene, reward, braking, own, others))
 
 
-def trajectory_curvature(game: Game, state: State, own: Trajectory, others: Trajectories) -> Blocks:
+@partial(jax.jit, static_argnums=0)
+def _slopes(*arguments: Any) -> tuple[Trajectory, Trajectories]:
+    return jax.grad(_summed, argnums=(4, 5))(*arguments)
+
+
+@partial(jax.jit, static_argnums=0)
+def _bends(*arguments: Any) -> Bends:
+    *weighed, own, others = arguments
+
+    def slopes(own: Trajectory) -> tuple[Trajectory, Trajectory]:
+        slope, around = _slopes(*weighed, own, others)
+        return slope, around[0]
+
+    (slope, _), bends = along_fields(slopes, own)
+    return Bends(slope, *bends)
+
+
+def trajectory_curvature(game: Game, own: Trajectory, others: Trajectories) -> Blocks:
     """Return how `trajectory_reward` bends, see `ms_highway.game.curvature`."""
-    return curvature(game.scene, game.robot, Motion(*own), around(game, state, others), game.braking)
+    _, *weighed = _weighed(game)
+    return _curvature(*weighed, own, others)
+
+
+@jax.jit
+def _curvature(scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories) -> Blocks:
+    return curvature(scene, reward, Motion(*own), Motion(*jnp.moveaxis(others, 1, 0)), braking)
 
 
 def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> Scalar:
@@ -249,5 +321,5 @@ def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> 
 
 def total_reward(game: Game, state: State, robot: Controls, humans: HumansControls) -> Scalar:
     """Return the robot's `trajectory_reward` under controls of all, R_R(x, u_R, u_H); they are scaled."""
-    paths = move_all(game, state[1 : 1 + len(humans)], humans)
-    return trajectory_reward(game, state, move(game, state[0], robot), paths)
+    paths = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
+    return trajectory_reward(game, move(game, state[0], robot), paths)

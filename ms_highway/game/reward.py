@@ -83,7 +83,7 @@ def add_feature(name: str, function: Feature) -> None:
     """Register a user-defined feature by name, for rewards, configurations and commands of this process.
 
     It is computed where a reward weighs it; Algorithm 1 then neglects nothing in its derivatives, see
-    `ms_highway.metareasoning.rule.decide`. Learned weights are positive: define it as what drivers want more of. A
+    `ms_highway.choice.rule.decide`. Learned weights are positive: define it as what drivers want more of. A
     feature of the same name is replaced, in rewards that are made from then on.
 
     Args:

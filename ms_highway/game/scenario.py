@@ -16,9 +16,9 @@ from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
-from ms_highway.optimization.convex_newton import EASE
-from ms_highway.optimization.second_derivatives import Influence
-from ms_highway.optimization.solvers import Planner, Solver
+from ms_highway.numerics.convex_newton import EASE
+from ms_highway.numerics.second_derivatives import Influence
+from ms_highway.numerics.solvers import Planner, Solver
 from ms_highway.runtime.arrays import HumansWeights, State
 
 Semantics: TypeAlias = Literal["paper", "released"]
@@ -162,7 +162,7 @@ def build_game(
             for no bounds.
         grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`.
         unit: length of one paper unit in the game; 1 keeps the released code's numbers.
-        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`; None for the
+        solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`; None for the
             scenario's.
         human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans' reward; the other weights of the
             scenario stay unless they are named here.
@@ -195,9 +195,11 @@ def build_game(
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
     planning = planning or scenario.planning
     plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
-    planner = _planner(
-        scene, plans, control_limit, grip, solver or scenario.solver, planning, bool(scenario.streams), EASE
-    )
+    planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning)
+    if scenario.streams:  # a robot among streams keeps to its plan
+        planner = replace(planner, persistent=True, manoeuvres=planner.smooth)
+    if planner.smooth:
+        planner = replace(planner, ease=EASE)
     influence: Influence = "damped" if semantics == "paper" else "exact"
     game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
@@ -222,14 +224,14 @@ def driving_game(
         speed_limit: speed that is rewarded most [m/s].
         weights: of the reward of both, by name.
         names: of the features to compute, see `ms_highway.game.reward.linear_reward`.
-        solver: how plans are improved, see `ms_highway.optimization.solvers.optimize_controls`.
+        solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`.
         planning: see `build_game`.
-        grip: of tyres [m/s^2], see `ms_highway.optimization.solvers.Planner`; None for plans that are only limited by
+        grip: of tyres [m/s^2], see `ms_highway.numerics.solvers.Planner`; None for plans that are only limited by
             `PHYSICAL_LIMIT`.
     """
     driver = linear_reward(weights, speed_limit, names=names)
     motion = replace(PAPER_DYNAMICS, time_step=planning.time_step)
-    planner = _planner(scene, motion, PHYSICAL_LIMIT, grip, solver, planning, persistent=False, ease=0.0)
+    planner = _planner(scene, motion, PHYSICAL_LIMIT, grip, solver, planning)
     return Game(scene, driver, _humans(driver, 1), motion, motion, planner)
 
 
@@ -244,15 +246,14 @@ def _planner(
     grip: float | None,
     solver: Solver,
     planning: PlanningSettings,
-    persistent: bool,
-    ease: float,
 ) -> Planner:
     """Return a planner with the control scale in which a gradient step of 0.03 has the paper's effect.
 
     The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw rate. With steering by
     curvature, it is converted at the paper's speed limit, ``omega = yaw_rate / v``: omega's gradient step scales with
-    1/v^2.
+    1/v^2. The solver ``convex_newton`` climbs a smooth reward, from constant velocity.
     """
+    smooth = solver == "convex_newton"
     iterations, step_size = gradient_steps(planning)
     turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if dynamics.steering == "curvature" else 1.0
     return Planner(
@@ -262,9 +263,9 @@ def _planner(
         step_size=step_size,
         horizon=planning.horizon,
         iterations=iterations,
-        ease=ease,
         solver=solver,
-        persistent=persistent,
+        smooth=smooth,
+        cold="velocity" if smooth else "zero",
     )
 
 

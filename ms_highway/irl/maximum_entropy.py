@@ -38,8 +38,8 @@ from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.irl.arrays import Flags, Numbers, Parameters, Scalar, Values
 from ms_highway.irl.windows import Windows, driver_game, features_along
-from ms_highway.optimization.estimation import grouped_covariance, slope_differences
-from ms_highway.optimization.second_derivatives import floored
+from ms_highway.numerics.estimation import grouped_covariance, slope_differences
+from ms_highway.numerics.second_derivatives import floored
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 

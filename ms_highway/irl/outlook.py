@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.irl.arrays import Parameters, Paths, Scalar, Steps
-from ms_highway.optimization.estimation import minimum
+from ms_highway.numerics.estimation import minimum
 from ms_highway.runtime.structures import plain
 
 DRAWS = 256

@@ -15,7 +15,7 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.arrays import CarFlags, CarStates, Parameters, Paths, Scalar
 from ms_highway.irl.moments import AT, SCALES, STEPS, Moments, lanes_of
 from ms_highway.irl.outlook import Modes, one_mode
-from ms_highway.optimization.estimation import minimum
+from ms_highway.numerics.estimation import minimum
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.structures import Finite, Structure, pytree
 

@@ -20,7 +20,7 @@ from ms_highway.irl.driving import drive_on, lane_advantages, predict
 from ms_highway.irl.moments import AT, SCALES, Moments, lanes_of
 from ms_highway.irl.outlook import SIDES, Modes, fit_spread
 from ms_highway.irl.predictors import learn_peers
-from ms_highway.optimization.estimation import grouped_covariance, minimum, slope_differences
+from ms_highway.numerics.estimation import grouped_covariance, minimum, slope_differences
 from ms_highway.planning.learned_driving import shown_traits
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.runtime.structures import plain

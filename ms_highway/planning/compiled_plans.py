@@ -1,12 +1,10 @@
 """Plan live: compiled once, called with few arguments, timed warm."""
 
 from collections.abc import Sequence
-from functools import cache
-from typing import Any, NamedTuple
+from functools import cache, partial
+from typing import NamedTuple
 
-import jax
 import numpy as np
-from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
@@ -15,7 +13,7 @@ from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import Escape, keep_way_out
 from ms_highway.runtime.arrays import Array, Control, Rungs, Scalar, State
-from ms_highway.runtime.compilation import Layout, in_one_kernel, pack, quick_options
+from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -50,7 +48,8 @@ class CompiledPlans:
 
     def __init__(self, game: Game, ladder: Sequence[HumanModel]) -> None:
         self.game, self.ladder = game, tuple(ladder)
-        self._numbers, self._layout = pack(game)
+        self._placed = Placed(game)
+        self._goes_on = game.planner.persistent or any(model.warm for model in self.ladder)
 
     def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Plan, float]:
         """Return the scaled plan in a `checked_state`, in NumPy arrays, and the seconds that it took.
@@ -61,40 +60,38 @@ class CompiledPlans:
             start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
         """
         function, *arguments = self.call(state, rungs, start)
-        plan, seconds = timed(function, *arguments)
-        plan = np.asarray(plan)
-        return Plan(plan[0], plan[1:]), seconds
+        planned, seconds = timed(function, *arguments)
+        return Plan(*map(np.asarray, planned)), seconds
 
     def call(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple:
         """Return the compiled function of a plan, see `plan_function`, and its arguments."""
-        begin: Any
-        if start is not None:
-            begin = np.concatenate([start.robot[None], start.humans], dtype=np.float32)
-        elif self.game.planner.for_seconds:
-            robot, humans = cold_start(self.game, np.asarray(state))
-            begin = np.concatenate([robot[None], humans], dtype=np.float32)
-        else:
-            begin = _still(1 + self.game.number, self.game.planner.horizon)
-        if self.game.number > 1:
-            return plan_function(self.ladder, self._layout), self._numbers, state, begin, np.asarray(rungs, np.int32)
-        model = self.ladder[int(rungs[0])]
-        fuses = not model.responds and not self.game.planner.for_seconds
-        return plan_function((model,), self._layout, fuses), self._numbers, state, begin
+        if start is None and self._goes_on:  # compiled once, with a start
+            start = cold_start(self.game, np.asarray(state))
+        several = self.game.number > 1
+        models = self.ladder if several else (self.ladder[int(rungs[0])],)
+        arguments = self._placed.take(), state, np.asarray(rungs, np.int32) if several else None, start
+        return plan_function(models).of(*arguments), *arguments
 
-    def warm_up(self, state: State) -> float:
-        """Compile and run the plans that have not run before; return the seconds spent."""
+    def warm_up(self, state: State, way_out: bool = False) -> float:
+        """Compile and run the plans, and the look for a way out, that have not run before; return the seconds spent."""
         several = self.game.number > 1
         assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
-        return sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
+        seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
+        return seconds + (warm_up(escape, self.game, state, np.zeros(2, np.float32)) if way_out else 0.0)
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
         """Return what `ms_highway.planning.way_out.keep_way_out` does, and the seconds that it took."""
-        escape, seconds = timed(way_out_function(self._layout), self._numbers, state, np.asarray(control, np.float32))
-        return Escape(*map(np.asarray, escape)), seconds
+        found, seconds = timed(escape, self._placed.take(), state, np.asarray(control, np.float32))
+        return Escape(*map(np.asarray, found)), seconds
 
-    def warm_up_way_out(self, state: State) -> float:
-        """Compile and run what looks for a way out if it has not run before; return the seconds spent."""
-        return warm_up(way_out_function(self._layout), self._numbers, state, np.zeros(2, np.float32))
+
+escape = jit_quickly(keep_way_out)
+
+
+@cache
+def plan_function(models: tuple[HumanModel, ...]) -> Compiled:
+    """Compile `ms_highway.planning.several.plan_for` once for these models, whatever the game's numbers."""
+    return jit_quickly(partial(plan_for, models))
 
 
 def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
@@ -122,41 +119,6 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
     planned, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
     scale = np.asarray(game.planner.control_scale, dtype=float)
     return Plan(planned.robot * scale, planned.humans * scale)
-
-
-@cache
-def _still(cars: int, steps: int) -> Array:
-    """Return zero controls of some cars."""
-    return jnp.zeros((cars, steps, 2), jnp.float32)
-
-
-@cache
-def plan_function(ladder: tuple[HumanModel, ...], layout: Layout, fuses: bool = False) -> jax.stages.Wrapped:
-    """Compile `ms_highway.planning.several.plan_for` once for all games of a layout.
-
-    The compiled function takes the numbers of a packed game, all cars now, the plan to start from, an array [cars,
-    steps, 2] of the scaled controls of robot and humans, and, with several humans, their rungs. It returns such a plan.
-
-    Args:
-        ladder: human models; with one human, the one that predicts it.
-        layout: of the game.
-        fuses: whether to compile one kernel, of which calls of LAPACK (``eigh``, ``solve``) cannot be part.
-    """
-
-    def plan(numbers: Array, state: State, start: Array, rungs: Rungs | None = None) -> Array:
-        robot, humans = plan_for(ladder, layout.unpack(numbers), state, rungs, Plan(start[0], start[1:]))
-        return jnp.concatenate([robot[None], humans])
-
-    return jax.jit(in_one_kernel(plan)) if fuses else jax.jit(plan, compiler_options=quick_options())
-
-
-@cache
-def way_out_function(layout: Layout) -> jax.stages.Wrapped:
-    """Compile `keep_way_out` once for all games of a layout; it takes a packed game, all cars, and a scaled control."""
-    return jax.jit(
-        lambda numbers, state, control: keep_way_out(layout.unpack(numbers), state, control),
-        compiler_options=quick_options(),
-    )
 
 
 def checked_state(state: State) -> State:
@@ -201,9 +163,7 @@ def measure_costs(
     """
     refuse_after_fork()
     plans, now = CompiledPlans(game, ladder), checked_state(state)
-    plans.warm_up(now)
-    if way_out:
-        plans.warm_up_way_out(now)
+    plans.warm_up(now, way_out)
 
     def once(rung: int) -> float:
         plan, seconds = plans.plan(now, [rung] * game.number)

@@ -1,69 +1,116 @@
 """Plan under each human model of the ladder: naive, IDM, turn and theory of mind.
 
-Anything with the attributes of `HumanModel` is a model. It predicts one human, in the game of the robot with that human
-alone (`ms_highway.game.game.pair`); `ms_highway.planning.several` plans among several. All controls are scaled, see
-`ms_highway.game.game`.
+A `HumanModel` predicts one human, in the game of the robot with that human alone (`ms_highway.game.game.pair`);
+`ms_highway.planning.several` plans among several. All controls are scaled, see `ms_highway.game.game`.
+
+A model has an effort: the number of its steps, and the plan that they start from. Names are ``tom@8``, theory of mind
+in 8 ascent steps, ``tom+warm``, from the rest of the last plan, and ``tom@8+warm``.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import jax
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, constant_velocity, swap_players
-from ms_highway.game.planning_settings import MOST_ITERATIONS
+from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_traced_step
 from ms_highway.planning.car_following import FAR, idm_acceleration
-from ms_highway.planning.climb import Answering, climb
-from ms_highway.planning.effort import BEST, BEST_LADDER, Effort, base_of, parse
+from ms_highway.planning.joint import Answering, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start, plan_against
 from ms_highway.runtime.arrays import Control, Controls, State
 
 HEADWAY, STANDSTILL = 0.1, 1.0  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 
+NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")
+LENGTH = 0.1  # of a counted step; at the paper's horizon, some plans overshoot and collide from 0.15 on
 
-class HumanModel(Protocol):
-    """A rung of the ladder, which predicts one human.
+BEST = "best"
+"""Name of `BEST_LADDER` in configurations and commands."""
+
+BEST_LADDER = ("naive@4+warm", "tom@6+warm", "tom@12+warm")
+"""Ladder of the rungs that earn most for their time.
+
+Reward per step of each rung alone in Merger and Give Way, measured with 30 starts, the learned human and paper
+semantics: 4.67 and -0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52 and 5.77 at 60 %; tom earns 6.25 and 5.02,
+turn 1.51 and 0.09 at 46 %, naive 1.50 and 0.03 at 24 %. In Stay Back, where outcomes are chaotic, the upper two are not
+worth their time: 0.98, 0.14 and -2.99, where naive earns 0.60, turn 1.50, tom 1.65, and naive@10 most, 1.90.
+"""
+
+
+@dataclass(frozen=True)
+class HumanModel:
+    """A rung of the ladder, which predicts one human; hashable, as a plan is compiled once per model.
+
+    Steps that are counted are gradient steps, whatever the planner's solver and step size, and as long as is safe: 0.1,
+    or `ms_highway.game.planning_settings.SHARE` of the longest where that is shorter, as it is from K = 6 on at 0.1 s.
+    What a plan earns depends on the length of all its steps together: 6 of them earn what the paper's 20 of 0.03 earn,
+    and more of them earn more. Under the solver ``convex_newton``, its own steps are counted. Among several humans, see
+    `ms_highway.planning.several.most_steps`.
 
     Attributes:
-        name: in configurations and reports.
-        responds: whether the human responds to the robot's plan.
-
-    Models are hashable: a plan is compiled once per model. Among several humans, models other than `TheoryOfMind` are
-    used by their predictions.
+        name: in configurations and reports, with the effort; of a class, without.
+        responds: whether the human responds to the robot's plan; among several humans, as under theory of mind.
+        steps: number of steps of each ascent; None for what the planner does.
+        warm: whether plans start from the rest of the last plan, by whichever model, rather than from a cold start.
     """
 
-    @property
-    def name(self) -> str:
-        """Name in configurations and reports."""
+    name: ClassVar[str]
+    responds: ClassVar[bool] = False
+    steps: int | None = field(default=None, kw_only=True)
+    warm: bool = field(default=False, kw_only=True)
 
-    @property
-    def responds(self) -> bool:
-        """Whether the human responds to the robot's plan."""
+    def __post_init__(self) -> None:
+        """Add the effort to the name."""
+        effort = (f"@{self.steps}" if self.steps else "") + "+warm" * self.warm
+        if effort:
+            object.__setattr__(self, "name", type(self).name + effort)
 
-    def __hash__(self) -> int: ...
+    def within(self, game: Game) -> Game:
+        """Return the game for plans in this effort."""
+        if self.steps is None:
+            return game
+        if game.planner.solver == "convex_newton":
+            return replace(game, planner=replace(game.planner, newton_steps=self.steps, answered_steps=self.steps))
+        longest = longest_traced_step(game.planner.horizon, game.dynamics.time_step)
+        length = jnp.minimum(LENGTH, SHARE * longest)
+        planner = replace(game.planner, iterations=self.steps, step_size=length, solver="gradient")
+        return replace(game, planner=planner)
+
+    def seconds(self, costs: Mapping[str, float], usual: int) -> float | None:
+        """Return T(M) [s]; None where it does not follow from the costs.
+
+        It is what the costs say for the model's name, or else for its name without ``+warm``, as a start costs nothing;
+        or else it is proportional to the number of steps.
+
+        Args:
+            costs: T(M) by name [s].
+            usual: number of steps of the model without an effort.
+        """
+        cold, base = costs.get(self.name.removesuffix("+warm")), costs.get(type(self).name)
+        if self.name in costs or cold is not None:
+            return costs.get(self.name, cold)
+        return None if base is None or self.steps is None else base * self.steps / usual
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Predict the human's controls, scaled."""
+        raise NotImplementedError
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Plan against this model of the human, improving ``start``, by default `ms_highway.planning.plans.cold_start`.
 
         Whoever executes the plan limits it, see `ms_highway.planning.several.plan_for`.
         """
-
-
-class PredictedHuman:
-    """Base of models that predict the human whatever the robot plans; the robot optimises against the prediction."""
-
-    responds: ClassVar[bool] = False
-
-    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
-        """See `HumanModel.predict`."""
         raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class PredictedHuman(HumanModel):
+    """Base of models that predict the human whatever the robot plans; the robot optimises against the prediction."""
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Optimise the robot's controls against the prediction."""
@@ -125,8 +172,8 @@ class Turn(PredictedHuman):
 
 
 @dataclass(frozen=True)
-class TheoryOfMind:
-    """The human responds optimally to the robot's plan, and the robot anticipates it, see `ms_highway.planning.climb`.
+class TheoryOfMind(HumanModel):
+    """The human responds optimally to the robot's plan, and the robot anticipates it, see `ms_highway.planning.joint`.
 
     Under the planner's solvers ``gradient`` and ``newton``, plans take gradient steps: a joint ascent has no single
     objective for a line search.
@@ -141,7 +188,7 @@ class TheoryOfMind:
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Improve the robot's and the human's controls by a joint ascent."""
-        return climb(Answering(game, state), cold_start(game, state) if start is None else start)
+        return joint_ascent(Answering(game, state), cold_start(game, state) if start is None else start)
 
 
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), IntelligentDriver(), Turn(), TheoryOfMind())}
@@ -160,16 +207,16 @@ def register(model: HumanModel, before: str | None = None) -> None:
     """Register a human model by its name, for configurations and commands of this process.
 
     Args:
-        model: hashable, with all attributes of a `HumanModel`; replaces a model of the same name.
+        model: hashable; replaces a model of the same name.
         before: name of the next more expensive model on ladders; by default, the new model is the most expensive.
 
     Raises:
         ValueError: if the name is one of the package's models or no word, or ``before`` names no other model; if the
-            model lacks an attribute or is not hashable.
+            model is no `HumanModel`, or not hashable.
     """
-    lacks = [part for part in ("name", "responds", "predict", "plan") if not hasattr(model, part)]
-    if lacks:
-        raise ValueError(f"{model!r} lacks {', '.join(lacks)}; see ms_highway.planning.human_models.HumanModel")
+    if not isinstance(model, HumanModel) or getattr(type(model), "name", None) != model.name:
+        remedy = "make it a frozen dataclass derived from ms_highway.HumanModel, whose class has a name"
+        raise ValueError(f"{model!r} is no model; {remedy}")
     try:
         hash(model)
     except TypeError as error:
@@ -191,15 +238,20 @@ def human_model(name: str) -> HumanModel:
     Raises:
         ValueError: if it is no model's name.
     """
-    model = parse(name, MODELS)
-    if model is None:
+    parts = NAME.fullmatch(name) if isinstance(name, str) else None
+    steps = int(parts["steps"] or 0) if parts else 0
+    if parts is None or parts["model"] not in MODELS or steps > MOST_ITERATIONS:
         raise ValueError(f"unknown human model {name!r}; the models are {model_names()}")
-    return model
+    model = MODELS[parts["model"]]
+    return replace(model, steps=steps or None, warm=bool(parts["warm"]))
 
 
 def is_model(name: object) -> bool:
     """Return whether a value is the name of a human model, with or without an effort."""
-    return parse(name, MODELS) is not None
+    try:
+        return bool(human_model(name))  # type: ignore[arg-type]
+    except ValueError:
+        return False
 
 
 def model_names() -> str:
@@ -221,10 +273,7 @@ def cheapest_first(used: Iterable[str]) -> list[str]:
 
 def _rank(model: HumanModel) -> tuple[int, float, bool]:
     """Return the place of a model among all: of its base, then of its number of steps, the planner's own last."""
-    base, steps, warm = base_of(model), inf, False
-    if isinstance(model, Effort):
-        steps, warm = model.steps or inf, model.warm
-    return list(MODELS).index(base.name), steps, warm
+    return list(MODELS).index(type(model).name), model.steps or inf, model.warm
 
 
 def rung_names(names: Sequence[str]) -> list[str]:
@@ -233,7 +282,7 @@ def rung_names(names: Sequence[str]) -> list[str]:
 
 
 def ladder(names: Sequence[str]) -> tuple[HumanModel, ...]:
-    """Return the models of these names, or of `ms_highway.planning.effort.BEST_LADDER` by its name, ``best``.
+    """Return the models of these names, or of `BEST_LADDER` by its name, ``best``.
 
     The order is that of the models, whatever their efforts, and of the numbers of steps of the same model, the
     planner's own last: costs, which differ between machines, do not matter.

@@ -7,21 +7,22 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.dynamics import observe
+from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import (
     Game,
-    around,
     bounded,
     constant_velocity,
     discomfort,
     move,
     move_all,
     move_jacobian,
+    reward_slopes,
     trajectory_curvature,
     trajectory_reward,
+    with_scripted,
 )
-from ms_highway.optimization.objective import Objective, best_of
-from ms_highway.optimization.solvers import optimize_controls
+from ms_highway.numerics.objective import Objective, best_of
+from ms_highway.numerics.solvers import optimize_controls
 from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
 from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories
 
@@ -51,69 +52,62 @@ def one_step_later(plan: Plan) -> Plan:
 def cold_start(game: Game, state: State) -> Plan:
     """Return the plan that plans start from without a last one.
 
-    All controls are zero, the paper's start, or keep the velocity where the solver is made for horizons of seconds.
+    All controls are zero, the paper's start, or keep the velocity, as the planner's ``cold`` says.
     """
     cars = 1 + game.number
-    if game.planner.for_seconds:
+    if game.planner.cold == "velocity":
         controls = constant_velocity(game, state[:cars])
     else:
-        controls = jnp.zeros((cars, game.planner.horizon, 2))
+        controls = np.zeros((cars, game.planner.horizon, 2), np.float32)
     return Plan(controls[0], controls[1:])
 
 
-def driving(game: Game, car: Car, state: State, others: Trajectories) -> Objective:
-    """Return what car 0 of a game maximises over its controls, among others of given trajectories.
-
-    Args:
-        game: of the car.
-        car: its state now.
-        state: all cars now; those beyond the others keep their velocity.
-        others: trajectories of the next cars, its partner first.
-    """
+def driving(game: Game, car: Car, others: Trajectories) -> Objective:
+    """Return what car 0 of a game maximises over its controls, from a state, among all others' trajectories."""
     return Objective(
         partial(move, game, car),
-        lambda own: trajectory_reward(game, state, own, others),
+        lambda own: trajectory_reward(game, own, others),
         partial(discomfort, game, car),
         partial(bounded, game, car),
-        lambda own: trajectory_curvature(game, state, own, others),
+        lambda own: reward_slopes(game, own, others)[0],
+        lambda own: trajectory_curvature(game, own, others),
         partial(move_jacobian, game, car),
     )
 
 
-def best_start(game: Game, state: State, last: Controls, others: Trajectories) -> Controls:
+def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Controls:
     """Return the manoeuvre that earns most, if that is `MARGIN` more than the last plan earns; else the last plan.
 
     NaN where none of them earns anything finite.
 
     Steps of a solver do not leave a local optimum: there is a start per gap, and one per lane and acceleration, see
-    `ms_highway.planning.manoeuvres`. Only for horizons of seconds, and where the planner is persistent, as the robot's.
+    `ms_highway.planning.manoeuvres`. Only where the planner has ``manoeuvres``.
 
     Args:
         game: of the robot.
-        state: all cars now.
+        car: its state now.
         last: scaled controls to start from otherwise.
-        others: trajectories of the next cars; those beyond them keep their velocity.
+        others: trajectories of all others.
     """
-    if not (game.planner.for_seconds and game.planner.persistent):
+    if not game.planner.manoeuvres:
         return last
-    held = manoeuvres(game, state[0], game.planner.horizon, ACCELERATIONS)
-    gaps = into_gaps(game, state[0], around(game, state, others))
-    objective = driving(game, state[0], state, others)
+    held = manoeuvres(game, car, game.planner.horizon, ACCELERATIONS)
+    gaps = into_gaps(game, car, Motion(*jnp.moveaxis(others, 1, 0)))
+    objective = driving(game, car, others)
     controls, states = (jnp.concatenate(sides) for sides in zip(held, gaps, strict=True))
-    paths = jnp.stack(observe(states), axis=1)
+    controls = jnp.concatenate([last[None], controls])
+    paths = jnp.concatenate([objective.path(last)[None], jnp.stack(observe(states), axis=1)])
     earned = jax.vmap(objective.earned)(controls, paths)
-    kept = objective.earned(last) + MARGIN
-    return best_of(jnp.concatenate([last[None], controls]), jnp.concatenate([kept[None], earned]))
+    return best_of(controls, earned.at[0].add(MARGIN))
 
 
 @jax.jit  # traced once for the human and the robot, naive and turn
 def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None = None) -> Plan:
     """Optimise the robot's controls against fixed controls of the humans."""
-    expected = move_all(game, state[1 : 1 + len(humans)], humans)
-    objective = driving(game, state[0], state, expected)
+    expected = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
     last = (cold_start(game, state) if start is None else start).robot
-    begin = best_start(game, state, last, expected)
-    return Plan(optimize_controls(game.planner, objective, begin), humans)
+    begin = best_start(game, state[0], last, expected)
+    return Plan(optimize_controls(game.planner, driving(game, state[0], expected), begin), humans)
 
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:

@@ -1,11 +1,11 @@
 """Plan with a human model for each human: one compiled function for all assignments of models to several humans."""
 
+import jax
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, bounded, constant_velocity, pair
-from ms_highway.planning.climb import Answering, climb
-from ms_highway.planning.effort import Effort, base_of
 from ms_highway.planning.human_models import HumanModel, IntelligentDriver, Naive, TheoryOfMind, Turn
+from ms_highway.planning.joint import Answering, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State, for_each
 
@@ -23,13 +23,14 @@ def plan_for(
         start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
     """
     if game.number == 1:
-        return _limited(ladder[0], game, state, Plan(*ladder[0].plan(game, state, start)))
-    return _plan_several(ladder, game, state, rungs, cold_start(game, state) if start is None else start)
+        return _limited(ladder[0], game, state, Plan(*ladder[0].plan(ladder[0].within(game), state, start)))
+    begin = jax.tree.map(jnp.asarray, cold_start(game, state) if start is None else start)
+    return _plan_several(ladder, game, state, rungs, begin)
 
 
 def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:
     """Limit the plan of a registered model; the package's models keep to the limits by themselves."""
-    if type(base_of(model)) in (Naive, IntelligentDriver, Turn, TheoryOfMind):
+    if type(model) in (Naive, IntelligentDriver, Turn, TheoryOfMind):
         return plan
     robot, human = (
         jnp.where(jnp.isfinite(side), bounded(game, car, side), side)
@@ -47,23 +48,23 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
     answers = _answers(ladder)
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
     for rung, model in enumerate(ladder):
-        if not answers[rung] and type(base_of(model)) is not Naive:
+        if not answers[rung] and type(model) is not Naive:
             expected = _predict(model, rung, game, state, rungs, start, expected)
     responding = jnp.asarray(answers)[rungs]
     who = Answering(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
     first = Plan(start.robot, jnp.where(responding[:, None, None], start.humans, expected))
-    return climb(who, first, most_steps(ladder, game, rungs))
+    return joint_ascent(who, first, most_steps(ladder, game, rungs))
 
 
 def _predict(
     model: HumanModel, rung: int, game: Game, state: State, rungs: Rungs, start: Plan, expected: HumansControls
 ) -> HumansControls:
     """Predict the humans on a rung, one after the other, each in the robot's game with it alone."""
-    anew = game.planner.for_seconds
+    anew = game.planner.smooth
 
     def predict(human: Index, expected: HumansControls) -> HumansControls:
         begin = None if anew else Plan(start.robot, start.humans[human][None])
-        return expected.at[human].set(model.predict(*pair(game, state, human), begin))
+        return expected.at[human].set(model.predict(*pair(model.within(game), state, human), begin))
 
     return for_each(rungs == rung, predict, expected)
 
@@ -73,7 +74,7 @@ def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tupl
 
     Only theory of mind counts for steps that are answered.
     """
-    counted = [model.steps if isinstance(model, Effort) else None for model in ladder]
+    counted = [model.steps for model in ladder]
     if not any(counted):
         return None
     alone, answered = game.planner.steps
@@ -85,5 +86,5 @@ def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tupl
 
 
 def _answers(ladder: tuple[HumanModel, ...]) -> list[bool]:
-    """Return under which of the models a human answers the robot's plan."""
-    return [type(base_of(model)) is TheoryOfMind for model in ladder]
+    """Return under which of the models a human answers the robot's plan: a registered one as under theory of mind."""
+    return [model.responds for model in ladder]

@@ -18,7 +18,7 @@ from ms_highway.game.dynamics import Motion, coast, observe, step
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
 from ms_highway.planning.manoeuvres import manoeuvres
-from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State, unrolled_sum
+from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
@@ -56,7 +56,7 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     kept = clearance(jnp.concatenate([jnp.broadcast_to(after, (len(ways), 1, 4)), ways], axis=1)).max()
     controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS, ACCELERATIONS)
     clear = clearance(escapes)
-    earned = jax.vmap(lambda way: unrolled_sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
+    earned = jax.vmap(lambda way: jnp.sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
     best = jnp.argmax(jnp.where(clear == clear.max(), earned, -jnp.inf))
     steps = np.minimum(np.arange(game.planner.horizon), ESCAPE_STEPS - 1)
     return Escape(controls[best][steps], clear.max() > kept)

@@ -1,13 +1,9 @@
-"""Name arrays by their shapes, and reduce a few terms by unrolled operations.
+"""Name arrays by their shapes, and loop over places.
 
 All types but `SameArray` may be of NumPy or of JAX, which a type checker cannot tell apart.
-
-On the CPU, XLA allocates operands and results of every reduction in each call: half a microsecond, and 50 ms of
-compilation. Unrolled additions of a few terms cost neither.
 """
 
 from collections.abc import Callable
-from functools import reduce
 from typing import Any, TypeAlias, TypeVar
 
 import jax
@@ -45,16 +41,6 @@ Rungs: TypeAlias = Int[Any, "humans"]  # the place on the ladder of every human'
 Gains: TypeAlias = Float[Any, "humans rungs"]
 Belief: TypeAlias = Float[Any, "humans models"]
 PerHuman: TypeAlias = Float[Any, "humans"]
-
-
-def unrolled_reduce(function: Callable[[jax.Array, jax.Array], jax.Array], values: Numbers, axis: int = -1) -> Array:
-    """Reduce the values along an axis by a function of two."""
-    return reduce(function, jnp.unstack(values, axis=axis))
-
-
-def unrolled_sum(values: Numbers, axis: int = -1) -> Array:
-    """Sum the values along an axis."""
-    return unrolled_reduce(jnp.add, values, axis)
 
 
 def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any) -> Any:

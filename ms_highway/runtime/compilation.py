@@ -1,13 +1,11 @@
-"""Compile functions, quickly or into one kernel, and call them with few arguments, or for many items."""
+"""Compile functions quickly, and call them for many items."""
 
-from collections.abc import Callable, Hashable
-from functools import cache, wraps
-from math import prod
-from typing import Any, NamedTuple
+from collections.abc import Callable, Hashable, Mapping
+from functools import cache, update_wrapper, wraps
+from typing import Any
 
 import jax
 import numpy as np
-from jax import numpy as jnp
 
 from ms_highway.runtime.jax_settings import single_precision
 
@@ -28,47 +26,53 @@ def quick_options() -> dict[str, bool]:
     return options
 
 
-def in_one_kernel(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-    """Wrap a function of float arrays, the first of which begins with a finite number, in a loop that runs once.
+class Compiled:
+    """A function that is compiled at its first call for every structure of arguments, see `jit_quickly`."""
 
-    With `ms_highway.runtime.jax_settings.low_latency`, XLA compiles it as one kernel; without, the loop does no harm.
-    XLA must not find out that it runs once or that its inputs stay the same, or it would remove it. Returns NaN where
-    the first number is NaN.
-    """
+    def __init__(self, function: Callable[..., Any], options: Mapping[str, Hashable]) -> None:
+        self._function, self._options, self._compiled = function, options, dict[str, jax.stages.Wrapped]()
+        update_wrapper(self, function)
 
-    @wraps(function)
-    def looped(*arguments: jax.Array) -> jax.Array:
-        shape = jax.eval_shape(function, *arguments)
+    def of(self, *arguments: Any) -> jax.stages.Wrapped:
+        """Return the function of JAX for arguments of this structure."""
+        structure = str(jax.tree.structure(arguments))
+        if structure not in self._compiled:
+            named = wraps(self._function)(lambda *arguments: self._function(*arguments))  # JAX remembers by function
+            self._compiled[structure] = jax.jit(named, compiler_options={**quick_options(), **self._options})
+        return self._compiled[structure]
 
-        def run(carry: tuple[jax.Array, tuple[jax.Array, ...], jax.Array]) -> tuple[Any, ...]:
-            _, given, _ = carry
-            return jnp.bool(True), tuple(jnp.zeros_like(argument) for argument in given), function(*given)
-
-        first = jnp.isnan(arguments[0].ravel()[0]), arguments, jnp.full(shape.shape, jnp.nan, shape.dtype)
-        return jax.lax.while_loop(lambda carry: ~carry[0], run, first)[-1]
-
-    return looped
+    def __call__(self, *arguments: Any) -> Any:
+        """Compute in single precision."""
+        with single_precision():
+            return self.of(*arguments)(*arguments)
 
 
-def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Callable[..., Any]:
+def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Compiled:
     """Apply `jax.jit` with `quick_options` and further compiler options; compute in single precision.
 
     XLA is asked at the first call, so that importing a module does not start JAX. There is a function of JAX for every
     structure of arguments, named in full: JAX takes dataclasses of other types with the same fields for equal, and now
     and then computes with what it compiled for another one.
     """
+    return Compiled(function, options)
 
-    @cache
-    def compiled(structure: str) -> jax.stages.Wrapped:
-        named = wraps(function)(lambda *arguments: function(*arguments))  # JAX remembers by function
-        return jax.jit(named, compiler_options={**quick_options(), **options})
 
-    @wraps(function)
-    def computed(*arguments: Any) -> Any:
-        with single_precision():
-            return compiled(str(jax.tree.structure(arguments)))(*arguments)
+class Placed:
+    """Numbers that a computation takes: as they are in the first, on JAX's device from the second on.
 
-    return computed
+    To place them takes longer than to pass them once.
+    """
+
+    def __init__(self, tree: Any) -> None:
+        self.tree, self._taken = tree, 0
+
+    def take(self) -> Any:
+        """Return the numbers for one computation."""
+        self._taken += 1
+        if self._taken == 2:
+            with single_precision():
+                self.tree = jax.device_put(self.tree)
+        return self.tree
 
 
 BATCH = 32  # items; more are hardly faster and waste more on the last batch
@@ -94,30 +98,3 @@ def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
         )
         results.append(function(batch))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *results)
-
-
-class Layout(NamedTuple):
-    """Structure and shapes of a pytree of arrays; hashable."""
-
-    structure: jax.tree_util.PyTreeDef
-    shapes: tuple[tuple[int, ...], ...]
-
-    def unpack(self, numbers: jax.Array) -> Any:
-        """Build the pytree of these numbers [n]."""
-        ends = np.cumsum([prod(shape) for shape in self.shapes])
-        return jax.tree.unflatten(self.structure, map(jnp.reshape, jnp.split(numbers, ends[:-1]), self.shapes))
-
-
-class Packed(NamedTuple):
-    """A pytree as one array of numbers [n], and its layout."""
-
-    numbers: np.ndarray
-    layout: Layout
-
-
-def pack(tree: Any) -> Packed:
-    """Pack a pytree of numbers in float32 with NumPy, which is faster than a conversion by JAX."""
-    leaves, structure = jax.tree.flatten(tree)
-    arrays = [np.asarray(leaf, dtype=np.float32) for leaf in leaves]
-    layout = Layout(structure, tuple(array.shape for array in arrays))
-    return Packed(np.concatenate([array.ravel() for array in arrays]), layout)

@@ -38,7 +38,7 @@ def low_latency() -> None:
 
 
 def high_throughput() -> None:
-    """Configure JAX for many episodes at once (`ms_highway.simulation.loop`) on the CPU, before it computes anything.
+    """Configure JAX for many episodes at once (`ms_highway.loop.batch`) on the CPU, before it computes anything.
 
     Applies to this process and those that it starts. XLA is limited to instructions of AVX2: wider ones gain little,
     and make the last digits of a number depend on its place in a batch, which chaotic episodes amplify. ``XLA_FLAGS``
@@ -58,7 +58,7 @@ _double = ContextVar("double", default=False)  # whether a block asks for double
 
 def single_precision() -> AbstractContextManager[Any]:
     """Let JAX compute in float32 in a block, also where the user has switched ``jax_enable_x64`` on."""
-    double = jax.config.values["jax_enable_x64"] and not _double.get()
+    double = jax.config.jax_enable_x64 and not _double.get()  # type: ignore[attr-defined]
     return jax.enable_x64(False) if double else nullcontext()
 
 

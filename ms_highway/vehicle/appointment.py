@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.control.road import RoadDriver
+from ms_highway.loop.road import RoadDriver
 from ms_highway.planning.road.prospects import SECONDS_AFTER
 from ms_highway.planning.road.settings import RoadWeights
 from ms_highway.vehicle.lane_paths import Point

@@ -8,13 +8,13 @@ import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.control.driver import fixed
 from ms_highway.game.game import Game
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import commuter_traits, commuter_weights, shipped
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
-from ms_highway.optimization.solvers import Solver
+from ms_highway.loop.driver import fixed
+from ms_highway.numerics.solvers import Solver
 from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import RoadView, look
 
@@ -42,7 +42,7 @@ class HumanVehicle(PlanningVehicle):
 
     Attributes:
         weights: by name, of the reward when it drives by itself: those learned from demonstrations.
-        solver: see `ms_highway.optimization.solvers.optimize_controls`; weights divided by a temperature need
+        solver: see `ms_highway.numerics.solvers.optimize_controls`; weights divided by a temperature need
             ``newton``.
         planning: horizon, time step and gradient steps.
         enable_lane_change: taken from stock environments and ignored; only its reward decides where to go.

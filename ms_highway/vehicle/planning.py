@@ -9,12 +9,12 @@ from highway_env.road.road import Road
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.control.controller import Controller, ControlStep
-from ms_highway.control.driver import Driver
-from ms_highway.control.fallback import braking_control
 from ms_highway.game.dynamics import within_grip
 from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
+from ms_highway.loop.controller import Controller, ControlStep
+from ms_highway.loop.driver import Driver
+from ms_highway.loop.fallback import braking_control
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds
 from ms_highway.vehicle.road_map import LIMIT
@@ -39,7 +39,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     Its partner is then the neighbour with the shortest time gap (see `ms_highway.game.neighbours.headways`), until it
     is no longer a neighbour or another's gap is shorter by half a second; then the controller forgets the partner
-    (`ms_highway.control.controller.Controller.reset_partner`).
+    (`ms_highway.loop.controller.Controller.reset_partner`).
 
     The grip of tyres is respected where the game's planner has a ``grip``, as in
     `ms_highway.game.scenario.driving_game`.

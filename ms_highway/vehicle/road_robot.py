@@ -10,8 +10,8 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.control.road import RoadDriver, RoadStep
 from ms_highway.game.road import RoadScene
+from ms_highway.loop.road import RoadDriver, RoadStep
 from ms_highway.planning.road.motion import SLIP
 from ms_highway.vehicle.appointment import Appointment, RobotGoal, destination_for
 from ms_highway.vehicle.bicycle import OfferedSpeeds

@@ -28,17 +28,14 @@ class Coasting(ms_highway.PredictedHuman):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Near:
+class Near(ms_highway.Rule):
     distance: float  # m, within which humans are predicted by the top of the ladder, others by its first rung
     ladder: tuple[ms_highway.HumanModel, ...] = field(metadata={"static": True})
 
-    def look(self, game, memory, outcome):
+    def decide(self, game, memory, outcome):
         humans, robot = outcome.after[1 : 1 + game.number, :2], outcome.after[0, :2]
-        return jnp.linalg.norm(humans - robot, axis=1, keepdims=True)  # what choose is given
-
-    def choose(self, memory, seen):
-        rungs = jnp.where(seen[:, 0] < self.distance, len(self.ladder) - 1, 0)
-        return ms_highway.unestimated(memory, rungs)
+        near = jnp.linalg.norm(humans - robot, axis=1) < self.distance
+        return ms_highway.unestimated(memory, jnp.where(near, len(self.ladder) - 1, 0))
 
 
 class NearSettings(ms_highway.ControllerSettings, frozen=True, tag="near"):  # in short near:6

@@ -98,12 +98,14 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
     ("options", "learned", "said"),
     [
         ("", ["learned:1"], ""),
-        ("--set costs=naive=0.1,turn=0.2,tom=0.3", [], "stay_back is compared without learned:1: "),
+        ("--set costs=naive=0.1,turn=0.2,tom=0.3", ["learned:1"], ""),
+        ("--set ladder=naive,turn@5", [], "stay_back is compared without learned:1: "),
     ],
 )
-def test_learned_values_are_compared_by_default_where_they_suit_the_costs(options, learned, said, capsys):
+def test_learned_values_are_compared_by_default_where_they_suit_the_ladder(options, learned, said, capsys):
     asked = _with_learned(comparison(build_parser().parse_args(f"compare stay_back {options}".split())))
-    assert asked.controllers["stay_back"] == ["naive", "turn", *learned, "switching:5", "switching:0.4"]
+    rungs = asked.controllers["stay_back"][:2]
+    assert asked.controllers["stay_back"] == [*rungs, *learned, "switching:5", "switching:0.4"]
     assert said in capsys.readouterr().err
 
 

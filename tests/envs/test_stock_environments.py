@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
-from ms_highway.control.driver import Driver
+from ms_highway.choice.quadratic import Switching
 from ms_highway.game.scenario import driving_game
-from ms_highway.metareasoning.switching import Switching
+from ms_highway.loop.driver import Driver
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import ladder
 from ms_highway.vehicle import HumanVehicle, RobotVehicle

@@ -4,13 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.control.fallback import STATUSES
 from ms_highway.envs import DenseMergeEnv
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import CARS, MEASURED, columns, state_columns
 from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.loop.fallback import STATUSES
 
 CONTROLLERS = ["turn", "schedule:turn=5,naive"]
 STEPS = 10

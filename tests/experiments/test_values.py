@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from commands import run
 
+from ms_highway.choice.values import load_values
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.values.learning import Learning, learn, read_rollouts
-from ms_highway.experiments.values.rollouts import Course, Rollouts, noisy_starts
-from ms_highway.metareasoning.values import load_values
-from ms_highway.simulation.devices import device_mesh, use_devices
+from ms_highway.experiments.values.rollouts import Course, noisy_starts
+from ms_highway.loop.devices import device_mesh, use_devices
 
 LEARNING = Learning({"naive": 0.09, "turn": 0.17}, rounds=2, states=(8, 5), seed=3)
 QUICK = {
@@ -52,12 +52,6 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
         next(learn(LEARNING, [course], kept, device_mesh()))
 
 
-def test_the_best_way_to_go_on_depends_on_the_price():
-    rollouts = Rollouts(np.zeros((1, 1)), np.array([[[1.0, 2.0]]]), np.array([[[0.0, 1.0]]]))
-    assert rollouts.best(np.array([0.5]))[0, 0] == 1.5
-    assert rollouts.best(np.array([3.0]))[0, 0] == 1.0
-
-
 def test_starts_are_noisier_than_those_of_the_scenario_around_the_same_mean(course):
     random = np.random.default_rng(0)
     own, noisy = course.starts(random, 400)[0], noisy_starts(course, random, 400)[0]
@@ -76,7 +70,6 @@ def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [file]
     values = load_values(file)
     assert values.provenance["scenarios"] == [scenario]
-    assert values.baseline == ("top" if scenario == "merger" else "cheapest")
     assert values.provenance["examples"] == (13 if scenario == "merger" else 24)  # of two humans in each state
     run(f"compare {scenario} {config} --controllers learned:0.1:{file} --seeds 1 --out {tmp_path / 'out'}")
 
@@ -88,18 +81,17 @@ def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
         ("dense_merge merger --out values.npz", "merger has one human"),
         ("merger --set ladder=best --out values.npz", "leave +warm out"),
         ("merger --set yielding=never --out values.npz", "config['yielding']"),
-        ("merger --set costs=naive=0,turn=0.1,tom=0.2 --out values.npz", "they must be positive"),
     ],
 )
 def test_what_cannot_be_learned_is_refused_before_anything_is_written(arguments, message, refused):
     assert message in refused(f"values learn {arguments}")
 
 
-@pytest.mark.parametrize("name", ["descriptions", "rewards", "seconds"])
+@pytest.mark.parametrize("name", ["descriptions", "gains"])
 def test_rollouts_that_are_not_finite_are_refused_by_name(name, tmp_path):
-    arrays = {"descriptions": np.zeros((1, 2)), "rewards": np.full((1, 3, 3), -np.inf), "seconds": np.zeros((1, 3, 3))}
+    arrays = {"descriptions": np.zeros((1, 2)), "gains": np.full((1, 2), -np.inf)}
     np.savez(tmp_path / "1-0.npz", **arrays)
-    assert (read_rollouts(tmp_path / "1-0.npz").seconds == 0).all()
+    assert (read_rollouts(tmp_path / "1-0.npz").descriptions == 0).all()
     arrays[name][0, 0] = np.nan
     np.savez(tmp_path / "1-0.npz", **arrays)
     with pytest.raises(

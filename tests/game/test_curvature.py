@@ -82,7 +82,7 @@ def test_closeness_bends_by_the_squares_of_the_slopes_of_distances_and_their_own
     """The distance of each point of the body, written down once more, and differentiated by JAX."""
     own, other = motion(-1.5, 0.1), motion(-3.3, -0.05, x=3.0)
     weights = {"collision_risk": -1.0, "collision": -100.0}
-    px, py = body_points(GAME.scene)
+    px, py = body_points(GAME.scene).T
 
     def excess(fields):
         x, y, cosine, sine = fields

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
+from ms_highway.choice.quadratic import expand
 from ms_highway.game.features import features
 from ms_highway.game.game import total_reward
 from ms_highway.game.reward import OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
 from ms_highway.game.scenario import build_game, driving_game
 from ms_highway.game.scenarios import MERGER
-from ms_highway.metareasoning.switching import Switching
-from ms_highway.planning.compiled_plans import Costs, plan
-from ms_highway.planning.human_models import ladder
-from ms_highway.runtime.compilation import jit_quickly, pack
+from ms_highway.planning.compiled_plans import plan
+from ms_highway.runtime.compilation import jit_quickly
 
 STEP = 1e-2  # of scaled controls, for differences in single precision
 
@@ -80,8 +79,7 @@ def test_decisions_expand_a_feature_that_looks_at_everything_at_once(roomy, clos
     both = drawn(1)
     slopes = slopes_in(roomy, close_cars)
     slope, bend = slopes(both)[:, 0], differences(slopes, both)[:, 0, :, :, 0]
-    expand = jit_quickly(Switching(Costs.of([0.1], 1), 0.1, ladder(["naive"])).expand)
-    expansion = expand(roomy, close_cars, both[0, 0], both[1, 0])
+    expansion = jit_quickly(expand)(roomy, close_cars, both[0, 0], both[1, 0])
     close([expansion.robot, expansion.human], slope, 1e-3)
     close(expansion.robot_robot, bend[0, :, 0], 5e-3)
     close(expansion.robot_human, bend[0, :, 1], 5e-3)
@@ -138,7 +136,7 @@ def test_a_weight_of_a_feature_that_is_not_known_or_not_computed_is_refused():
 
 def test_a_game_with_it_is_pickled_and_equal(roomy):
     again = pickle.loads(pickle.dumps(roomy))
-    assert pack(again).layout == pack(roomy).layout
+    assert jax.tree.structure(again) == jax.tree.structure(roomy)
     assert again.robot.own == (room,)
 
 

@@ -101,14 +101,14 @@ def test_without_a_limit_of_braking_only_the_gap_counts():
 
 
 def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collision():
-    state = jnp.asarray([[STOP - 38.0, 0.0, 0.0, SPEED], *[[300.0 + place, -3.3, 0.0, SPEED] for place in (0, 9, 18)]])
-    own, nobody = motion(STOP - 20.0), jnp.zeros((0, 5, STEPS))
+    humans = [motion(300.0 + place, -3.3) for place in (0, 9, 18)]
+    own, nobody = motion(STOP - 20.0), jnp.stack([jnp.stack(human) for human in humans])
     price = 100 * float(stopping_cost(GAME.scene, GRIP, own).sum())
     assert price > 10.0
     weights = GAME.robot.weights * (np.array(GAME.robot.names) != "collision")
     free = replace(GAME, robot=replace(GAME.robot, weights=weights))
-    paid, free_of_it = (trajectory_reward(game, state, jnp.stack(own), nobody) for game in (GAME, free))
+    paid, free_of_it = (trajectory_reward(game, jnp.stack(own), nobody) for game in (GAME, free))
     assert paid - free_of_it == pytest.approx(-price, rel=1e-3)
-    bent, straight = (trajectory_curvature(game, state, jnp.stack(own), nobody) for game in (GAME, free))
+    bent, straight = (trajectory_curvature(game, jnp.stack(own), nobody) for game in (GAME, free))
     expected = 100 * stopping_curvature(GAME.scene, GRIP, own)
     np.testing.assert_allclose((bent - straight)[HALF], expected[HALF], rtol=1e-3, atol=0.1)

@@ -12,9 +12,9 @@ from ms_highway.envs import MergerEnv
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.settings import Settings
 from ms_highway.game.game import total_reward
-from ms_highway.optimization.solvers import project
-from ms_highway.planning.effort import BEST_LADDER, starts_warm
+from ms_highway.numerics.solvers import project
 from ms_highway.planning.human_models import (
+    BEST_LADDER,
     MODELS,
     Naive,
     human_model,
@@ -53,7 +53,7 @@ def test_a_name_is_that_of_the_model_that_it_stands_for(name):
     model = human_model(name)
     assert model.name == name
     assert model.responds == name.startswith("tom")
-    assert starts_warm(model) == name.endswith("+warm")
+    assert model.warm == name.endswith("+warm")
 
 
 @pytest.mark.parametrize("name", STRANGE)

@@ -4,9 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from ms_highway.control.driver import fixed
 from ms_highway.game.game import swap_roles
 from ms_highway.game.planning_settings import PlanningSettings
+from ms_highway.loop.driver import fixed
 from ms_highway.planning.hypotheses import next_controls
 
 NAIVE, IDM, TURN, TOM = range(4)

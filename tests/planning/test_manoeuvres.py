@@ -34,7 +34,7 @@ def ways(game):
 
 @pytest.fixture(scope="module")
 def start(game):
-    return jit_quickly(lambda state, last, humans: best_start(game, state, last, move_all(game, state[1:], humans)))
+    return jit_quickly(lambda state, last, humans: best_start(game, state[0], last, move_all(game, state[1:], humans)))
 
 
 def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lane(game, ways):
@@ -55,7 +55,7 @@ def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lan
 def earned(game, state, robot):
     """What the robot's plan earns where others keep their velocity."""
     others = move_all(game, state[1:], constant_velocity(game, state[1:]))
-    return trajectory_reward(game, state, move(game, state[0], robot), others) - discomfort(game, state[0], robot)
+    return trajectory_reward(game, move(game, state[0], robot), others) - discomfort(game, state[0], robot)
 
 
 def test_a_plan_that_is_good_enough_is_kept_and_one_that_hits_somebody_is_left(game, start):

@@ -18,8 +18,8 @@ from roads import (
     wrecked,
 )
 
-from ms_highway.control.road import plan_of
 from ms_highway.game.road import TRAFFIC
+from ms_highway.loop.road import plan_of
 from ms_highway.planning.road.obstruction import obstruction_of
 from ms_highway.planning.road.plan import no_plan
 from ms_highway.planning.road.proposals import ALL, LAST_PLAN

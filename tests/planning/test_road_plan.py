@@ -7,9 +7,9 @@ import pytest
 from jax import numpy as jnp
 from roads import PLANNING, WEIGHTS, crossing, execute, proposals_of, scene_of
 
-from ms_highway.control.road import answered_by, proposed_for
-from ms_highway.control.road import plan_of as planned
 from ms_highway.game.road import BEHIND, KNOTS, SPACING, TRAFFIC
+from ms_highway.loop.road import answered_by, proposed_for
+from ms_highway.loop.road import plan_of as planned
 from ms_highway.planning.road.motion import bodies
 from ms_highway.planning.road.plan import no_plan
 from ms_highway.planning.road.settings import LANE, MODELS

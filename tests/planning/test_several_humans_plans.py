@@ -1,19 +1,20 @@
 """Plans among several humans: far humans, their order, all assignments in one compilation, efforts, measured times."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
-import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.game import move, move_all, pair
+from ms_highway.game.game import move, move_all, pair, reward_bends, swap_roles
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import build_game, draw_episode
 from ms_highway.game.scenarios import DENSE_MERGE
-from ms_highway.planning.climb import _Path
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
-from ms_highway.planning.human_models import MODELS, Turn, ladder
+from ms_highway.planning.human_models import MODELS, TheoryOfMind, Turn, ladder
+from ms_highway.planning.joint import Answering as Situation
+from ms_highway.planning.joint import mixed_bends
 from ms_highway.planning.plans import cold_start
 from ms_highway.planning.several import most_steps
 from ms_highway.runtime.compilation import jit_quickly
@@ -41,6 +42,7 @@ def test_one_compilation_serves_all_assignments(three, plans):
     game, state = three
     plans.warm_up(state)
     function = plans.call(state, [NAIVE] * 3)[0]
+    plans.plan(state, [NAIVE] * 3)  # whose numbers are placed
     sizes = function._cache_size()
     found = [plans.plan(state, np.random.default_rng(seed).integers(0, len(LADDER), 3))[0].robot for seed in range(5)]
     assert np.isfinite(found).all()
@@ -54,14 +56,12 @@ def test_one_compilation_serves_all_assignments(three, plans):
 
 def test_what_the_robot_changes_of_a_humans_gradient_is_found_without_the_other_cars(three):
     game, state = three[0], jnp.asarray(three[1]).at[0, 1].set(-1.5)  # between the lanes
-    start = cold_start(game, state)
-    before, after = (move(game, state[0], robot) for robot in (start.robot, start.robot.at[:, 1].add(-0.2)))
-    path, changed = _Path(game, state, before, move_all(game, state[1:4], start.humans)), []
+    start, who, changed = cold_start(game, state), Situation(game, state), []
+    robot, humans = move(game, state[0], start.robot), move_all(game, state[1:4], start.humans)
     for human in range(3):
-        whole = [jax.grad(path._replace(robot=own).objective(human).reward) for own in (before, after)]
-        wanted = whole[1](path.humans[human]) - whole[0](path.humans[human])
-        found = path.slope(human, after) - path.slope(human, before)
-        np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-4)
+        own, around = swap_roles(game, human), who.around(human, robot, humans)
+        wanted = reward_bends(own, humans[human], around).partner
+        np.testing.assert_allclose(mixed_bends(own, humans[human], around), wanted, rtol=1e-3, atol=1e-4)
         changed.append(abs(wanted).max())
     assert max(changed) > 0.1
 
@@ -72,6 +72,21 @@ def test_each_human_is_predicted_in_the_robots_game_with_it_alone(three, plans):
     for human, model in enumerate((Turn(), MODELS["idm"], MODELS["naive"])):
         alone, seen = pair(game, jnp.asarray(state), human)
         np.testing.assert_allclose(jit_quickly(model.predict)(alone, seen), expected[human], atol=1e-5)
+
+
+@dataclass(frozen=True)
+class Answering(TheoryOfMind):
+    """Theory of mind by another name."""
+
+    name: ClassVar[str] = "answering"
+
+
+def test_a_model_of_ones_own_that_responds_answers_the_robots_plan(three, plans):
+    game, state = three
+    expected = plans.plan(state, [TOM, NAIVE, TOM])[0]
+    found = CompiledPlans(game, (MODELS["naive"], Answering())).plan(state, [1, 0, 1])[0]
+    np.testing.assert_allclose(found.robot, expected.robot, atol=1e-4)
+    np.testing.assert_allclose(found.humans, expected.humans, atol=1e-4)
 
 
 def test_a_human_that_is_far_away_changes_nothing_under_any_model(three, plans):
@@ -112,8 +127,8 @@ def test_plans_start_from_zero_controls_or_at_once_from_keeping_the_velocity(thr
     game, state = three
     kept = np.asarray(cold_start(game, state).humans[2, 4]) * game.planner.control_scale
     assert kept == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
-    *_, begin, _ = plans.call(state, [TOM] * 3)
-    np.testing.assert_allclose(begin[3, 4] * game.planner.control_scale, kept, rtol=1e-6)
+    *_, begin = plans.call(state, [TOM] * 3)
+    np.testing.assert_allclose(begin.humans[2, 4] * game.planner.control_scale, kept, rtol=1e-6)
     assert {type(part) for part in cold_start(game, state)} == {np.ndarray}  # JAX, uncounted here, takes no part
-    papers = replace(game, planner=replace(game.planner, solver="gradient"))
+    papers = replace(game, planner=replace(game.planner, cold="zero"))
     assert not np.concatenate([each.ravel() for each in cold_start(papers, state)]).any()

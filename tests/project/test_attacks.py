@@ -12,10 +12,10 @@ import pytest
 from test_pages import commands
 
 import ms_highway
+from ms_highway.choice.values import load_values
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.game import learned_reward
-from ms_highway.metareasoning.values import load_values
 
 HOSTILE = [None, True, -1, 0, 1e308, 10**400, float("nan"), float("inf"), "", "x" * 10**5, b"x", [], {}, [[]], object()]
 HOSTILE += [np.array([]), np.array(np.nan), {"type": None}, {"type": "fixed"}, {1: 2}, [1e308, 1e308], [0.2, 1e-320]]

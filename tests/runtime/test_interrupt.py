@@ -62,7 +62,7 @@ from itertools import count
 import jax
 import numpy as np
 
-from ms_highway.simulation.devices import CHUNK, device_mesh, share_among
+from ms_highway.loop.devices import CHUNK, device_mesh, share_among
 
 long = jax.jit(lambda items, _: jax.lax.fori_loop(0, 3000, lambda _, x: jax.numpy.sin(x), items))
 items, main = np.zeros((CHUNK, 40), np.float32), threading.get_ident()

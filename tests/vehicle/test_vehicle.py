@@ -6,11 +6,11 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
 from highway_env.vehicle.objects import Landmark
 
-from ms_highway.control.driver import fixed
 from ms_highway.envs.stage import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import driving_game
+from ms_highway.loop.driver import fixed
 from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.vehicle.road_robot import RoadRobot
 from ms_highway.vehicle.road_view import look

@@ -1,4 +1,4 @@
 """Learn values of computation: courses to learn on, rollouts of each model, fitting of the network.
 
-Imports `ms_highway.simulation`, `ms_highway.envs` and what stands below them.
+Imports `ms_highway.loop`, `ms_highway.envs` and what stands below them.
 """

@@ -12,20 +12,20 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
+import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from ms_highway.choice.situation import description_names
+from ms_highway.choice.values import Values
 from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.experiments.values.fitting import fit, new_network
 from ms_highway.experiments.values.rollouts import Course, Driving, Random, Rollouts
-from ms_highway.metareasoning.learned_value import Baseline
-from ms_highway.metareasoning.values import Values, input_names
+from ms_highway.loop.records import DECIDES
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.compilation import pack
 from ms_highway.runtime.files import read_arrays, reading, replacing
-from ms_highway.simulation.records import DECIDES
 
 REMEDY = "remove it, or choose another --out"
 LEAST_SPREAD = 1e-3  # of an input
@@ -41,21 +41,21 @@ class Learning:
 
     Attributes:
         costs: T(M) by model, cheapest first [s]: the ladder.
-        baseline: what values are over: ``top``, of one human at every price, or ``cheapest``, of each of several.
-        prices: the least and the largest lambda that is learned, or at which the rule is followed.
+        prices: the least and the largest lambda at which the rule is followed to the states that rollouts start from.
         rounds: of rollouts and fits.
         states: that rollouts start from, on each course, in the first round and in the others.
         horizon: steps of a rollout.
+        held: of them, with the rung whose gain is learned.
         seed: of all random numbers, which have nothing to do with the numbered starts of environments.
         settings: what the file of values tells beside this.
     """
 
     costs: Mapping[str, float]
-    baseline: Baseline = "top"
-    prices: tuple[float, float] = (1e-3, 100.0)
-    rounds: int = 5
+    prices: tuple[float, float] = (1e-3, 10.0)
+    rounds: int = 4
     states: tuple[int, int] = (400, 250)
     horizon: int = 20
+    held: int = 4
     seed: int = 0
     settings: Mapping[str, Any] = field(default_factory=dict)
 
@@ -72,28 +72,21 @@ class Learning:
         names = [list(self.costs)[rung] for rung in course.rungs]
         costs = Costs.of([self.costs[name] for name in names], course.game.number)
         rule = (values or self.values([], 0)).rule(tuple(map(human_model, names)), costs, self.prices[0])
-        return Driving(course, rule, values is not None, self.prices, self.horizon, mesh)
+        return Driving(course, rule, values is not None, self.prices, self.horizon, min(self.held, self.horizon), mesh)
 
     def values(self, done: Sequence[Rollouts], number: int) -> Values:
         """Fit values to rollouts in round ``number``, from 1."""
-        over_top, names, costs = self.baseline == "top", input_names(self.baseline), tuple(self.costs.values())
-        random = self.stream(number, EVALUATION if over_top else HELD_OUT)
-        shape = len(names), len(costs) - (not over_top)
-        network, centre, spread = new_network(random, *shape), np.zeros(len(names)), np.ones(len(names))
+        random, names = self.stream(number, HELD_OUT), description_names()
+        network = new_network(random, len(names), len(self.costs) - 1)
+        centre, spread = np.zeros(len(names)), np.ones(len(names))
         if done:
             rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
-            centre, spread = rollouts.descriptions.mean(axis=0), rollouts.descriptions.std(axis=0)
-            if over_top:  # lambda is an input as well
-                logarithms = np.log10(self.prices)
-                centre = np.append(centre, logarithms.mean()).astype(np.float32)
-                spread = np.append(spread, np.ptp(logarithms) / np.sqrt(12)).astype(np.float32)
-                network = new_network(random, *shape)
-            spread = spread + LEAST_SPREAD
-            network = fit(network, rollouts, np.array(costs), self.prices if over_top else None, centre, spread, random)
+            centre = rollouts.descriptions.mean(axis=0)
+            spread = rollouts.descriptions.std(axis=0) + LEAST_SPREAD
+            network = fit(network, rollouts, centre, spread, random)
         examples = sum(len(part.descriptions) for part in done)
-        provenance = {**self.settings, "examples": examples, "rounds": number, "horizon": self.horizon}
-        costs, prices = (costs, self.prices) if over_top else ((), ())
-        return Values(network, centre, spread, tuple(self.costs), costs, prices, self.baseline, names, provenance)
+        settings = {"examples": examples, "rounds": number, "horizon": self.horizon, "held": self.held}
+        return Values(network, centre, spread, tuple(self.costs), names, {**self.settings, **settings})
 
     def stream(self, *place: int) -> Random:
         """Return the random numbers of a place, such as a round and the number of a course."""
@@ -124,7 +117,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         learning: how.
         courses: where.
         kept: directory of all rollouts, from which an interrupted run goes on; removed by the caller at the end.
-        mesh: devices, see `ms_highway.simulation.devices.device_mesh`.
+        mesh: devices, see `ms_highway.loop.devices.device_mesh`.
 
     Yields:
         Progress, after the rollouts of each course and after each fit.
@@ -133,7 +126,8 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         ValueError: if the directory is there and holds something else.
     """
     games = [
-        (course.name, course.steps, course.rungs, crc32(pack(course.game).numbers.tobytes())) for course in courses
+        (course.name, course.steps, course.rungs, crc32(b"".join(map(_bytes, jax.tree.leaves(course.game)))))
+        for course in courses
     ]
     settings = {**asdict(learning), "courses": games}
     ResultsDirectory(kept).take_up(settings)
@@ -154,6 +148,10 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         yield Progress(number, "", values, {one.course.name: one.regret(values) for one in held_out})
 
 
+def _bytes(number: Any) -> bytes:
+    return np.asarray(number, np.float32).tobytes()
+
+
 def read_rollouts(file: Path) -> Rollouts:
     """Read rollouts that an interrupted run has kept.
 
@@ -162,8 +160,7 @@ def read_rollouts(file: Path) -> Rollouts:
     """
     with reading(file, REMEDY):
         kept = Rollouts(**read_arrays(file, file.stat().st_size))  # it is not compressed
-        finite = np.isfinite(kept.descriptions).all() and np.isfinite(kept.seconds).all()
-        if not finite or not (kept.rewards < np.inf).all():
+        if not np.isfinite(kept.descriptions).all() or not (kept.gains < np.inf).all():
             raise ValueError("it holds numbers that are not finite")
     return kept
 

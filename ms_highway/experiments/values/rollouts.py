@@ -1,57 +1,45 @@
 """Roll out the models of a ladder from visited situations: what the value of computation is learned from.
 
-With one human, every model plans a step, and it goes on with one of them, or once a rule is learned by that rule. Among
-several, one human is predicted by each model for the whole rollout, and all others naively, or by the learned rule.
+One human is predicted by each model for some steps, then, as all others are, naively or by the learned rule.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from ms_highway.choice.learned_value import LearnedValue
+from ms_highway.choice.situation import describe
 from ms_highway.game.game import Game
-from ms_highway.metareasoning.learned_value import LearnedValue
-from ms_highway.metareasoning.situation import describe
+from ms_highway.loop.batch import simulate
+from ms_highway.loop.records import DECIDES, USUAL, Episodes, Loop, Records
 from ms_highway.runtime.arrays import Array, HumansWeights, State
-from ms_highway.simulation.loop import simulate
-from ms_highway.simulation.records import DECIDES, USUAL, Episodes, Loop, Records
 
 Random: TypeAlias = np.random.Generator
 
 MOST_NOISE = 4.0  # see `noisy_starts`
 STATES_OF_AN_EPISODE = 4, 6  # with one human, and among several
 STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step, likewise
-WORST = 1e6  # of a rollout with one human, where plans fail and cars leave the world
-WORST_STEP = 1e3  # of a step among several
-STRATA = 2  # of the prices that the rule is followed at, in their logarithm: one from each
+WORST_STEP = 1e3  # reward of a step, where plans fail and cars leave the world
 LEAST_LIKELY = 0.05  # state to be drawn among several, where driving at the limit on the way to the lane counts 1
 HUMANS_OF_A_STATE = 3  # that are rolled out
 
 
 class Rollouts(NamedTuple):
-    """What was earned and planned from states, by the rung and by what was followed after the first step.
-
-    A way to go on that one does not have has a reward of -inf, and so have rungs that are not on the course's ladder.
+    """What was gained from states by the rungs.
 
     Attributes:
-        descriptions: of the situations [examples, numbers], see `ms_highway.metareasoning.situation`.
-        rewards: sums over the rollout [examples, rungs, ways]; among several humans, means over its steps, more than
-            those of the first rung.
-        seconds: of planning at T(M), sums over the rollout, likewise; 0 among several humans.
+        descriptions: of the situations [examples, numbers], see `ms_highway.choice.situation`.
+        gains: over the first rung, per step that a rung was held [examples, rungs - 1]; -inf where a rung is not on the
+            course's ladder.
     """
 
     descriptions: Any
-    rewards: Any
-    seconds: Any
-
-    def best(self, prices: Any) -> Any:
-        """Return the reward less lambda times the seconds of the best way to go on after each rung."""
-        return (self.rewards - prices[..., None, None] * self.seconds).max(axis=-1)
+    gains: Any
 
 
 @dataclass(frozen=True)
@@ -115,6 +103,7 @@ class Driving:
         learned: whether it was; otherwise it is not used.
         prices: the least and the largest lambda that it is followed at.
         horizon: steps of a rollout.
+        held: of them, with the rung whose gain is learned.
         mesh: devices.
     """
 
@@ -123,6 +112,7 @@ class Driving:
     learned: bool
     prices: tuple[float, float]
     horizon: int
+    held: int
     mesh: Mesh
 
     def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> tuple[Records, Array]:
@@ -155,16 +145,32 @@ class Driving:
         return records, costs.base + np.asarray(costs.each, float)[records.rungs].sum(axis=-1)
 
     def roll_out(self, random: Random, count: int, rungs: int) -> Rollouts:
-        """Visit so many states and roll out from them, on a ladder of as many rungs as are learned."""
+        """Visit so many states and roll out from them, on a ladder of as many rungs as are learned.
+
+        In each state, some humans are chosen, near ones rather. Each is predicted by every rung for some steps, then by
+        the learned rule or, before there is one, naively; all others are predicted so from the first step on. The rule
+        is followed at the geometric mean of the prices.
+        """
         states, weights = self._visited(random, count)
-        described = np.asarray(_describe(self.course.game, states))
-        label = self._each_human if self.course.several else self._each_way
-        chosen, own_rewards, own_seconds = label(random, states, weights)
-        shape = len(own_rewards), rungs, max(rungs, STRATA + 1)
-        rewards, seconds, ways = np.full(shape, -np.inf), np.zeros(shape), own_rewards.shape[-1]
-        rewards[:, self.course.rungs, :ways], seconds[:, self.course.rungs, :ways] = own_rewards, own_seconds
-        picked = described[np.arange(len(states))[:, None], chosen]
-        return Rollouts(picked.reshape(len(rewards), -1), rewards, seconds)
+        described, own, humans = _describe(self.course.game, states), self.course.rungs, self.course.game.number
+        distances = np.linalg.norm(states[:, 1 : 1 + humans, :2] - states[:, :1, :2], axis=-1)
+        likely = 1.0 / (1.0 + np.argsort(np.argsort(distances))) ** 2
+        keys = random.exponential(size=likely.shape) / likely  # the smallest are a sample without replacement
+        chosen = np.argsort(keys, axis=1)[:, :HUMANS_OF_A_STATE]
+        shape = *chosen.shape, len(own), self.horizon, humans
+        schedules = np.full(shape, DECIDES if self.learned else 0, np.int32)
+        for rung in range(len(own)):
+            held = schedules[:, :, rung, : self.held]
+            np.put_along_axis(held, np.broadcast_to(chosen[..., None, None], (*held.shape[:-1], 1)), rung, axis=-1)
+        starts, drivers = (np.repeat(part, chosen.shape[1] * len(own), axis=0) for part in (states, weights))
+        schedules = schedules.reshape(-1, self.horizon, humans)
+        rewards = self.drive(starts, drivers, schedules, float(np.sqrt(np.prod(self.prices))))[0].reward
+        earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).sum(axis=1, dtype=float)
+        earned = earned.reshape(-1, len(own)) / self.held
+        gains = np.full((len(earned), rungs - 1), -np.inf)
+        gains[:, np.array(own[1:], int) - 1] = earned[:, 1:] - earned[:, :1]
+        picked = np.asarray(described)[np.arange(len(states))[:, None], chosen]
+        return Rollouts(picked.reshape(len(gains), -1), gains)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
@@ -197,43 +203,6 @@ class Driving:
             visited.append(own[random.choice(steps, each, replace=False, p=p)])
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
 
-    def _each_way(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
-        """Plan one step with each rung; go on with each rung, or with a learned rule, by the rule or with the top."""
-        count, own = len(states), len(self.course.rungs)
-        then, prices = list(range(own)), np.ones((count, own), np.float32)  # of each way, from the second step on
-        if self.learned:
-            then, prices = [DECIDES] * STRATA + then[-1:], np.ones((count, STRATA + 1), np.float32)
-            for place, pair in enumerate(pairwise(np.geomspace(*self.prices, STRATA + 1).tolist())):
-                prices[:, place] = draw_prices(random, pair, count)
-        schedules = np.empty((count, own, len(then), self.horizon, 1), np.int32)
-        schedules[:, :, :, 0] = np.arange(own)[:, None, None]
-        schedules[:, :, :, 1:] = np.reshape(then, (-1, 1, 1))
-        shape = schedules.shape[:3]
-        starts, drivers = (np.repeat(part, own * len(then), axis=0) for part in (states, weights))
-        lambdas = np.broadcast_to(prices[:, None], shape).ravel()
-        records, planned = self.drive(starts, drivers, schedules.reshape(-1, self.horizon, 1), lambdas)
-        earned = np.nan_to_num(np.sum(records.reward, axis=1, dtype=float), nan=-WORST)
-        rewards, seconds = np.clip(earned, -WORST, WORST), planned.sum(axis=1)
-        return np.zeros((count, 1), int), rewards.reshape(shape), seconds.reshape(shape)
-
-    def _each_human(self, random: Random, states: Any, weights: Any) -> tuple[Any, Any, Any]:
-        """Choose humans in each state, near ones rather, and predict each of them by all rungs."""
-        rungs, humans = len(self.course.rungs), self.course.game.number
-        distances = np.linalg.norm(states[:, 1 : 1 + humans, :2] - states[:, :1, :2], axis=-1)
-        likely = 1.0 / (1.0 + np.argsort(np.argsort(distances))) ** 2
-        keys = random.exponential(size=likely.shape) / likely  # the smallest are a sample without replacement
-        chosen = np.argsort(keys, axis=1)[:, :HUMANS_OF_A_STATE]
-        orders = np.full((*chosen.shape, rungs, humans), DECIDES if self.learned else 0)
-        for rung in range(rungs):
-            np.put_along_axis(orders[:, :, rung], chosen[..., None], rung, axis=-1)
-        starts, drivers = (np.repeat(part, chosen.shape[1] * rungs, axis=0) for part in (states, weights))
-        schedules = np.repeat(orders.reshape(-1, 1, humans), self.horizon, axis=1)
-        rewards = self.drive(starts, drivers, schedules, self.prices[0])[0].reward
-        earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).mean(axis=1).astype(float)
-        gains = earned.reshape(-1, rungs, 1)
-        gains -= gains[:, :1].copy()
-        return chosen, gains, np.zeros_like(gains)
-
 
 def _random_orders(random: Random, count: int, course: Course) -> Array:
     """Draw orders that keep their rungs for some steps, with frequencies of rungs that differ from order to order.
@@ -254,4 +223,4 @@ def _random_orders(random: Random, count: int, course: Course) -> Array:
     return orders
 
 
-_describe = jax.jit(lambda game, states: jax.vmap(partial(describe, game, surroundings=game.number > 1))(states))
+_describe = jax.jit(jax.vmap(describe, (None, 0)))

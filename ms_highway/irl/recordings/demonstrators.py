@@ -15,9 +15,9 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, rollout_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.arrays import Controls, Scalar, States
-from ms_highway.optimization.newton import Optimum, find_optimum
-from ms_highway.optimization.objective import Objective
-from ms_highway.optimization.second_derivatives import eigenpairs
+from ms_highway.numerics.newton import Optimum, find_optimum
+from ms_highway.numerics.objective import Objective
+from ms_highway.numerics.second_derivatives import eigenpairs
 from ms_highway.runtime.arrays import Trajectory
 
 DRIVER_WEIGHTS = {

@@ -18,9 +18,9 @@ from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.road import Path, RoadScene, Sizes, locate
 from ms_highway.game.scenario import PAPER_UNIT
-from ms_highway.optimization.damped_newton import SHARES, damped_factor, damped_solve
-from ms_highway.optimization.objective import best_of
-from ms_highway.optimization.second_derivatives import by_fields
+from ms_highway.numerics.damped_newton import SHARES, damped_factor, damped_solve
+from ms_highway.numerics.objective import best_of
+from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.planning.road.arrays import Steps, World
 from ms_highway.planning.road.motion import earlier
 from ms_highway.planning.road.settings import LANE, RoadPlanning
@@ -72,7 +72,7 @@ class Commuter:
         in two numbers at each step are all that is needed.
         """
         motion, effects, comfort = self.move(scaled), self._effects, self._comfort
-        bent = jnp.sum(by_fields(self._slopes, motion)[..., None] * effects, axis=1)
+        bent = jnp.sum(along_fields(self._slopes, motion)[1][..., None] * effects, axis=1)
         hessian = jnp.tensordot(effects, bent, ((0, 1), (0, 1)))
         gradient = jnp.tensordot(self._slopes(motion), effects, 2)
         return gradient - comfort * scaled, hessian - comfort * jnp.eye(len(scaled))
@@ -137,7 +137,7 @@ class Commuter:
 
     def _slopes(self, motion: Steps) -> Steps:
         """Return the derivatives of the reward after each step in s and speed there."""
-        return by_fields(self._along, motion)
+        return along_fields(self._along, motion)[1]
 
     def _along(self, motion: Steps) -> Steps:
         """Compute the reward after each step: the formulas of `ms_highway.game.features`, on one straight lane."""

@@ -1,0 +1,85 @@
+"""Decide which human model is worth its time, by a learned value of computation.
+
+Networks estimate from the situation of each human alone what the robot earns more per step if this human is predicted
+by a rung rather than by the cheapest one (Russell and Wefald 1991; Callaway et al. 2018). The price of the time that
+the human adds to a plan is subtracted.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule
+from ms_highway.choice.situation import describe
+from ms_highway.game.game import Game
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.arrays import Array, Index, Scalar, Vector
+
+Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
+"""Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
+
+CAUTION = 0.5  # standard deviations among the networks
+LEAST_NOISE = 0.02  # of gains
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LearnedValue(Rule):
+    """Take the rung of the highest estimated value for every human.
+
+    Attributes:
+        costs: planning time.
+        price: lambda, reward per second of planning.
+        network: estimates the gains over the first rung from `ms_highway.choice.situation.describe`.
+        centre, spread: of its inputs, by which they are standardised.
+        ladder: human models, cheapest first (static).
+        cautious: whether gains are what is compared to choose, net of the price and of a margin for doubt; or else what
+            is expected over the first rung, as budgets need it (static).
+    """
+
+    costs: Costs
+    price: Scalar
+    network: Network
+    centre: Float[Array, "inputs"]
+    spread: Float[Array, "inputs"]
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    cautious: bool = field(default=True, metadata={"static": True})
+
+    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+        """Take the rung of the highest value in the state after the last step; where none is known, the first."""
+        chosen, gains, failed = jax.vmap(self._best)(describe(game, outcome.after), jnp.asarray(memory.rungs))
+        return Decision(memory._replace(rungs=chosen.astype(jnp.int32)), gains, failed.any())
+
+    def _best(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:
+        """Return the best rung for a human, the gains over the one in use, and whether they could not be estimated.
+
+        What a rung gains over the first one counts less `CAUTION` standard deviations among the networks: in doubt, the
+        first rung predicts.
+        """
+        means, _ = outputs(self.network, (described - self.centre) / self.spread)
+        gains, doubts = (jnp.pad(part(means, axis=0), (1, 0)) for part in (jnp.mean, jnp.std))
+        known = jnp.isfinite(gains).all()
+        values = gains - CAUTION * doubts - self.price * jnp.asarray(self.costs.each)
+        told = values - values[rung] if self.cautious else gains
+        return jnp.where(known, jnp.argmax(values), 0), jnp.where(known, told, NOT_ESTIMATED), ~known
+
+
+def outputs(
+    network: Network, inputs: Float[jax.Array, "inputs"]
+) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
+    """Return what each of the networks expects of the same inputs, and what `noise` computes its spread from."""
+    *hidden, (weights, biases) = network
+    inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
+    for layer_weights, layer_biases in hidden:
+        inputs = jnp.tanh(jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases)
+    means, spreads = jnp.split(jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1)
+    return means, spreads
+
+
+def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+    """Return standard deviations of outcomes from the second half of a network's `outputs`."""
+    return LEAST_NOISE + jax.nn.softplus(spreads)

@@ -1,0 +1,226 @@
+"""Decide which human model is worth its time, by the paper's Algorithm 1, over one step or over the whole horizon.
+
+After a step with one rung of the ladder, a quadratic expansion of both rewards estimates the robot's controls under
+another rung, and what they would have earned. All controls are scaled, see `ms_highway.game.game`, and ravelled: n = 2
+steps numbers of each player.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, check_costs, with_human
+from ms_highway.game.game import (
+    Game,
+    each_human,
+    move,
+    reward_slopes,
+    step_rewards,
+    swap_players,
+    total_reward,
+    with_scripted,
+)
+from ms_highway.game.reward import Reward
+from ms_highway.numerics.second_derivatives import along_fields, response, second_order_expansion
+from ms_highway.numerics.trust_region import trust_region_step
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.arrays import Control, Controls, Index, Matrix, Scalar, State, Trajectory, Vector
+
+TRUST_TOLERANCE = 1e-3
+"""Share of the trust radius within which the length of a step is found."""
+
+RELEASED_TRUST_TOLERANCE = 0.05
+"""Share of the trust radius within which the released code's solver stops."""
+
+
+class RewardExpansion(NamedTuple):
+    """The robot's reward to second order in the controls of both, and the human's response."""
+
+    robot: Vector  # d r_R / d u_R
+    human: Vector  # d r_R / d u_H
+    robot_robot: Matrix
+    robot_human: Matrix
+    human_human: Matrix
+    influence: Matrix  # J = d u_H / d u_R
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Quadratic(Rule):
+    """Algorithm 1: check rungs in its order, by the gains of a quadratic expansion over some steps of the last plan.
+
+    Up, checked at every step below the top: straight to the top rung, as if it had predicted the human control that
+    was observed. Down, checked if not gone up and if this rung's last check is ``cooldown`` steps ago: one rung, with
+    that rung's own prediction and no influence. A positive gain switches. The first step is planned with the first
+    rung. Gains are additive: what one human's rung gains does not depend on the rungs of others.
+
+    * The rewards R_R and R_H over the steps are expanded around the last plan, from the state in which it was made:
+      the robot's controls, the first as executed, and the human's as expected, the first as observed. One step is the
+      estimate of Sec. III-D; all K are that of Sec. III-C, in which the plan's expectation stands for what the human
+      does later.
+    * Going up, the alternative expects these same human controls, and their response to the robot's,
+      ``J = du_H / du_R = -(d2R_H / du_H2)^-1 d2R_H / du_H du_R``. Going down, it expects the controls that the rung
+      below predicts, and no response.
+    * ``delta u`` maximises the expansion within the trust region, whose radius bounds all 2 steps numbers together.
+    * The gain is R_R after that change, to which the human responds by J, less what the last plan earns: its first
+      reward as observed, the others as expected.
+    * The meta-MDP pays ``lambda T(M)`` for every step. Driving several steps takes as many plans, so that the gain is
+      less ``steps lambda (T' - T)``.
+
+    Attributes:
+        costs: planning time of each rung [s]; NaN if unknown: then no gain is estimated, and the rung stays.
+        price: lambda, reward per second of planning.
+        trust_radius: longest change of the scaled controls for which the expansion is trusted.
+        trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
+        cooldown: least number of steps between two downward checks of the same rung.
+        ladder: tuple of human models, cheapest first, see `ms_highway.planning.human_models.ladder` (static).
+        steps: of the last plan that are expanded; None for the whole horizon (static).
+    """
+
+    costs: Costs
+    price: Scalar
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    trust_radius: Scalar = 1.5
+    trust_tolerance: Scalar = TRUST_TOLERANCE
+    cooldown: Index = 3
+    steps: int | None = field(default=1, metadata={"static": True})
+
+    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+        """Take a step that gains: to the top of the ladder, or one rung down."""
+
+        def one(human: Index) -> Control:
+            return self._gains(*with_human(game, outcome, human), jnp.asarray(memory.rungs)[human], memory, human)
+
+        check_costs(self)
+        up, down = jnp.moveaxis(each_human(game, one), 1, 0)
+        rungs, top = jnp.asarray(memory.rungs), len(self.ladder) - 1
+        chosen = jnp.where(up > 0, top, jnp.where(down > 0, rungs - 1, rungs))
+        below, places = rungs[:, None], jnp.arange(top + 1)
+        checked = (self._checks_below(memory, jnp.arange(len(rungs))) & ~(up > 0))[:, None] & (places == below)
+        last_check = jnp.where(checked, memory.step + 1, memory.last_check)
+        up_gains = jnp.where((places == top) & (below < top), up[:, None], NOT_ESTIMATED)
+        gains = jnp.where(places == below - 1, down[:, None], up_gains)
+        return Decision(memory._replace(rungs=chosen, last_check=last_check), gains, jnp.bool(False))
+
+    def check(self) -> None:
+        """See `ms_highway.choice.rule.Rule.check`; the number of steps is positive."""
+        super().check()
+        if self.steps is not None and self.steps < 1:
+            raise ValueError(f"Quadratic.steps is {self.steps}; give a number of steps from 1 on, or None for all")
+
+    def _checks_below(self, memory: Memory, human: Any) -> Any:
+        """Return whether the rung below a human's may be checked now."""
+        rung = jnp.asarray(memory.rungs)[human]
+        last_check = jnp.asarray(memory.last_check)[human, rung]
+        return (rung > 0) & (memory.step > 0) & (memory.step + 1 - last_check >= self.cooldown)
+
+    def _gains(self, game: Game, outcome: Outcome, rung: Index, memory: Memory, human: Index) -> Control:
+        """Estimate the gains of going up and down about one human; `NOT_ESTIMATED` where none is needed."""
+        ladder, costs, top = self.ladder, jnp.asarray(self.costs.each), len(self.ladder) - 1
+        climbs, checks = (rung < top) & (memory.step > 0), self._checks_below(memory, human)
+        not_estimated = jnp.float32(NOT_ESTIMATED)
+
+        def estimate() -> tuple[Scalar, Scalar]:
+            state, robot, own, earned = self.executed(game, outcome)
+            expansion = expand(game, state, robot, own)
+            none = jnp.zeros_like(expansion.influence)
+
+            def gain(expected: Vector, influence: Matrix, alternative: Index) -> Scalar:
+                saved = costs[rung] - costs[alternative]
+                change = change_of_control(expansion, own, expected, influence, self)
+                better = total(game, state, robot + change, own + expansion.influence @ change) - earned
+                return jnp.where(jnp.isnan(saved), not_estimated, better + len(robot) / 2 * self.price * saved)
+
+            def gain_down() -> Scalar:
+                below = jnp.maximum(rung - 1, 0)
+                predictions = [partial(model.predict, model.within(game), state) for model in ladder[: max(top, 1)]]
+                return gain(jax.lax.switch(below, predictions).ravel()[: len(robot)], none, below)
+
+            influence = expansion.influence if ladder[top].responds else none
+            up = jax.lax.cond(climbs, lambda: gain(own, influence, top), lambda: not_estimated)
+            return up, jax.lax.cond(checks & ~(up > 0), gain_down, lambda: not_estimated)
+
+        return jnp.stack(jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated)))
+
+    def executed(self, game: Game, outcome: Outcome) -> tuple[State, Vector, Vector, Scalar]:
+        """Return the state before the last step, the controls of robot and human to expand around, and their reward."""
+        state, plan = jnp.asarray(outcome.before), outcome.plan
+        robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot).ravel()
+        human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0]).ravel()
+        later = _rewards(game, state, robot, human)[1:] if self.steps != 1 else jnp.zeros(0)
+        return state, robot, human, outcome.reward + jnp.sum(later)
+
+
+def _rewards(game: Game, state: State, robot: Vector, human: Vector) -> Float[Any, "steps"]:
+    """Return what the robot earns after each step."""
+    others = with_scripted(game, state, move(game, state[1], human.reshape(-1, 2))[None])
+    return step_rewards(_observed(game), move(game, state[0], robot.reshape(-1, 2)), others)
+
+
+def total(game: Game, state: State, robot: Vector, human: Vector) -> Scalar:
+    """Return what the robot earns over the steps of these controls."""
+    return total_reward(_observed(game), state, robot.reshape(-1, 2), human.reshape(1, -1, 2))
+
+
+def _observed(game: Game) -> Game:
+    """Return the game with the reward that is observed, whose jumps are not smooth."""
+    return replace(game, planner=replace(game.planner, smooth=False))
+
+
+@jax.jit
+def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
+    """Expand both rewards in the controls of both, in one batch, each from its own car's side."""
+    game, number = _observed(game), len(robot)
+
+    def derivatives(driver: Reward, state: State, both: Float[jax.Array, "players n"]) -> tuple[Vector, Matrix]:
+        def paths(controls: Controls) -> Trajectory:
+            own, partner = jnp.split(controls, 2)
+            return jnp.concatenate([move(game, state[0], own), move(game, state[1], partner)])
+
+        def slope(paths: Trajectory) -> Trajectory:
+            own, partner = jnp.split(paths, 2)
+            others = with_scripted(game, state, partner[None])
+            own_slope, slopes = reward_slopes(replace(game, robot=driver), own, others)
+            return jnp.concatenate([own_slope, slopes[0]])
+
+        controls = both.reshape(-1, 2)
+        return second_order_expansion(paths, controls, *along_fields(slope, paths(controls)))[:2]
+
+    rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human())
+    states = jnp.stack([state, swap_players(game, state)[1]])
+    controls = jnp.stack([jnp.stack([robot, human]), jnp.stack([human, robot])])
+    slopes, bends = jax.vmap(derivatives)(rewards, states, controls)
+    n = number
+    human_bend = bends[1, :n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), n // 2))
+    influence = response(game.influence, human_bend, bends[1, :n, n:])
+    bend = bends[0]
+    return RewardExpansion(slopes[0, :n], slopes[0, n:], bend[:n, :n], bend[:n, n:], bend[n:, n:], influence)
+
+
+def change_of_control(
+    expansion: RewardExpansion, human: Vector, expected: Vector, influence: Matrix, rule: Quadratic
+) -> Vector:
+    """Return the best controls under another model, less the present ones: ``delta u``.
+
+    With d = u' - u_H and J' the model's influence, the expansion is ``du^T A du / 2 + B du`` with
+    ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``,
+    subscripts being derivatives of r_R.
+    """
+    surprise = expected - human
+    cross = expansion.robot_human @ influence
+    quadratic = expansion.robot_robot + cross + cross.T + influence.T @ expansion.human_human @ influence
+    linear = expansion.robot + expansion.robot_human @ surprise
+    linear += influence.T @ (expansion.human + expansion.human_human @ surprise)
+    return trust_region_step(quadratic, linear, rule.trust_radius, rule.trust_tolerance)
+
+
+Switching = Quadratic
+"""Algorithm 1 with the paper's one-step estimate."""
+
+WholeHorizon = partial(Quadratic, steps=None)
+"""Algorithm 1 with the estimate over the whole horizon."""

@@ -1,0 +1,217 @@
+"""Define rules, which choose the human model of every human for the coming step, and what they see and return.
+
+All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on the rule's ladder.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float, Int
+
+from ms_highway.game.game import Game, pair
+from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import Array, Control, Flag, Gains, HumansControl, Index, Rungs, Scalar, State
+
+PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
+"""Planning time of each model in the decisions of the paper's experiments."""
+
+SHIPPED_COSTS = {"naive": 0.0015, "idm": 0.0015, "turn": 0.0021, "tom": 0.0021}  # s
+"""Planning time among several humans: of a naive plan, or with one of them under another model.
+
+The mean of six episodes of Dense Merge on one core: 1.5 ms, and 0.6 more for each of eight humans under turn or tom."""
+
+NOT_ESTIMATED = -np.inf
+"""Gain of a rung for which none was estimated; NaN would stop all programs where JAX looks for errors by it."""
+
+NEVER = -(2**20)
+"""Step of a check that has not been made."""
+
+
+class Memory(NamedTuple):
+    """What a rule remembers.
+
+    Attributes:
+        rungs: in use for every human: of the plan that was followed in the last step, or chosen for the coming one.
+        step: number of the coming step; 0 before the first one, when nothing has happened yet.
+        last_check: step of every human's last downward check of each rung.
+    """
+
+    rungs: Rungs
+    step: Index
+    last_check: Int[Array, "humans rungs"]
+
+
+class Outcome(NamedTuple):
+    """A step of the world, as a rule sees it; before the first step, a step in which no car moved.
+
+    Attributes:
+        before: all cars before the step.
+        after: all cars after it.
+        robot: scaled control that the robot executed.
+        humans: scaled controls that the humans were observed to execute.
+        reward: the robot's, after the step.
+        plan: that the robot followed, and the humans' controls that it expected.
+    """
+
+    before: State
+    after: State
+    robot: Control
+    humans: HumansControl
+    reward: Scalar
+    plan: Plan
+
+
+class Decision(NamedTuple):
+    """What a rule chose.
+
+    Attributes:
+        memory: with the rungs of the coming step; whoever drives counts the steps.
+        gains: estimated gain of each rung for every human, `NOT_ESTIMATED` where none was: what is compared to choose,
+            over the rung in use and less the price of its time. Those of learned values are also less a margin for
+            doubt; those for budgets are over the first rung, and have no price and margin.
+        failed: whether the rule could not estimate what it needs.
+    """
+
+    memory: Memory
+    gains: Gains
+    failed: Flag
+
+
+class Rule:
+    """Base of the rules that choose the rungs of the coming step from the outcome of the last one.
+
+    Rules are frozen dataclasses and pytrees, and pure: numbers may change without compiling anew. They serve any number
+    of humans, live and in batches.
+
+    Attributes:
+        ladder: human models, cheapest first (static).
+        estimates: whether a decision takes a computation, which is compiled and timed.
+    """
+
+    ladder: Any
+    estimates: ClassVar[bool] = True
+
+    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+        """Choose the rungs of the coming step."""
+        raise NotImplementedError
+
+    def at_price(self, price: Scalar) -> "Rule":
+        """Return the rule at another price lambda; the same rule, if it has none."""
+        return replace(self, price=price) if "price" in {each.name for each in fields(self)} else self  # type: ignore
+
+    def deciding_in(self, seconds: Callable[[], float]) -> "Rule":
+        """Return the rule for decisions that take this long, which is measured where it matters."""
+        return self
+
+    def for_unresponsive(self) -> "tuple[Rule, int]":
+        """Return the rule, and the rung for humans who show that they do not respond: the first one.
+
+        Raises:
+            ValueError: if the first model counts on a response.
+        """
+        if self.ladder[0].responds:
+            message = f"the ladder begins with {self.ladder[0].name}, which counts on a response"
+            raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
+        return self, 0
+
+    def check(self) -> None:
+        """Check the ladder and, where there are some, costs and price.
+
+        Raises:
+            ValueError: for what is no human model, negative numbers, or fewer or more costs than rungs.
+        """
+        if strange := [model for model in self.ladder if not hasattr(model, "plan")]:
+            raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
+        costs, price = getattr(self, "costs", None), np.asarray(getattr(self, "price", 0.0))
+        if costs is None:
+            return
+        check_costs(self)
+        each = np.asarray(costs.each)
+        if not (price >= 0).all() or (each < 0).any():
+            raise ValueError(f"the price is {price} and the costs are {each.tolist()}; neither may be negative")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Order(Rule):
+    """Take the rungs of a table: a fixed model, a schedule, a period, or what was drawn beforehand.
+
+    Attributes:
+        rungs: of every human in each step; the last row is kept. A column serves all humans.
+        ladder: human models (static).
+    """
+
+    rungs: Int[Array, "steps humans"]
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    estimates: ClassVar[bool] = False
+
+    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+        """Return the rungs of this step; no gain is estimated."""
+        xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
+        table = xp.asarray(self.rungs)
+        row = table[xp.minimum(memory.step, len(table) - 1)]
+        return unestimated(memory, xp.broadcast_to(row, memory.rungs.shape))
+
+    def for_unresponsive(self) -> tuple[Rule, int]:
+        """Return the order, and the rung of naive, which is added where it is not on the ladder."""
+        names = [model.name for model in self.ladder]
+        if Naive.name in names:
+            return self, names.index(Naive.name)
+        return replace(self, ladder=(*self.ladder, Naive())), len(names)
+
+
+def always(model: HumanModel) -> Order:
+    """Return the rule that predicts every human by the same model in all steps."""
+    return Order(np.zeros((1, 1), int), (model,))
+
+
+def decide(rule: Rule, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+    """Choose the rungs of the coming step by a rule."""
+    return rule.decide(game, memory, outcome)
+
+
+def with_human(game: Game, outcome: Outcome, human: Index) -> tuple[Game, Outcome]:
+    """Return the game of the robot with one human, see `ms_highway.game.game.pair`, and the outcome in it."""
+    if game.number == 1:
+        return game, outcome
+    alone, before = pair(game, outcome.before, human)
+    _, after = pair(game, outcome.after, human)
+    plan = Plan(outcome.plan.robot, jnp.asarray(outcome.plan.humans)[human][None])
+    return alone, outcome._replace(
+        before=before, after=after, humans=jnp.asarray(outcome.humans)[human][None], plan=plan
+    )
+
+
+def check_costs(rule: Any) -> None:
+    """Check that there is one cost per rung.
+
+    Raises:
+        ValueError: if there are fewer or more.
+    """
+    if np.shape(rule.costs.each) != (len(rule.ladder),):
+        names = ", ".join(model.name for model in rule.ladder)
+        raise ValueError(f"costs are of shape {np.shape(rule.costs.each)}; give one for each of {names}")
+
+
+def first_memory(rule: Rule, humans: int) -> Memory:
+    """Return the memory before the first step: every human is on the first rung, and every rung may be checked."""
+    checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
+    return Memory(np.zeros(humans, np.int32), np.zeros((), np.int32), checks)
+
+
+def unestimated(memory: Memory, rungs: Rungs) -> Decision:
+    """Return a decision for some rungs for which no gain was estimated."""
+    xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
+    gains = xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
+    return Decision(memory._replace(rungs=xp.asarray(rungs, dtype=xp.int32)), gains, xp.asarray(False))
+
+
+def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.ndarray, "*steps rungs"]:
+    """Return the highest gain of each rung over all humans, NaN where none was estimated."""
+    known = np.isfinite(gains)
+    return np.where(known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan)

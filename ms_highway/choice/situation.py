@@ -1,0 +1,94 @@
+"""Describe the situation of every human by numbers that do not depend on the scene, for values of computation."""
+
+from functools import partial
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.features import features, reward
+from ms_highway.game.game import Game, each_human, others_of, pair
+from ms_highway.game.neighbours import headways, neighbours
+from ms_highway.game.reward import PAPER_FEATURES, Reward
+from ms_highway.runtime.arrays import Index, State
+
+LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, for which all cars coast
+DRIVERS = ("robot", "human")
+STATE = ("x", "y", "heading", "speed")
+PLACES = ("ahead", "behind", "ahead left", "behind left", "ahead right", "behind right")
+
+
+def description_names() -> tuple[str, ...]:
+    """Return the names of the numbers of `describe`, in their order."""
+    terms = (*PAPER_FEATURES, "other", *(f"d/d {whose} {part}" for whose in ("own", "partner's") for part in STATE))
+    of_drivers = [f"{driver}: {term} after {time:g} s" for driver in DRIVERS for time in LOOKAHEADS for term in terms]
+    relative = [f"{part} ahead of human" for part in ("x", "y", "speed")]
+    own = [f"{driver}: {part}" for driver in DRIVERS for part in ("heading", "speed", "y from target lane")]
+    gaps = [f"{driver}: time gap {place}" for driver in DRIVERS for place in PLACES]
+    return (*of_drivers, *relative, *own, *gaps, "share of humans nearer to the robot")
+
+
+def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
+    """Compute what a choice of models looks at for every human, `description_names`.
+
+    Of robot and human, now and after all cars have coasted for each of `LOOKAHEADS`: the weighted features of their
+    rewards (those beyond the paper's in one sum), and the derivatives of the rewards in both cars' states, in units of
+    length of the scene; the relative state of robot and human; headings, speeds as shares of the speed limit, and
+    distances from the target lane. Numbers are compressed by ``sign(n) log(1 + |n|)``: costs of a collision or of
+    leaving the road are a thousand times what they are otherwise. Beside these, the time gaps of both to the cars
+    around them, as ``log(1 + gap / s)``, and the share of humans who are nearer to the robot.
+
+    Args:
+        game: with the humans' rewards as the robot believes them.
+        state: all cars.
+    """
+    state, (length, _) = jnp.asarray(state), game.scene.car_size
+    distances = jnp.linalg.norm(state[1 : 1 + game.number, :2] - state[0, :2], axis=-1)
+
+    def gaps(car: Index) -> Float[jax.Array, "6"]:
+        others = state[jnp.asarray(others_of(len(state)))[car]]
+        present, width = jnp.ones(len(others), bool), jnp.asarray(game.scene.lane_width)
+        return jnp.log1p(headways(state[car], neighbours(state[car], others, present, width), length))
+
+    def one(human: Index) -> Float[jax.Array, "numbers"]:
+        numbers = _describe_pair(*pair(game, state, human))
+        nearer = jnp.mean(distances < distances[human])[None]
+        return jnp.concatenate([numbers, gaps(0), gaps(1 + human), nearer])
+
+    return each_human(game, one, at_once=True)
+
+
+def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
+    state = jnp.asarray(state)
+    unit, limit = jnp.asarray(game.scene.length_unit), jnp.asarray(game.robot.speed_limit)
+    x, y, heading, speed = jnp.moveaxis(state, -1, 0)
+    times = jnp.asarray(LOOKAHEADS)[:, None]
+    coasted = jnp.stack(
+        jnp.broadcast_arrays(
+            x + times * speed * jnp.cos(heading), y + times * speed * jnp.sin(heading), heading, speed
+        ),
+        axis=-1,
+    )
+    sides = jnp.stack([coasted, jnp.concatenate([coasted[:, 1::-1], coasted[:, 2:]], axis=1)])
+    rewards = jax.tree.map(
+        lambda *numbers: jnp.stack([jnp.asarray(number) for number in numbers]), game.robot, game.human()
+    )
+    terms = jax.vmap(partial(_terms, game))(rewards, sides)
+    relative = (state[0] - state[1]) / jnp.stack([unit, unit, jnp.ones_like(unit), limit])
+    aside = (y[:2] - game.scene.target_lane) / unit
+    own = jnp.stack([heading[:2], speed[:2] / limit, aside], axis=1)
+    numbers = jnp.concatenate([terms.ravel(), relative[jnp.array([0, 1, 3])], own.ravel()])
+    return jnp.sign(numbers) * jnp.log1p(jnp.abs(numbers))
+
+
+def _terms(game: Game, driver: Reward, states: Float[jax.Array, "times cars 4"]) -> Float[jax.Array, "times terms"]:
+    """Return the weighted features of one driver, car 0, and its reward's derivatives in both cars' states."""
+    weighted = features(game.scene, driver, states) * driver.weights
+    papers, other = weighted[:, : len(PAPER_FEATURES)], weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True)
+    pair = states[:, :2]
+    slopes = jax.grad(lambda pair: reward(game.scene, driver, jnp.concatenate([pair, states[:, 2:]], axis=1)).sum())(
+        pair
+    )
+    unit = jnp.asarray(game.scene.length_unit)
+    slopes = slopes * jnp.stack([unit, unit, jnp.ones_like(unit), unit])
+    return jnp.concatenate([papers, other, slopes.reshape(len(states), -1)], axis=1)

@@ -1,0 +1,159 @@
+"""Learned values of computation and their file: the network, and what it was learned on."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.choice.learned_value import LearnedValue, Network
+from ms_highway.choice.situation import description_names
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.files import read_arrays, reading, replacing
+from ms_highway.runtime.structures import Structure, read
+
+SHIPPED_VALUES = "shipped"
+"""Stands for the values that come with the package: learned with one human, or among several."""
+
+SHIPPED_FILES = "values.npz", "several_values.npz"
+VERSION = 3
+REMEDY = "learn values with `ms-highway values learn`"
+ANOTHER = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
+MOST_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
+LEAST, MOST = 1e-9, 1e9  # of spreads; other numbers are no larger, either, so that nothing overflows
+MOST_WEIGHT = 1e3  # of networks; those of the package are below 1
+
+
+@dataclass(frozen=True)
+class Values:
+    """Result of ``ms-highway values learn``.
+
+    Attributes:
+        network: see `ms_highway.choice.learned_value.LearnedValue`.
+        centre, spread: of its inputs.
+        ladder: names of the models that the values were learned on, cheapest first.
+        inputs: names of the network's inputs.
+        provenance: scenarios, settings and versions of the software.
+        place: where they were read from.
+    """
+
+    network: Network
+    centre: Float[np.ndarray, "inputs"]
+    spread: Float[np.ndarray, "inputs"]
+    ladder: tuple[str, ...]
+    inputs: tuple[str, ...]
+    provenance: Mapping[str, Any]
+    place: str = "learned values"
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ValueError: naming the problem.
+        """
+        if len(self.ladder) < 2 or len({*self.ladder}) < len(self.ladder):
+            raise ValueError(f"the ladder has the models {list(self.ladder)}; there must be two at least, each once")
+        if self.inputs != description_names():
+            raise ValueError("the inputs of the network are those of another version")
+        layers = [part for layer in self.network for part in layer]
+        shapes = [np.shape(part) for part in layers]
+        networks, sizes = shapes[0][:1] if shapes else (), [len(self.inputs)]
+        sizes += [size for shape in shapes[1::2] for size in shape[-1:]]
+        wanted = [networks + shape for one, other in pairwise(sizes) for shape in ((one, other), (other,))]
+        if shapes != wanted or 0 in networks or sizes[-1] != 2 * (len(self.ladder) - 1):
+            raise ValueError(f"the layers of the networks are of shapes {shapes}, for {len(self.ladder)} models")
+        standard = np.shape(self.centre), np.shape(self.spread)
+        if set(standard) != {(sizes[0],)} or not all(
+            (np.abs(part) <= MOST).all() for part in (self.centre, self.spread)
+        ):
+            raise ValueError(f"the numbers of the networks are beyond {MOST:g}, or not as many as their inputs")
+        if not all((np.abs(part) <= MOST_WEIGHT).all() for part in layers):
+            raise ValueError(f"the weights of the networks are beyond {MOST_WEIGHT:g}, or not finite")
+        if np.min(self.spread) < LEAST:
+            raise ValueError(f"spreads are below {LEAST:g}")
+
+    def rule(self, models: tuple[HumanModel, ...], costs: Costs, price: float) -> LearnedValue:
+        """Return the rule on a ladder of some of the models that were learned, the cheapest of them first.
+
+        Raises:
+            ValueError: if a model was not learned, or the first one is another.
+        """
+        names = [model.name for model in models]
+        message = f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
+        if unknown := [name for name in names if name not in self.ladder]:
+            raise ValueError(f"{message}, without {unknown[0]!r}; {ANOTHER} --set ladder={','.join(names)}")
+        if names[0] != self.ladder[0]:
+            raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, {ANOTHER}")
+        gains = len(self.ladder) - 1
+        places = [self.ladder.index(name) - 1 for name in names[1:]]
+        places += [gains + place for place in places]
+        *hidden, (weights, biases) = self.network
+        network = (*hidden, (weights[..., places], biases[..., places]))
+        return LearnedValue(costs, price, network, self.centre, self.spread, models)
+
+
+class _About(Structure):
+    """What a file of values says of itself, as in `Values`."""
+
+    ladder: tuple[str, ...]
+    inputs: tuple[str, ...]
+    provenance: dict[str, Any]
+
+
+def save_values(values: Values, path: Path) -> None:
+    """Write learned values as a NumPy archive, atomically."""
+    about = {"version": VERSION, **{name: getattr(values, name) for name in _About.__struct_fields__}}
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about, default=dict))}
+    arrays |= {"centre": values.centre, "spread": values.spread}
+    for number, (weights, biases) in enumerate(values.network):
+        arrays |= {f"weights_{number}": np.asarray(weights), f"biases_{number}": np.asarray(biases)}
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+def load_values(which: str | PathLike[str], humans: int = 1) -> Values:
+    """Read learned values: those that come with the package (`SHIPPED_VALUES`), or a file that `save_values` wrote.
+
+    Args:
+        which: values.
+        humans: their number, which tells which of the package's values serve.
+
+    Raises:
+        ValueError: if the file cannot be read, is damaged, or is of another version.
+    """
+    if which == SHIPPED_VALUES:
+        return _shipped(SHIPPED_FILES[humans > 1])
+    with reading(Path(which), f"{REMEDY} --out {which}", " as learned values"):
+        return _read(Path(which), Path(which).stat().st_mtime_ns)
+
+
+@cache
+def _shipped(name: str) -> Values:
+    with resources.as_file(resources.files("ms_highway") / "data" / name) as path:
+        return _read(path, 0)
+
+
+@cache
+def _read(path: Path, changed: int) -> Values:
+    """Read a file, once for every time that it was ``changed``."""
+    arrays = read_arrays(path, MOST_BYTES)
+    about = json.loads(str(arrays.pop("about")))
+    version = about.pop("version", None) if isinstance(about, dict) else None
+    if version != VERSION:
+        raise ValueError(f"it is of version {version}, not {VERSION}")
+    if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
+        raise ValueError(f"{wrong[0]} holds {arrays[wrong[0]].dtype}; it must hold numbers")
+    with np.errstate(over="ignore"):
+        numbers = {name: array.astype(np.float32) for name, array in arrays.items()}
+    centre, spread, layers = numbers.pop("centre"), numbers.pop("spread"), range(len(numbers) // 2)
+    network = tuple((numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers)
+    return Values(network, centre, spread, **msgspec.structs.asdict(read(about, _About)), place=str(path))

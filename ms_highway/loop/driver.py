@@ -1,0 +1,232 @@
+"""Drive among humans, one or several, with the models that a rule chooses for them."""
+
+from functools import cache, partial
+from time import perf_counter
+
+import jax
+import numpy as np
+
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always
+from ms_highway.game.game import Game, constant_velocity
+from ms_highway.loop.controller import ControlStep
+from ms_highway.loop.fallback import STATUSES, Followed, brake, follow, follow_escape, no_rest
+from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide, remaining_plan
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
+from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.planning.plans import Plan
+from ms_highway.runtime.arrays import State
+from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly
+from ms_highway.runtime.forks import refuse_after_fork
+from ms_highway.runtime.timing import timed, warm_up
+
+QUANTILE = 0.99  # of decisions' seconds, for budgets
+REPEATS = 20  # of timed decisions
+
+
+def drivable(rule: Rule, belief: bool) -> tuple[Rule, int | None]:
+    """Return a rule as a `Driver` takes it, and the rung of humans who do not respond; None without a belief.
+
+    Raises:
+        ValueError: as `Driver` does.
+    """
+    rule.check()
+    return rule.for_unresponsive() if belief else (rule, None)
+
+
+class Driver:
+    """Plan every step with the models that a rule chooses.
+
+    Where a plan is not finite, the robot follows the rest of the last finite one, then brakes. With a budget, a plan
+    that is late is not followed in its own step, in which the robot drives on with what it has, but from the next step
+    on. What a rule learns from a step is about the plan that was followed in it, and the models of that plan.
+
+    Args:
+        game: of which car 0 is driven, with the humans' rewards as the robot believes them.
+        rule: chooses the models.
+        budget: time of a cycle, decision and plan [s]; None for no limit.
+        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out`.
+        belief: whether to infer which model predicts every human, and to predict those who show that they do not
+            respond by the first rung, or naive under an order, instead of by a model that responds.
+
+    Raises:
+        ValueError: for impossible costs, a price or a ladder that do not fit, or if with a belief the first rung
+            responds.
+    """
+
+    def __init__(
+        self, game: Game, rule: Rule, *, budget: float | None = None, way_out: bool = False, belief: bool = False
+    ) -> None:
+        self.budget, self.way_out, self.infers = budget, way_out, belief
+        self._game = game
+        self._rule, self._unresponsive = drivable(rule, belief)
+        self._prepare()
+        self.reset()
+
+    @property
+    def rule(self) -> Rule:
+        """Rule that chooses the models; may be replaced between steps by one of the same ladder."""
+        return self._rule
+
+    @rule.setter
+    def rule(self, rule: Rule) -> None:
+        last, (rule, unresponsive) = self._rule, drivable(rule, self.infers)
+        if rule.ladder != last.ladder:
+            new, old = (" ".join(model.name for model in each.ladder) for each in (rule, last))
+            raise ValueError(f"the rule is on the ladder {new}, and the driver on {old}; make a new driver")
+        self._rule, self._unresponsive, self._placed = rule, unresponsive, Placed((rule, self.game))
+        if last.estimates or rule.estimates:
+            self._warm = False
+
+    @property
+    def game(self) -> Game:
+        """Game that is played; may be replaced between steps, and a game of the same shapes compiles nothing."""
+        return self._game
+
+    @game.setter
+    def game(self, game: Game) -> None:
+        self._game = game
+        self._prepare()
+
+    def _prepare(self) -> None:
+        self._plans = CompiledPlans(self.game, self.rule.ladder)
+        self._placed = Placed((self.rule, self.game))
+        self._warm = False
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether choices depend on the last step."""
+        return self.rule.estimates or self.infers
+
+    def reset(self) -> None:
+        """Forget the past, before a new episode."""
+        self._carry: Carry | None = None  # before the first step, and the first with other humans
+        self._steps = 0  # of the episode, which orders count
+        self._rest = no_rest(self.game.planner.horizon, self.game.number)
+        self._checking = 0.0  # seconds of the last look for a way out, which comes after the plan
+
+    def reset_partner(self) -> None:
+        """Forget the humans, and what the last plan expected of them: the last step says nothing about others."""
+        unknown = np.zeros_like(self._rest.plan.humans)
+        plan, start = (own._replace(humans=unknown) for own in (self._rest.plan, self._rest.start))
+        self._carry, self._rest = None, self._rest._replace(plan=plan, start=start)
+
+    def step(self, state: State, before: State | None = None) -> ControlStep:
+        """Return the control of the coming step, after choosing the models from the outcome of the last one.
+
+        Args:
+            state: the robot, all humans and the scripted cars now.
+            before: all cars before the last step, in the present coordinates; needed where these have changed since.
+
+        Raises:
+            ValueError: if a state is not a finite array [cars, 4] of two cars or more.
+        """
+        refuse_after_fork()
+        now = checked_state(state)
+        compiling = self._warm_up(now)
+        start = perf_counter()
+        carry, decision, deciding = self._decide(self._carried(now, before), now)
+        rungs = decision.memory.rungs
+        continues = continues_plan(self.rule.ladder, self.game, rungs, self._rest)
+        plan, planning = self._plans.plan(now, rungs, remaining_plan(self._rest) if continues else None)
+        late = self.budget is not None and perf_counter() - start + self._checking > self.budget
+        followed, self._checking = self._follow(follow(plan, rungs, self._rest, late), now)
+        self._carry, (rest, self._rest, status) = advance(carry, decision, followed, now), followed
+        self._steps += 1
+        scale = np.asarray(self.game.planner.control_scale, dtype=float)
+        driven, left = Plan(rest.plan.robot * scale, rest.plan.humans * scale), int(rest.steps) or None
+        names = tuple(model.name for model in self.rule.ladder)
+        return ControlStep(
+            driven.robot[0],
+            driven.robot[:left],
+            driven.humans[:, :left],
+            tuple(names[rung] for rung in rest.rungs),
+            planning + self._checking,
+            deciding,
+            compiling,
+            names,
+            decision.gains,
+            bool(decision.failed),
+            STATUSES[status],
+            carry.belief if self.infers else None,
+            tuple(names[rung] for rung in rungs),
+        )
+
+    def _warm_up(self, state: State) -> float:
+        """Compile before the first control of a game; return the seconds spent, with those of timing decisions."""
+        if self._warm:
+            return 0.0
+        self._warm = True
+        seconds = self._plans.warm_up(state, self.way_out)
+        if self.looks_back:
+            seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
+            rule, measuring = timed(self.rule.deciding_in, lambda: self._deciding_seconds(state))
+            if rule is not self._rule:
+                self._rule, self._placed, seconds = rule, Placed((rule, self.game)), seconds + measuring
+        return seconds
+
+    def _deciding_seconds(self, state: State) -> float:
+        """Measure the seconds of a warm decision."""
+        carry = begin(self.rule, self.game, state)
+        carry = carry._replace(memory=carry.memory._replace(step=np.ones((), np.int32)))  # the first may be less
+        times = [timed(*self._choice(carry, state))[1] for _ in range(REPEATS)]
+        return float(np.quantile(times, QUANTILE))
+
+    def _choice(self, carry: Carry, now: State) -> tuple:
+        """Return the compiled function of a choice, and its arguments."""
+        function = decision_function(self._unresponsive)
+        arguments = *self._placed.take(), carry, now
+        return function.of(*arguments), *arguments
+
+    def _carried(self, now: State, before: State | None) -> Carry:
+        """Return what is carried into a step; cars were seen ``before`` the last one, in the present coordinates."""
+        if self._carry is None:
+            carry = begin(self.rule, self.game, now)
+            counts = carry.memory if self.rule.estimates else carry.memory._replace(step=np.int32(self._steps))
+            return carry._replace(memory=counts)
+        if before is None:
+            return self._carry
+        return self._carry._replace(outcome=self._carry.outcome._replace(before=checked_state(before)))
+
+    def _decide(self, carry: Carry, now: State) -> tuple[Carry, Decision, float]:
+        """Choose the rungs; return the carry with what was seen, the decision, and the seconds that it took."""
+        if not self.looks_back:
+            decision, seconds = self.rule.decide(self.game, carry.memory, carry.outcome), 0.0
+        else:
+            function, *arguments = self._choice(carry, now)
+            found, seconds = timed(function, *arguments)
+            belief, decision = jax.tree.map(np.asarray, found)
+            carry = carry._replace(belief=belief)
+        gains = np.where(decision.gains == NOT_ESTIMATED, np.nan, decision.gains)
+        if self.game.number == 1:  # what it gains to switch: nothing for the model in use
+            gains[0, carry.memory.rungs[0]] = np.nan
+        return carry, decision._replace(gains=gains), seconds
+
+    def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
+        """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""
+        if followed.now.steps == 0:
+            followed = followed.instead(self._braking(state))
+        if not self.way_out:
+            return followed, 0.0
+        escape, seconds = self._plans.keep_way_out(state, followed.now.plan.robot[0])
+        return follow_escape(followed, escape), seconds
+
+    def _braking(self, state: State) -> Plan:
+        """Return the scaled controls that stop the robot, among humans who keep their velocity."""
+        robot = brake(self.game, state[0]) / np.asarray(self.game.planner.control_scale)
+        return Plan(robot, constant_velocity(self.game, state[1 : 1 + self.game.number]))
+
+
+@cache
+def decision_function(unresponsive: int | None) -> Compiled:
+    """Compile `ms_highway.loop.step.decide` for a rung of humans who do not respond."""
+    return jit_quickly(partial(decide, unresponsive=unresponsive))
+
+
+def fixed(game: Game, model: HumanModel | None = None) -> Driver:
+    """Return a driver that always predicts by the same model, naive by default: so humans drive, too.
+
+    Args:
+        game: of which car 0 is driven; for a human, `ms_highway.game.game.swap_roles`.
+        model: of all humans.
+    """
+    return Driver(game, always(model or Naive()))

@@ -1,0 +1,113 @@
+"""Hold what a simulation takes and returns: the loop's common numbers, the episodes, and the records of their steps."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.choice.rule import Rule
+from ms_highway.game.game import Game
+from ms_highway.loop.devices import CHUNK
+from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.runtime.arrays import Array
+
+DECIDES = -1
+"""In a schedule: the rule chooses the rung of this human in this step."""
+
+USUAL, NEVER_YIELDS, ALWAYS_YIELDS = range(3)
+"""What a human does beside the robot: plan for its reward, or as `ms_highway.loop.yielding.Unmoved`."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Loop:
+    """What all episodes of a simulation share.
+
+    Attributes:
+        game: what is played, with the humans' rewards as the robot believes them.
+        rule: chooses rungs of its ladder; its price, if any, is each episode's own.
+        others: models that schedules may use beside the ladder; their numbers follow those of its rungs (static).
+        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out` (static).
+        belief: whether the robot infers which model predicts every human, see `ms_highway.loop.driver` (static).
+        yielding: whether some humans yield always or never, see `Episodes` (static).
+        chunk: number of episodes computed together (static); with several humans, episodes are computed one by one. A
+            human model is computed only for the chunks that use it: smaller chunks waste less computation, larger ones
+            use wide hardware better. The last digits of results depend on it, and chaotic episodes (Stay Back) amplify
+            them.
+    """
+
+    game: Game
+    rule: Rule
+    others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
+    way_out: bool = field(default=False, metadata={"static": True})
+    belief: bool = field(default=False, metadata={"static": True})
+    yielding: bool = field(default=False, metadata={"static": True})
+    chunk: int = field(default=CHUNK, metadata={"static": True})
+
+    @property
+    def models(self) -> tuple[HumanModel, ...]:
+        """All models, in the order of their numbers in schedules and records."""
+        return (*self.rule.ladder, *self.others)
+
+    @property
+    def unresponsive(self) -> int | None:
+        """The number of the model for humans who show that they do not respond; None without a belief."""
+        if not self.belief:
+            return None
+        if self.rule.estimates:
+            return self.rule.for_unresponsive()[1]
+        return [model.name for model in self.models].index(Naive.name)
+
+    @property
+    def together(self) -> int:
+        """Number of episodes that are computed together."""
+        return self.chunk if self.game.number == 1 else 1
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Episodes:
+    """What is each episode's own.
+
+    Attributes:
+        starts: all cars at the start: robot, humans, scripted cars.
+        prices: lambda, where the rule decides.
+        schedules: number of the model that predicts each human in each step, or `DECIDES`.
+        robot_weights: of the robot's reward, in the order of its features.
+        human_weights: of the rewards that the humans drive by; with one human, the robot knows them.
+        yielding: of each human, `USUAL`, `NEVER_YIELDS` or `ALWAYS_YIELDS`.
+        errors: of what the robot sees of the first cars before every step, and after the last one, where nobody looks;
+            None where it sees the truth.
+    """
+
+    starts: Float[Array, "episodes cars 4"]
+    prices: Float[Array, "episodes"]
+    schedules: Int[Array, "episodes steps humans"]
+    robot_weights: Float[Array, "episodes features"]
+    human_weights: Float[Array, "episodes humans features"]
+    yielding: Int[Array, "episodes humans"]
+    errors: Float[Array, "episodes steps+1 cars 4"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+
+class Records(NamedTuple):
+    """Records of all steps, with the columns of `ms_highway.experiments.runner.episode`.
+
+    Attributes:
+        rungs: number of the model that predicted each human in the plan that was followed, in `Loop.models`.
+        status: of the robot's control, an index of `ms_highway.loop.fallback.STATUSES`.
+        reward: the robot's, after the step.
+        collision: whether the robot collides in it.
+        gains: of each rung for each human, estimated before the step, see `ms_highway.choice.rule.Decision`.
+        states: all cars after the step.
+    """
+
+    rungs: Int[Array, "episodes steps humans"]
+    status: Int[Array, "episodes steps"]
+    reward: Float[Array, "episodes steps"]
+    collision: Bool[Array, "episodes steps"]
+    gains: Float[Array, "episodes steps humans rungs"]
+    states: Float[Array, "episodes steps cars 4"]

@@ -1,0 +1,115 @@
+"""One step of a robot among humans, live or in a batch: look at the last step, choose models, plan, follow the plan.
+
+Pure functions over what the robot carries from step to step. The plan itself is `ms_highway.planning.several.plan_for`,
+what is followed of it `ms_highway.loop.fallback.follow`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.choice.belief import counted_on, first_belief, infer
+from ms_highway.choice.rule import Decision, Memory, Outcome, Rule, first_memory
+from ms_highway.game.dynamics import recover_control
+from ms_highway.game.features import reward
+from ms_highway.game.game import Game
+from ms_highway.loop.fallback import Followed, Rest
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.planning.plans import Plan, one_step_later
+from ms_highway.runtime.arrays import Belief, Rungs, State
+
+
+class Carry(NamedTuple):
+    """What a robot carries from step to step.
+
+    Attributes:
+        memory: of its rule.
+        outcome: of the last step; before the first one, of a step in which no car moved.
+        belief: probability that each of the package's models predicts each human.
+    """
+
+    memory: Memory
+    outcome: Outcome
+    belief: Belief
+
+
+def begin(rule: Rule, game: Game, state: State) -> Carry:
+    """Return what a robot carries before its first step."""
+    still = np.zeros((1 + game.number, game.planner.horizon, 2), np.float32)
+    outcome = Outcome(state, state, still[0, 0], still[1:, 0], np.float32(0), Plan(still[0], still[1:]))
+    return Carry(first_memory(rule, game.number), outcome, first_belief(game.number))
+
+
+def complete_outcome(game: Game, carry: Carry, now: State, infers: bool) -> Carry:
+    """Fill in what the last step led to: observed controls, the reward and, if it is inferred, the belief."""
+    outcome, last = carry.outcome, 1 + game.number
+    controls = recover_control(game.world, outcome.before[1:last], now[1:last]) / game.planner.control_scale
+    outcome = outcome._replace(after=now, humans=controls, reward=reward(game.scene, game.robot, now))
+    belief = carry.belief
+    if infers:
+        moved = jnp.any(outcome.before != now)  # before the first step, nothing is seen of the humans
+        belief = jnp.where(moved, infer(game, belief, outcome.before, now, outcome.plan.robot), belief)
+    return carry._replace(outcome=outcome, belief=belief)
+
+
+def responsive_rungs(ladder: tuple[HumanModel, ...], rungs: Rungs, belief: Belief, unresponsive: int | None) -> Rungs:
+    """Return the rungs, another one instead of one that responds for humans who show that they do not.
+
+    Args:
+        ladder: human models.
+        rungs: that were chosen.
+        belief: see `Carry`.
+        unresponsive: that rung; None where everybody is counted on.
+    """
+    if unresponsive is None:
+        return rungs
+    responds = jnp.array([model.responds for model in ladder])
+    return jnp.where(responds[rungs] & ~counted_on(belief), unresponsive, rungs).astype(jnp.int32)
+
+
+def decide(
+    rule: Rule, game: Game, carry: Carry, now: State, unresponsive: int | None = None
+) -> tuple[Belief, Decision]:
+    """Choose the rungs of the coming step from the outcome of the last one, and return the belief with them.
+
+    Args:
+        rule: chooses.
+        game: as the robot believes it.
+        carry: what is carried into the step.
+        now: all cars.
+        unresponsive: see `responsive_rungs`; None without a belief.
+    """
+    carry = complete_outcome(game, carry, now, unresponsive is not None)
+    decision = rule.decide(game, carry.memory, carry.outcome)
+    rungs = responsive_rungs(rule.ladder, decision.memory.rungs, carry.belief, unresponsive)
+    return carry.belief, decision._replace(memory=decision.memory._replace(rungs=rungs))
+
+
+def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, rest: Rest) -> bool:
+    """Return whether the coming plan starts from the `remaining_plan`, as the planner or a rung in use wants it."""
+    warm = np.array([model.warm for model in ladder])
+    wanted = game.planner.persistent or bool(warm.all())
+    if not wanted and warm.any():
+        wanted = rungs.__array_namespace__().asarray(warm)[rungs].any()
+    return wanted & (rest.steps > 0)
+
+
+def remaining_plan(rest: Rest) -> Plan:
+    """Return the plan that a plan may start from: what is left of the last one."""
+    return one_step_later(rest.start)
+
+
+def advance(carry: Carry, decision: Decision, followed: Followed, state: State) -> Carry:
+    """Return what is carried into the next step, whose outcome `complete_outcome` fills in.
+
+    Args:
+        carry: into this step.
+        decision: of this step.
+        followed: what drives in it.
+        state: all cars before it.
+    """
+    driven = followed.now
+    memory = decision.memory._replace(rungs=driven.rungs, step=carry.memory.step + 1)
+    outcome = carry.outcome._replace(before=state, after=state, robot=driven.plan.robot[0], plan=driven.plan)
+    return carry._replace(memory=memory, outcome=outcome)

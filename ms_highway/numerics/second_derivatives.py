@@ -1,0 +1,140 @@
+"""Differentiate a trajectory's reward twice in the controls, and compute steps and responses from the Hessian."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeAlias
+
+import jax
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.runtime.arrays import Controls, Matrix, Numbers, Scalar, Trajectory, Vector
+
+Influence: TypeAlias = Literal["exact", "damped"]
+
+
+class Expansion(NamedTuple):
+    """Expansion of a trajectory's reward to second order in its n ravelled controls.
+
+    Attributes:
+        gradient: of the reward in the controls.
+        hessian: of the reward in the controls.
+        jacobian: of the trajectory in the controls.
+    """
+
+    gradient: Vector
+    hessian: Matrix
+    jacobian: Float[jax.Array, "fields steps n"]
+
+
+def second_order_expansion(
+    path: Callable[[Controls], Trajectory],
+    controls: Controls,
+    slope: Trajectory,
+    bends: Float[jax.Array, "fields fields steps"],
+    cost: Callable[[Controls], Scalar] | None = None,
+) -> Expansion:
+    """Return gradient and Hessian in the controls, by the chain rule, of a sum over steps, less a cost.
+
+    With s_k the motion at step k, ``J_k = ds_k / du``, and g_k and Q_k the reward's gradient and Hessian at s_k::
+
+        gradient = sum_k J_k^T g_k;  H = sum_k J_k^T Q_k J_k + sum_k g_k d2s_k / du2
+
+    The expensive reward is differentiated twice in as many directions as a motion has fields, whatever the number of
+    controls; only the cheap trajectory is differentiated in every control.
+
+    Args:
+        path: trajectory under the controls.
+        controls: where to expand.
+        slope: g of all steps.
+        bends: Q of all steps.
+        cost: of the controls themselves, a sum over them; None for none.
+    """
+
+    def ravelled(controls: Vector) -> Trajectory:
+        return path(controls.reshape(-1, 2))
+
+    point = controls.ravel()
+    jacobian = jax.jacfwd(ravelled)(point)
+    bent = jnp.einsum("dfk,dkn->fkn", bends, jacobian)
+    bending = jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](slope)[0])(point)
+    hessian = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size) + bending
+    gradient = jnp.sum(jacobian * slope[..., None], axis=(0, 1))
+    if cost is None:
+        return Expansion(gradient, hessian, jacobian)
+    # Of a sum over controls, the derivative along all of them at once is the diagonal of the Hessian.
+    marginal, diagonal = jax.jvp(jax.grad(cost), (controls,), (jnp.ones_like(controls),))
+    return Expansion(gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel()), jacobian)
+
+
+def along_fields(function: Callable[[Trajectory], Numbers], steps: Trajectory) -> tuple[Numbers, Numbers]:
+    """Return what depends at each step only on the fields there, and its derivatives in each of them [fields, *value].
+
+    One direction per field serves all steps at once.
+    """
+    directions = jnp.broadcast_to(jnp.eye(len(steps))[..., None], (len(steps), *steps.shape))
+    along = jax.vmap(lambda direction: jax.jvp(function, (steps,), (direction,)), out_axes=(None, 0))
+    return along(directions)
+
+
+def response(
+    influence: Influence, hessian: Matrix, vector: Float[jax.Array, "n *columns"]
+) -> Float[jax.Array, "n *columns"]:
+    """Compute ``-H^-1 vector``: how the optimum of a reward with Hessian H moves if its gradient changes by ``vector``.
+
+    * ``exact`` takes H as it is, like the paper and its released code. Before convergence H may be indefinite or
+      singular, and the response arbitrary or not finite.
+    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
+    """
+    if influence == "damped":
+        return damped_inverse(hessian, 1.0) @ vector
+    if len(hessian) == 2:
+        (a, b), (c, d) = hessian
+        return jnp.array([[-d, b], [c, -a]]) @ vector / (a * d - b * c)
+    return -jnp.linalg.solve(hessian, vector)
+
+
+def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
+    """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``: positive definite, so steps ascend."""
+    values, vectors = eigenpairs(hessian)
+    return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
+
+
+def eigenpairs(symmetric: Matrix) -> tuple[Vector, Matrix]:
+    """Return eigenvalues, ascending, and eigenvectors in columns.
+
+    In closed form for 2 x 2, which XLA can fuse with the surrounding operations, unlike a call of LAPACK.
+    """
+    if len(symmetric) != 2:
+        return jnp.linalg.eigh(symmetric)
+    (a, b), (_, d) = symmetric
+    mean, half = (a + d) / 2, (a - d) / 2
+    spread, angle = jnp.hypot(half, b), jnp.arctan2(b, half) / 2
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    return jnp.stack([mean - spread, mean + spread]), jnp.array([[-sine, cosine], [cosine, sine]])
+
+
+@jax.custom_jvp
+def floored(symmetric: Float[jax.Array, "d d"], floor: Scalar) -> Float[jax.Array, "d d"]:
+    """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
+
+    Its derivative is exact also at equal eigenvalues, where those of the eigenvectors are not finite: with divided
+    differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
+    """
+    values, vectors = jnp.linalg.eigh(symmetric)
+    return (vectors * jnp.maximum(values, floor)) @ vectors.T
+
+
+@floored.defjvp
+def _floored_jvp(
+    primals: tuple[jax.Array, jax.Array], tangents: tuple[jax.Array, jax.Array]
+) -> tuple[jax.Array, jax.Array]:
+    (symmetric, floor), (change, of_floor) = primals, tangents
+    values, vectors = jnp.linalg.eigh(symmetric)
+    high = values > floor
+    above, below = jnp.where(high, values, floor)[:, None], jnp.where(high, floor - 1.0, values)[None, :]
+    mixed = (above - floor) / (above - below)
+    one_of_two = high[:, None] ^ high[None, :]
+    shares = jnp.where(one_of_two, jnp.where(high[:, None], mixed, mixed.T), high[:, None] & high[None, :])
+    turned = vectors.T @ change @ vectors
+    back = vectors @ (shares * turned) @ vectors.T + of_floor * (vectors * ~high) @ vectors.T
+    return (vectors * jnp.maximum(values, floor)) @ vectors.T, back

@@ -1,0 +1,254 @@
+"""Controllers: records, clocks, fallbacks and compilations."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from driving import move as move_all
+from jax import numpy as jnp
+
+from ms_highway.choice.nearest import Nearest
+from ms_highway.choice.quadratic import Switching
+from ms_highway.choice.rule import Order, always
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.game.dynamics import step as move
+from ms_highway.loop.driver import Driver, fixed
+from ms_highway.loop.fallback import brake
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import MODELS, ladder
+
+
+@pytest.mark.usefixtures("stopped_by_nans")
+def test_a_step_tells_what_was_planned_for_every_human(played):
+    game, state = played("merger", humans=2)
+    step = Driver(game, Nearest(1, ladder(("naive", "turn", "tom")))).step(np.asarray(state))
+    assert step.models == ("tom", "naive")
+    assert step.status == "planned"
+    assert step.plan.shape == (5, 2)
+    assert step.humans.shape == (2, 5, 2)
+    np.testing.assert_array_equal(step.control, step.plan[0])
+    assert step.humans[1, 0] == pytest.approx([0.0, 0.2 * float(state[2, 3])], rel=1e-4)  # only makes up for friction
+    assert 0 < step.planning_seconds < 1
+    assert 0 < step.decision_seconds < 1
+    assert np.isnan(step.gains).all()
+
+
+@pytest.mark.slow
+def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(played):
+    """Neither does another driver compile anything, whose game and rule have other numbers."""
+    game, state = played("merger")
+    switching = Switching(Costs(0.0, np.array([0.09, 0.17, 0.37])), 0.0, ladder(("naive", "turn", "tom")))
+    other = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
+    models = set()
+    for number, controller in enumerate([Driver(game, switching), Driver(other, replace(switching, price=3.0))]):
+        for count in range(6):
+            step = controller.step(np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)))
+            assert step.compile_seconds == 0 or (number, count) == (0, 0)
+            models |= {*step.models}
+    assert len(models) > 1
+
+
+@pytest.mark.parametrize("solver", ["gradient", "newton"])
+def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(played, solver):
+    game, state = played("merger", solver=solver)
+    controller = fixed(game)
+    first = controller.step(np.asarray(state))
+    controller.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * jnp.nan))
+    steps = [controller.step(np.asarray(state)) for _ in range(6)]
+    assert [step.status for step in steps] == ["previous plan"] * 4 + ["braking"] * 2
+    np.testing.assert_array_equal(steps[0].plan, first.plan[1:])
+    np.testing.assert_array_equal(steps[3].control, first.plan[4])
+    np.testing.assert_allclose(steps[4].control, [0.0, -8.0], atol=0.01)
+
+
+def test_a_late_step_has_the_models_of_the_plan_that_was_followed_and_the_rule_goes_on_from_them(played):
+    game, state = played("merger")
+    controller = Driver(game, Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn"))))
+    steps = []
+    for count, budget in enumerate([None, 0.0, None]):
+        controller.budget = budget
+        steps.append(controller.step(np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count))))
+    assert [step.status for step in steps] == ["planned", "late", "planned"]
+    assert [step.models for step in steps] == [("naive",), ("naive",), ("turn",)]
+    assert [step.planned for step in steps] == [("naive",), ("turn",), ("turn",)]
+    np.testing.assert_array_equal(steps[1].plan, steps[0].plan[1:])
+    assert np.isfinite(steps[2].gains[0, 1])  # of going up once more, as the robot has not gone up yet
+
+
+def test_braking_brings_a_car_to_a_stop_along_the_road(played):
+    game, _ = played("merger", control_limit=(0.05, 6.0))
+    car = np.array([0.0, 0.0, 0.2, 12.0])
+    for _ in range(40):
+        control = brake(game, car)[0]
+        assert (abs(control) <= [0.05 + 1e-6, 6.0 + 1e-6]).all()
+        car = move(game.dynamics, car, control)
+    assert car[3] == pytest.approx(0.0, abs=1e-6)
+    assert abs(car[2]) < 0.01
+
+
+def persistent(game):
+    """The game whose plans start from the rest of the last one."""
+    return replace(game, planner=replace(game.planner, persistent=True))
+
+
+def test_a_state_that_is_no_state_is_refused(played):
+    game, state = played("merger")
+    controller = fixed(game)
+    with pytest.raises(ValueError, match=r"shape \[cars, 4\].*\(4,\)"):
+        controller.step(np.asarray(state)[0])
+    with pytest.raises(ValueError, match="car 1 is not finite: speed is nan"):
+        controller.step(np.asarray(state.at[1, 3].set(jnp.nan)))
+
+
+def test_a_state_may_be_changed_in_place_between_steps(played):
+    game, state = played("merger")
+    switching = Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn")))
+    fresh, reusing = Driver(game, switching), Driver(game, switching)
+    states = [np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)) for count in range(4)]
+    reused = states[0].copy()
+    for now in states:
+        reused[:] = now
+        expected, step = fresh.step(now), reusing.step(reused)
+        np.testing.assert_array_equal(step.gains, expected.gains)
+        np.testing.assert_array_equal(step.plan, expected.plan)
+
+
+@pytest.mark.usefixtures("stopped_by_nans")
+def test_switching_without_a_known_cost_stays_on_its_rung_and_drives_on(played):
+    game, state = played("merger")
+    controller = Driver(game, Switching(Costs(0.0, np.array([np.nan, 0.17])), 0.1, ladder(("naive", "turn"))))
+    steps = [controller.step(np.asarray(state)) for _ in range(3)]
+    assert [step.models for step in steps] == [("naive",)] * 3
+    assert all(step.status == "planned" and np.isnan(step.gains).all() for step in steps)
+
+
+def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(played):
+    game, state = played("merger")
+    state = np.asarray(state)
+    switching = Switching(Costs(0.0, np.array([0.0, 0.0])), 0.0, ladder(("naive", "turn")))
+    controller = Driver(persistent(game), switching)
+    moved = [state + np.outer(state[:, 3], [0.1 * count, 0, 0, 0]) for count in range(4)]
+    models = [controller.step(now).models[0] for now in moved]
+    assert models[-1] == "turn"
+    own = controller._rest.plan.robot.copy()
+    controller.reset_partner()
+    np.testing.assert_array_equal(controller._rest.plan.robot, own)
+    assert (controller._rest.plan.humans == 0).all()
+    step = controller.step(moved[-1])
+    assert step.models == ("naive",)
+    assert np.isnan(step.gains).all()
+    assert np.isfinite(controller.step(moved[-1]).gains).any()
+
+
+def test_what_was_before_may_be_told_in_the_coordinates_of_now(played):
+    """Where coordinates begin at the car, as they do for those that drive by themselves."""
+    game, state = played("stay_back")
+    state = np.asarray(state) + np.array([game.scene.obstacles[0, 0] - 5.0 - state[0, 0], 0, 0, 0])
+    switching = Switching(Costs(0.0, np.array([0.0, 0.0])), 0.0, ladder(("naive", "turn")))
+    still, informed, left_out = (Driver(game, switching) for _ in range(3))
+    for controller in (still, informed, left_out):
+        controller.step(state)
+    later = state + np.outer(state[:, 3] * 0.1, [1, 0, 0, 0])
+    back = np.array([-2.0, 0, 0, 0])  # where the coordinates of now begin
+    for controller in (informed, left_out):
+        controller.game = replace(game, scene=replace(game.scene, obstacles=game.scene.obstacles + back[:2]))
+    expected = pytest.approx(still.step(later).gains, rel=1e-2, abs=1e-3, nan_ok=True)
+    assert informed.step(later + back, state + back).gains == expected
+    assert left_out.step(later + back).gains != expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"price": np.nan}, "the price is nan"),
+        ({"costs": Costs(0.0, np.array([0.1, -0.1]))}, "neither may be negative"),
+        ({"costs": Costs(0.0, np.array([0.1]))}, "give one for each of naive, tom"),
+        ({"ladder": ("naive", "tom")}, "'naive', which is no human model; make one of names with `ladder`"),
+    ],
+)
+def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, message):
+    game, _ = played("merger")
+    switching = Switching(Costs(0.0, np.array([0.09, 0.37])), 0.1, ladder(("naive", "tom")))
+    with pytest.raises(ValueError, match=message):
+        Driver(game, replace(switching, **changes))
+    with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
+        Driver(game, replace(switching, ladder=ladder(("tom@4", "tom"))), belief=True)
+
+
+def test_another_rule_decides_from_the_next_step_on(played):
+    game, state = played("merger")
+    free = Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn")))
+    controller, expensive = Driver(game, free), replace(free, price=1e4)
+    controller.step(np.asarray(state))
+    controller.rule = expensive
+    gains = controller.step(np.asarray(state)).gains
+    np.testing.assert_allclose(gains[0, 1], -0.08 * 1e4, rtol=0.1)
+    controller.rule = Order(np.ones((1, 1), int), free.ladder)
+    assert controller.step(np.asarray(state)).models == ("turn",)
+
+
+def test_another_order_is_followed_at_once_also_with_a_belief_and_on_the_same_ladder_only(played):
+    game, state = played("merger")
+    models = ladder(("naive", "turn"))
+    driver, followed = Driver(game, Order(np.array([[0]]), models), belief=True), []
+    for rung in (0, 1, 0):
+        driver.rule = Order(np.array([[rung]]), models)
+        followed.append(driver.step(np.asarray(state)).models[0])
+    assert followed == ["naive", "turn", "naive"]
+    with pytest.raises(ValueError, match="the rule is on the ladder naive, and the driver on naive turn"):
+        driver.rule = always(models[0])
+
+
+def test_a_schedule_goes_on_among_other_humans(played):
+    game, state = played("merger")
+    driver, followed = Driver(game, Order(np.array([[1], [1], [0]]), ladder(("naive", "turn")))), []
+    for count in range(4):
+        if count == 2:
+            driver.reset_partner()
+        followed.append(driver.step(np.asarray(state)).models[0])
+    assert followed == ["turn", "turn", "naive", "naive"]
+
+
+def test_an_order_with_a_belief_can_fall_back_on_naive_and_is_pickled(played):
+    game, state = played("merger")
+    order = Order(np.array([[1]]), ladder(("turn", "tom")))
+    controller = pickle.loads(pickle.dumps(Driver(game, order, belief=True)))
+    assert [model.name for model in controller.rule.ladder] == ["turn", "tom", "naive"]
+    assert controller.step(np.asarray(state)).models == ("tom",)
+    config = {"ladder": ["turn", "tom"], "yielding": "never"}
+    assert "naive" in make_batch(Comparison({"merger": ["tom+belief"]}, config=config), "merger").models
+
+
+def test_an_escape_is_followed_where_the_next_plan_fails_and_plans_go_on_from_the_one_that_it_replaced(played):
+    """A human comes from behind, faster than the robot; another one is beside it."""
+    game, state = played("dense_merge")
+    game = replace(game, planner=replace(game.planner, newton_steps=1))  # so that it matters where plans start from
+    lane, x = float(game.scene.target_lane), float(state[0, 0])
+    start = np.array([state[0], [x - 12.0, state[0, 1], 0.0, 30.0], [x, lane, 0.0, 20.0], *state[3:]])
+    driver, failing = (Driver(game, always(MODELS["naive"]), way_out=True) for _ in range(2))
+    _, step = (each.step(start) for each in (driver, failing))
+    assert step.status == "way out"
+    np.testing.assert_array_equal(step.control, step.plan[0])
+    now = move_all(game, start, [step.control, *(human[0] for human in step.humans)])
+    failing.game = replace(game, robot=replace(game.robot, weights=game.robot.weights * np.nan))
+    fallback = failing.step(now)
+    assert fallback.status == "previous plan"
+    np.testing.assert_array_equal(fallback.plan, step.plan[1:])
+    driver.way_out, bold = False, fixed(game)
+    assert bold.step(start).status == "planned"
+    goes_on = driver.step(now).plan
+    np.testing.assert_array_equal(goes_on, bold.step(now).plan)
+    assert np.abs(goes_on - fixed(game).step(now).plan).max() > 1e-3
+
+
+def test_a_warm_start_goes_on_from_the_last_plan(played):
+    game, state = played("merger")
+    cold, warm = fixed(game), fixed(persistent(game))
+    state = np.asarray(state)
+    first = [controller.step(state) for controller in (cold, warm)]
+    np.testing.assert_array_equal(first[0].plan, first[1].plan)
+    again = [controller.step(state) for controller in (cold, warm)]
+    np.testing.assert_array_equal(again[0].plan, first[0].plan)
+    assert abs(again[1].plan - first[1].plan).max() > 1e-3

@@ -1,0 +1,108 @@
+"""Limits hold for what is executed, whoever planned it: bounds of each control, and what tyres hold in all."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.experiments.batch import simulated
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.loop.driver import fixed
+from ms_highway.planning.human_models import MODELS, Naive, register
+from ms_highway.planning.plans import Plan
+
+GRIP = 8.0  # m/s^2
+
+
+@dataclass(frozen=True)
+class Reckless(Naive):
+    """A model of a user's, whose plans leave all limits."""
+
+    name: ClassVar[str] = "reckless"
+    excess: float = 1e9
+
+    def plan(self, game, state, start=None):
+        plan = super().plan(game, state, start)
+        return Plan(plan.robot + self.excess, plan.humans)
+
+
+@pytest.mark.parametrize("grip", [None, GRIP])
+def test_a_plan_of_a_users_model_is_executed_within_the_limits(played, grip):
+    game, state = played("merger", control_limit=(0.05, 6.0), grip=grip)
+    step = fixed(game, Reckless()).step(np.asarray(state))
+    assert step.status == "planned"
+    assert (abs(step.plan) <= np.array([0.05, 6.0]) * 1.0001).all()
+    assert grip is None or held_by(step.control, float(state[0, 3])) <= GRIP * 1.0001
+    assert grip is not None or step.control == pytest.approx([0.05, 6.0])
+
+
+@dataclass(frozen=True)
+class Paired(Naive):
+    """A model of a user's, whose plans are plain pairs."""
+
+    name: ClassVar[str] = "paired"
+
+    def plan(self, game, state, start=None):
+        return tuple(super().plan(game, state, start))
+
+
+def test_a_users_model_may_return_a_plain_pair(played):
+    game, state = played("merger")
+    plans = [fixed(game, model).step(np.asarray(state)).plan for model in (Paired(), Naive())]
+    np.testing.assert_allclose(*plans, rtol=1e-6)
+
+
+def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
+    game, state = played("merger", control_limit=(0.05, 6.0))
+    for excess in (np.inf, np.nan):
+        assert fixed(game, Reckless(excess=excess)).step(np.asarray(state)).status == "braking"
+
+
+@pytest.mark.slow
+def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle():
+    """From places and speeds: the path's curvature times v^2, and the change of speed."""
+    config = {"ladder": ["naive", "tom"]}
+    free = Comparison({"merger": ["naive", "tom"]}, 5, config=config)
+    records = simulated(replace(free, config=config | {"grip": GRIP}))
+    for car in ("robot", "human"):
+        assert accelerations(records, car).max() <= GRIP * 1.01
+    assert accelerations(simulated(free), "human").max() > 2 * GRIP
+
+
+def accelerations(records, car):
+    """The total acceleration of a car in every step but the first [m/s^2]."""
+    totals = []
+    for _, steps in records.groupby(["controller", "seed"]):
+        heading, speed = (steps[f"{car}_{name}"].to_numpy() for name in ("heading", "speed"))
+        totals.append(np.hypot(speed[:-1] * np.diff(heading), np.diff(speed)) / 0.1)
+    return np.concatenate(totals)
+
+
+def held_by(control, speed):
+    """What tyres hold under a control, with the paper's friction."""
+    return np.hypot(speed**2 * control[0], control[1] - 0.2 * speed)
+
+
+STATES = [f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")]
+
+
+@pytest.fixture
+def reckless():
+    register(Reckless())
+    yield "reckless"
+    del MODELS["reckless"]
+
+
+@pytest.mark.slow
+def test_batches_keep_to_the_limits_as_environments_do(reckless):
+    costs, controllers = {"naive": 0.1, "reckless": 0.1}, ["naive", "reckless"]
+    config = {"costs": costs, "ladder": ["naive"], "control_limit": [0.05, 6.0], "grip": GRIP}
+    comparison = Comparison({"merger": controllers}, seeds=2, config=config)
+    envs = [make_environment("merger", name, **comparison.config) for name in controllers]
+    expected = pd.DataFrame([record for env in envs for seed in range(2) for record in episode(env, seed)])
+    found = simulated(comparison)
+    np.testing.assert_allclose(found[STATES], expected[STATES], atol=0.05, rtol=0)
+    assert (found["status"].to_numpy() == expected["status"].to_numpy()).all()

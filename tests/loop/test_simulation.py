@@ -1,0 +1,173 @@
+"""The closed loop in pure JAX does what the environments do, and what the released code did."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+
+from ms_highway.benchmarks.throughput import throughput
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
+from ms_highway.experiments.batch import make_batch, simulated
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import MEASURED
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.experiments.validation import read_episodes
+from ms_highway.game.scenario import PAPER_UNIT
+from ms_highway.loop.batch import simulate
+from ms_highway.loop.devices import use_devices
+from ms_highway.loop.fallback import STATUSES
+
+KEYS = ["controller", "seed", "step"]
+COIN = "random:naive=0.25,turn=0.75"
+PERIOD = "period:turn=1,naive=2"
+CONTROLLERS = ["naive", "schedule:turn=5,naive=3,turn", PERIOD, COIN]
+STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
+COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=6)
+
+
+def driven(comparison, scenario, controller):
+    """The records of the environment."""
+    env = make_environment(scenario, controller, **comparison.config)
+    seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
+    rows = [{"controller": controller, "seed": seed, **record} for seed in seeds for record in episode(env, seed)]
+    return pd.DataFrame(rows).set_index(KEYS)
+
+
+@pytest.fixture(scope="module")
+def records():
+    return simulated(COMPARISON)
+
+
+def test_records_are_those_of_an_experiment_without_measured_times(records):
+    assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
+    assert len(records) == len(CONTROLLERS) * 6 * 40
+    assert records["controller"].drop_duplicates().tolist() == CONTROLLERS
+    assert set(records["status"]) == {"planned"}
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS[1:])
+def test_whole_episodes_agree_with_the_environment_step_by_step(records, controller):
+    expected = driven(COMPARISON, "merger", controller)
+    found = records.set_index(KEYS).loc[expected.index]
+    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+    np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-3)
+    for name in ("model", "status", "counted_seconds"):
+        assert (found[name] == expected[name]).all()
+
+
+def test_a_period_is_repeated_to_the_end_of_every_episode(records):
+    models = records.query(f"controller == '{PERIOD}'").pivot(index="seed", columns="step", values="model")
+    for _, used in models.iterrows():
+        assert used.tolist() == (["turn", "naive", "naive"] * 14)[:40]
+
+
+def test_a_random_controller_draws_the_models_of_each_seed_anew_with_its_shares_from_the_same_starts(records):
+    models = records.query(f"controller == '{COIN}'").pivot(index="seed", columns="step", values="model")
+    assert len(models.drop_duplicates()) == 6
+    assert set(np.unique(models)) == {"naive", "turn"}
+    assert abs((models == "turn").to_numpy().mean() - 0.75) < 3 * np.sqrt(0.75 * 0.25 / 240)
+    batch = make_batch(COMPARISON, "merger")
+    np.testing.assert_array_equal(*(batch.episodes([(name, 5)]).starts for name in (COIN, "naive")))
+
+
+@pytest.mark.slow
+def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(reference):
+    config = {"semantics": "released", "ladder": ["naive", "turn"]}
+    comparison = Comparison({"give_way": ["naive", "turn"]}, seeds=10, config=config)
+    batch = make_batch(comparison, "give_way")
+    units = np.array([PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT])
+    for controller in ("naive", "turn"):
+        _, logged = read_episodes(reference / f"give_way__{controller}.npz")
+        given = batch.episodes([(controller, seed) for seed in range(10)])
+        records = simulate(batch.loop, replace(given, starts=np.float32(logged["states"][:, 0] * units)))
+        np.testing.assert_allclose(records.states[:, :-1] / units, logged["states"][:, 1:], atol=1e-3)
+        assert records.reward.mean() == pytest.approx(logged["rewards"].mean(), abs=0.01)
+
+
+def test_a_plan_that_is_not_finite_gives_way_to_braking_and_leaves_the_other_episodes_alone(records):
+    batch = make_batch(COMPARISON, "merger")
+    given = batch.episodes([("naive", 0), ("naive", 1)])
+    weights = given.robot_weights.copy()
+    weights[0] = np.nan
+    found = simulate(batch.loop, replace(given, robot_weights=weights))
+    assert (found.status[0] == STATUSES.index("braking")).all()
+    assert found.states[0, -1, 0, 3] == pytest.approx(0, abs=1e-4)
+    alone = records.query("controller == 'naive' and seed == 1")
+    np.testing.assert_allclose(found.states[1, :, :2].reshape(40, -1), alone[STATES], atol=1e-3)
+
+
+def test_starts_are_those_of_the_environment(scenario):
+    env = make_environment(scenario, "naive")
+    env.reset(seed=3)
+    batch = make_batch(Comparison({scenario: ["naive"]}), scenario)
+    np.testing.assert_array_equal(batch.episodes([("naive", 3)]).starts[0], np.float32(env.unwrapped.car_states))
+
+
+class NearsightedEnv(MergerEnv):
+    """Merger among drivers who plan 0.3 s ahead, from starts of its own."""
+
+    scenario = replace(MergerEnv.scenario, name="nearsighted")
+
+    def configure(self, config):
+        super().configure(config)
+        self.game = replace(self.game, planner=replace(self.game.planner, horizon=3))
+
+    def draw_episode(self, random):
+        starts, weights = super().draw_episode(random)
+        return starts + [[0, 0, 0, 1.0]] * 3, 1.5 * weights  # which the robot does not know
+
+
+@pytest.fixture
+def nearsighted():
+    add_scenario(NearsightedEnv)
+    yield "nearsighted"
+    del ENVIRONMENTS["nearsighted"], SCENARIOS["nearsighted"]
+    gym.registry.pop("ms-highway/nearsighted-v0")
+
+
+@pytest.mark.slow
+def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkeypatch):
+    comparison = Comparison({nearsighted: ["naive"]}, seeds=2)
+    expected, found = driven(comparison, nearsighted, "naive"), simulated(comparison).set_index(KEYS)
+    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+    assert found.loc[("naive", 0, 0), "human_speed"] > 20.4
+    monkeypatch.setattr(NearsightedEnv, "_is_terminated", lambda self: self.steps > 3)
+    with pytest.raises(ValueError, match="NearsightedEnv has its own _is_terminated, which a simulation does not call"):
+        make_batch(comparison, nearsighted)
+
+
+@pytest.mark.slow
+def test_a_batch_plans_as_far_ahead_and_as_often_as_the_environment():
+    config = {"horizon": 3, "time_step": 0.2, "control_limit": [0.2, 9.0]}
+    comparison = Comparison({"merger": ["turn"]}, seeds=2, config=config)
+    expected, found = driven(comparison, "merger", "turn"), simulated(comparison).set_index(KEYS)
+    assert len(found) == 2 * 20
+    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+
+
+def test_a_batch_without_controllers_known_costs_or_devices_is_refused():
+    with pytest.raises(ValueError, match="no controllers for 'give_way'"):
+        make_batch(COMPARISON, "give_way")
+    with pytest.raises(ValueError, match="cannot measure plans"):
+        make_batch(Comparison({"merger": ["naive"]}, config={"costs": "measured"}), "merger")
+    with pytest.raises(ValueError, match="1000 devices are wanted"):
+        use_devices(1000)
+
+
+@pytest.mark.slow
+def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
+    ((name, result),) = throughput("stay_back", ["naive"], [1, 20])
+    assert name == "naive"
+    assert result["environment"] > 1
+    assert result["batch"]["20"] > result["batch"]["1"] > 1
+    assert result["memory_mib"]["20"] >= result["memory_mib"]["1"] > 100
+
+
+def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
+    config = {**ENVIRONMENTS["merger"].default_config(), "terminate_on_collision": True}
+    monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
+    with pytest.raises(ValueError, match=r"terminate_on_collision True, which a simulation does not do"):
+        make_batch(COMPARISON, "merger")

@@ -1,0 +1,106 @@
+"""Plans and decisions from states that no scenario would start in."""
+
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+
+from ms_highway.choice.quadratic import Switching
+from ms_highway.choice.rule import PUBLISHED_COSTS
+from ms_highway.envs import SCENARIOS
+from ms_highway.game.dynamics import step as move
+from ms_highway.game.scenario import PHYSICAL_LIMIT
+from ms_highway.loop.driver import Driver, fixed
+from ms_highway.loop.fallback import DECELERATION, brake, braking_control
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import ladder
+
+STARTS = 100
+LIMIT = np.array(PHYSICAL_LIMIT)
+
+
+@pytest.fixture(params=["stay_back", "merger"])
+def scenario(request):
+    return request.param
+
+
+@pytest.fixture
+def wild(scenario, played):
+    """The scenario's game and starts: cars off the road, across it, reversing, standing, and one inside another."""
+    game, state = played(scenario, control_limit=PHYSICAL_LIMIT)
+    random = np.random.default_rng(0)
+    starts = np.asarray(state, dtype=float) + random.normal(0, [10, 4, 0.8, 12], (STARTS, *state.shape))
+    starts[::5, 0] = starts[::5, 1]  # the robot in the human's place
+    starts[1::5, :, 3] = 0.0  # all cars stand
+    starts[2::5, 0, :2] = starts[2::5, -1, :2]  # bodies overlap, motions differ
+    return game, starts
+
+
+def check(step):
+    assert step.status == "planned"
+    assert np.isfinite(step.plan).all()
+    assert np.isfinite(step.humans).all()
+    assert (abs(step.plan) <= LIMIT * (1 + 1e-6)).all()
+
+
+@pytest.mark.slow
+def test_switching_goes_on_from_wild_starts(scenario, wild):
+    """Five steps from every start, the human driving at random: enough to go up and all the way down."""
+    game, starts = wild
+    rungs = ladder(SCENARIOS[scenario].ladder)
+    controller = Driver(
+        game, Switching(Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs])), 0.1, rungs)
+    )
+    random, models, estimated = np.random.default_rng(1), set(), set()
+    for state in starts:
+        controller.reset()
+        for _ in range(5):
+            step = controller.step(state)
+            check(step)
+            models |= {*step.models}
+            estimated |= {name for name, gain in zip(step.ladder, step.gains[0], strict=True) if np.isfinite(gain)}
+            controls = np.zeros((len(state), 2))
+            controls[:2] = step.control, random.normal(0, LIMIT / 3)
+            state = move(game.dynamics, state, controls)
+    assert models == set(SCENARIOS[scenario].ladder)
+    assert estimated == models
+
+
+@pytest.fixture(params=["paper", "released"])
+def semantics(request):
+    return request.param
+
+
+def absurd_states(number, cars, largest):
+    """Finite states whose numbers are of every magnitude and either sign."""
+    random = np.random.default_rng(2)
+    shape = number, cars, 4
+    return random.choice([-1, 1], shape) * 10.0 ** random.uniform(-largest, largest, shape)
+
+
+def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, semantics):
+    game, _ = played("merger", semantics=semantics)
+    compiled = jax.jit(jax.vmap(partial(braking_control, game)))
+    for car in absurd_states(2000, 1, 308)[:, 0]:
+        controls = brake(game, car)
+        assert np.isfinite(controls).all()
+        assert (abs(controls[:, 1]) <= DECELERATION).all()
+    single = absurd_states(2000, 1, 38)[:, 0].astype(np.float32)
+    assert np.isfinite(compiled(single)).all()
+
+
+def test_controls_are_finite_in_any_state_that_is_so_in_single_precision_and_others_are_refused(played, semantics):
+    game, state = played("merger", semantics=semantics)
+    controller, random = fixed(game), np.random.default_rng(3)
+    for states in absurd_states(300, len(state), 38):
+        wild = np.where(random.random(states.shape) < 0.3, states, np.asarray(state))
+        controller.reset()
+        step = controller.step(wild)
+        assert np.isfinite(step.plan).all()
+        assert np.isfinite(step.humans).all()
+    for value in (1e39, -1e308):
+        states = np.array(state, dtype=float)
+        states[1, 3] = value
+        with pytest.raises(ValueError, match=r"car 1 is not finite: speed is .*, too large for single precision"):
+            controller.step(states)

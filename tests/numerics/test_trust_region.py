@@ -1,0 +1,51 @@
+"""Trust region steps are optimal."""
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+from scipy.optimize import minimize_scalar
+
+from ms_highway.numerics.trust_region import trust_region_step
+
+RADIUS = 1.5
+
+
+def problems(dimensions):
+    """Convex, concave and indefinite quadratics over many scales, with hard cases and vanishing slopes among them."""
+    random = np.random.default_rng(0)
+    for number in range(60):
+        quadratic = random.normal(size=(dimensions, dimensions)) * 10 ** random.uniform(-3, 2)
+        quadratic = quadratic + quadratic.T if number % 3 else -quadratic @ quadratic.T
+        linear = random.normal(size=dimensions) * 10 ** random.uniform(-4, 2)
+        if number % 7 == 0:
+            linear = np.linalg.eigh(quadratic)[1][:, 0] * linear[0]
+        yield quadratic, linear * (number % 11 > 0)
+
+
+def best_value(quadratic, linear):
+    """The optimum in the ball: the least value of the dual, which is convex in the multiplier."""
+    values, vectors = np.linalg.eigh(quadratic)
+    along, least = (vectors.T @ linear) ** 2, max(0.0, values[-1])
+
+    def dual(logarithm):
+        multiplier = least + np.exp(logarithm)
+        return multiplier * RADIUS**2 / 2 + np.sum(along / (multiplier - values)) / 2
+
+    return minimize_scalar(dual, bounds=(-30, 10), method="bounded", options={"xatol": 1e-6}).fun
+
+
+@pytest.mark.parametrize("dimensions", [2, 3, 20])
+def test_the_trust_region_step_is_optimal(dimensions):
+    solve, tolerance = jax.jit(trust_region_step), 1e-4 if dimensions == 2 else 1e-3
+    for quadratic, linear in problems(dimensions):
+        step = np.asarray(solve(jnp.float32(quadratic), jnp.float32(linear), RADIUS), dtype=float)
+        best = best_value(quadratic, linear)
+        assert np.linalg.norm(step) <= RADIUS * 1.0001
+        assert step @ quadratic @ step / 2 + linear @ step >= best - tolerance * abs(best) - 1e-9
+
+
+def test_a_tolerance_stops_the_trust_region_step_near_the_radius():
+    quadratic, linear = jnp.array([[-0.1, 0.02], [0.02, -0.2]]), jnp.array([0.4, 0.3])
+    loose = trust_region_step(quadratic, linear, RADIUS, tolerance=0.05)
+    assert 0.95 * RADIUS <= np.linalg.norm(loose) <= 1.05 * RADIUS
