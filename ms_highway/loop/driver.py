@@ -15,7 +15,7 @@ from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import State
-from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly
+from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -73,7 +73,7 @@ class Driver:
         if rule.ladder != last.ladder:
             new, old = (" ".join(model.name for model in each.ladder) for each in (rule, last))
             raise ValueError(f"the rule is on the ladder {new}, and the driver on {old}; make a new driver")
-        self._rule, self._unresponsive, self._placed = rule, unresponsive, Placed((rule, self.game))
+        self._rule, self._unresponsive, self._placed = rule, unresponsive, Placed((rule, single(self.game)))
         if last.estimates or rule.estimates:
             self._warm = False
 
@@ -89,7 +89,7 @@ class Driver:
 
     def _prepare(self) -> None:
         self._plans = CompiledPlans(self.game, self.rule.ladder)
-        self._placed = Placed((self.rule, self.game))
+        self._placed = Placed((self.rule, single(self.game)))
         self._warm = False
 
     @property
@@ -161,7 +161,7 @@ class Driver:
             seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
             rule, measuring = timed(self.rule.deciding_in, lambda: self._deciding_seconds(state))
             if rule is not self._rule:
-                self._rule, self._placed, seconds = rule, Placed((rule, self.game)), seconds + measuring
+                self._rule, self._placed, seconds = rule, Placed((rule, single(self.game))), seconds + measuring
         return seconds
 
     def _deciding_seconds(self, state: State) -> float:

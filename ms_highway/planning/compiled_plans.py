@@ -13,7 +13,7 @@ from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import Escape, keep_way_out
 from ms_highway.runtime.arrays import Array, Control, Rungs, Scalar, State
-from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly
+from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
@@ -48,7 +48,7 @@ class CompiledPlans:
 
     def __init__(self, game: Game, ladder: Sequence[HumanModel]) -> None:
         self.game, self.ladder = game, tuple(ladder)
-        self._placed = Placed(game)
+        self._placed = Placed(single(game))
         self._goes_on = game.planner.persistent or any(model.warm for model in self.ladder)
 
     def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Plan, float]:
@@ -77,7 +77,7 @@ class CompiledPlans:
         several = self.game.number > 1
         assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
         seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
-        return seconds + (warm_up(escape, self.game, state, np.zeros(2, np.float32)) if way_out else 0.0)
+        return seconds + (warm_up(escape, self._placed.take(), state, np.zeros(2, np.float32)) if way_out else 0.0)
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
         """Return what `ms_highway.planning.way_out.keep_way_out` does, and the seconds that it took."""

@@ -75,6 +75,11 @@ class Placed:
         return self.tree
 
 
+def single(tree: Any) -> Any:
+    """Return a tree of numbers as NumPy arrays in single precision, for which a function is compiled once."""
+    return jax.tree.map(lambda number: np.asarray(number, np.float32), tree)
+
+
 BATCH = 32  # items; more are hardly faster and waste more on the last batch
 
 
