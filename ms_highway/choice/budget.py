@@ -59,7 +59,7 @@ class Budget(Rule):
         return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
     def deciding_in(self, seconds: Callable[[], float]) -> Rule:
-        """See `ms_highway.choice.rule.Rule.deciding_in`; what is known is not measured again."""
+        """Return the rule with measured decision seconds, unless it has some already."""
         return self if np.any(self.deciding) else replace(self, deciding=seconds())
 
 

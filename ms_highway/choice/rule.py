@@ -109,7 +109,7 @@ class Rule:
         return self
 
     def for_unresponsive(self) -> "tuple[Rule, int]":
-        """Return the rule, and the rung for humans who show that they do not respond: the first one.
+        """Return the rule and the first rung, which predicts unresponsive humans.
 
         Raises:
             ValueError: if the first model counts on a response.

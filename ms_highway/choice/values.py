@@ -1,4 +1,4 @@
-"""Learned values of computation and their file: the network, and what it was learned on."""
+"""Read and write files of learned values of computation."""
 
 import json
 from collections.abc import Mapping

@@ -165,7 +165,7 @@ def speeds(
 
 
 def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar | None = None) -> jax.Array:
-    """Accumulate changes on an initial value, of which a share is left after each step, if it is given.
+    """Add the changes of all steps to an initial value. Each step multiplies the sum by ``left``, if given.
 
     Unlike a small matrix product, XLA fuses this.
     """
@@ -174,7 +174,7 @@ def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar | None = No
 
 
 def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
-    """Return what is left at each state of what was there at first, and of what was added in each step."""
+    """Return, for each state, the weights of the initial value and of each change."""
     terms = np.arange(1 + steps)
     age = terms[:, None] - terms  # below 0: not yet
     there = (age >= 0).astype(float)

@@ -257,7 +257,7 @@ def step_rewards(game: Game, own: Trajectory, others: Trajectories) -> Float[Any
 
 
 def _weighed(game: Game) -> tuple[bool, Scene, Reward, Scalar | None]:
-    """Return what the reward of a trajectory depends on; few arguments, so that all plans share what is traced."""
+    """Return the arguments of a trajectory's reward. They are few, so that all plans share one trace."""
     return game.planner.smooth, game.scene, game.robot, game.braking
 
 

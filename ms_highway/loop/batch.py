@@ -173,10 +173,7 @@ def _step(loop: Loop, own: _Own, now: _Now, given: _Step) -> tuple[_Now, Records
     kept = each(lambda robot: unestimated(robot.memory, robot.memory.rungs), robot)
     decided = jax.lax.cond(decides.any(), lambda: each(decide, own, robot), lambda: kept)
     chooses = decides.any(axis=1)
-    decision = jax.tree.map(
-        lambda new, old: jnp.where(chooses.reshape(-1, *[1] * (new.ndim - 1)), new, old), decided, kept
-    )
-    decision = each(take, robot, decision, given.scheduled)
+    decision = each(take, robot, _where(chooses, decided, kept), given.scheduled)
     plans = _plan(loop, own, seen, now.rest, decision.memory.rungs)
     return each(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
 
@@ -200,10 +197,13 @@ def _plan(loop: Loop, own: _Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
     for number, model in enumerate(loop.models):
         uses = rungs[:, 0] == number
         plan = jax.lax.cond(uses.any(), lambda model=model: each(partial(planned, (model,)), *given), lambda: nothing)
-        chosen = jax.tree.map(
-            lambda new, old, uses=uses: jnp.where(uses.reshape(-1, *[1] * (new.ndim - 1)), new, old), plan, chosen
-        )
+        chosen = _where(uses, plan, chosen)
     return chosen
+
+
+def _where(chosen: jax.Array, new: Any, old: Any) -> Any:
+    """Take the new leaves for the chosen episodes and the old ones for the rest. The first axis is episodes."""
+    return jax.tree.map(lambda new, old: jnp.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old)
 
 
 def _follow(game: Game, car: Car, plan: Plan, rungs: Rungs, before: Rest) -> Followed:

@@ -24,7 +24,7 @@ REPEATS = 20  # of timed decisions
 
 
 def drivable(rule: Rule, belief: bool) -> tuple[Rule, int | None]:
-    """Return a rule as a `Driver` takes it, and the rung of humans who do not respond; None without a belief.
+    """Return the rule for a `Driver`, and the rung that predicts unresponsive humans (None without a belief).
 
     Raises:
         ValueError: as `Driver` does.
@@ -178,7 +178,7 @@ class Driver:
         return function.of(*arguments), *arguments
 
     def _carried(self, now: State, before: State | None) -> Carry:
-        """Return what is carried into a step; cars were seen ``before`` the last one, in the present coordinates."""
+        """Return the carry of this step. ``before`` is the previous state in the present coordinates."""
         if self._carry is None:
             carry = begin(self.rule, self.game, now)
             counts = carry.memory if self.rule.estimates else carry.memory._replace(step=np.int32(self._steps))
@@ -211,14 +211,14 @@ class Driver:
         return follow_escape(followed, escape), seconds
 
     def _braking(self, state: State) -> Plan:
-        """Return the scaled controls that stop the robot, among humans who keep their velocity."""
+        """Return a plan in which the robot brakes to a stop and humans keep their velocity."""
         robot = brake(self.game, state[0]) / np.asarray(self.game.planner.control_scale)
         return Plan(robot, constant_velocity(self.game, state[1 : 1 + self.game.number]))
 
 
 @cache
 def decision_function(unresponsive: int | None) -> Compiled:
-    """Compile `ms_highway.loop.step.decide` for a rung of humans who do not respond."""
+    """Compile `ms_highway.loop.step.decide`, given the rung that predicts unresponsive humans."""
     return jit_quickly(partial(decide, unresponsive=unresponsive))
 
 

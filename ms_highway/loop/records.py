@@ -52,7 +52,7 @@ class Loop:
 
     @property
     def unresponsive(self) -> int | None:
-        """The number of the model for humans who show that they do not respond; None without a belief."""
+        """The number of the model that predicts unresponsive humans; None without a belief."""
         if not self.belief:
             return None
         if self.rule.estimates:

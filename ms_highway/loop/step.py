@@ -54,7 +54,7 @@ def complete_outcome(game: Game, carry: Carry, now: State, infers: bool) -> Carr
 
 
 def responsive_rungs(ladder: tuple[HumanModel, ...], rungs: Rungs, belief: Belief, unresponsive: int | None) -> Rungs:
-    """Return the rungs, another one instead of one that responds for humans who show that they do not.
+    """Replace the rungs of unresponsive humans: a rung that counts on a response becomes ``unresponsive``.
 
     Args:
         ladder: human models.
