@@ -1,8 +1,8 @@
-"""The environments: scenarios of a robot with one human or several, one to record driving in, and recorded traffic.
+"""The environments: scenarios of a robot with one human or several, and one to record driving in.
 
 ``import ms_highway`` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
-``ms-highway/give-way-v0``, ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0``,
-``ms-highway/demonstration-v0`` and ``ms-highway/recorded-v0`` with Gymnasium. Imports `ms_highway.vehicle` and what
+``ms-highway/give-way-v0``, ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and
+``ms-highway/demonstration-v0`` with Gymnasium, and the wings theirs. Imports `ms_highway.vehicle` and what
 stands below it.
 """
 
@@ -13,7 +13,6 @@ from gymnasium.envs.registration import EnvCreator, register, registry
 
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
-from ms_highway.envs.recorded.environment import RecordedEnv
 from ms_highway.envs.scenes import CrossingCrowdEnv, DenseMergeEnv, GiveWayEnv, MergerEnv, StayBackEnv
 from ms_highway.game.scenario import Scenario
 
@@ -28,7 +27,6 @@ __all__ = [
     "GiveWayEnv",
     "InteractionEnv",
     "MergerEnv",
-    "RecordedEnv",
     "StayBackEnv",
     "add_scenario",
     "environment_id",

@@ -15,7 +15,7 @@ or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 * Environments: ``ms-highway/stay-back-v0``, ``merger-v0`` and ``give-way-v0``, the paper's, and ``dense-merge-v0`` and
   ``crossing-crowd-v0``, with several humans, see `InteractionEnv`; and ``demonstration-v0``, traffic to record driving
   in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with its planning problems, see
-  `ms_highway.envs.RecordedEnv`. `drive` lets the robot drive that and highway-env's own.
+  `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that and highway-env's own.
 * One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a scenario, `add_feature` a
   feature of rewards.
 * Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and `HumanVehicle`, for roads of
@@ -61,15 +61,15 @@ def __getattr__(name: str) -> object:
 
 
 _ENVIRONMENTS = {
-    "stay-back": "StayBackEnv",
-    "merger": "MergerEnv",
-    "give-way": "GiveWayEnv",
-    "dense-merge": "DenseMergeEnv",
-    "crossing-crowd": "CrossingCrowdEnv",
-    "demonstration": "DemonstrationEnv",
-    "recorded": "RecordedEnv",
+    "stay-back": "envs:StayBackEnv",
+    "merger": "envs:MergerEnv",
+    "give-way": "envs:GiveWayEnv",
+    "dense-merge": "envs:DenseMergeEnv",
+    "crossing-crowd": "envs:CrossingCrowdEnv",
+    "demonstration": "envs:DemonstrationEnv",
+    "recorded": "recorded:RecordedEnv",
 }
 
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned
     if f"ms-highway/{_name}-v0" not in _registry:
-        _register_environment(f"ms-highway/{_name}-v0", entry_point=f"ms_highway.envs:{_environment}")
+        _register_environment(f"ms-highway/{_name}-v0", entry_point=f"ms_highway.{_environment}")

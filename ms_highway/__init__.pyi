@@ -6,10 +6,13 @@ from . import cli as cli
 from . import envs as envs
 from . import experiments as experiments
 from . import game as game
+from . import geometry as geometry
 from . import irl as irl
 from . import loop as loop
 from . import numerics as numerics
 from . import planning as planning
+from . import recorded as recorded
+from . import road as road
 from . import runtime as runtime
 from . import vehicle as vehicle
 from . import visualization as visualization
@@ -26,7 +29,6 @@ from .envs import SCENARIOS as SCENARIOS
 from .envs import add_scenario as add_scenario
 from .envs.base import InteractionEnv as InteractionEnv
 from .envs.controllers import ControllerSettings as ControllerSettings
-from .envs.road import drive as drive
 from .envs.short_names import add_rule as add_rule
 from .envs.spaces import Autopilot as Autopilot
 from .game.game import Game as Game
@@ -51,6 +53,8 @@ from .planning.human_models import TheoryOfMind as TheoryOfMind
 from .planning.human_models import Turn as Turn
 from .planning.human_models import ladder as ladder
 from .planning.human_models import register as register
+from .road.driven import drive as drive
+from .road.robot import RoadRobot as RoadRobot
 from .runtime.jax_settings import keep_compilations as keep_compilations
 from .runtime.jax_settings import low_latency as low_latency
 from .vehicle import BicycleVehicle as BicycleVehicle
@@ -58,6 +62,5 @@ from .vehicle import CommuterVehicle as CommuterVehicle
 from .vehicle import HumanVehicle as HumanVehicle
 from .vehicle import PlanningVehicle as PlanningVehicle
 from .vehicle import RobotVehicle as RobotVehicle
-from .vehicle.road_robot import RoadRobot as RoadRobot
 
 __version__: str

@@ -6,13 +6,14 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.game.road import BEHIND, KNOTS, LANES, SPACING, TRAFFIC, TRAFFIC_KNOTS, Path, RoadScene, place
-from ms_highway.planning.road.motion import advance, within_tyres
-from ms_highway.planning.road.plan import Judged, proposals
-from ms_highway.planning.road.proposals import LAST_PLAN, PROPOSALS, Manners, profiles, simulate_plans
-from ms_highway.planning.road.scoring import score
-from ms_highway.planning.road.settings import LANE, RoadPlanning, RoadWeights
-from ms_highway.planning.road.traffic import situation_of
+from ms_highway.geometry.path import BEHIND, SPACING, Path, place
+from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
+from ms_highway.road.motion import advance, within_tyres
+from ms_highway.road.plan import Judged, proposals
+from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, Manners, profiles, simulate_plans
+from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
+from ms_highway.road.scoring import score
+from ms_highway.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()

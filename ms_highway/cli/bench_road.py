@@ -97,8 +97,8 @@ def _bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.blocks import run_blocks
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
     from ms_highway.cli.results_directory import save_figures, write_table
-    from ms_highway.loop.road import SHIPPED_COSTS
-    from ms_highway.planning.road.settings import MODELS
+    from ms_highway.road.constants import MODELS
+    from ms_highway.road.driver import SHIPPED_COSTS
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.roads import driver_table, success_figure
 

@@ -12,12 +12,12 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.game.dynamics import within_grip
 from ms_highway.game.game import Game
 from ms_highway.game.neighbours import far_behind, headways
+from ms_highway.geometry.road_map import LIMIT
 from ms_highway.loop.controller import Controller, ControlStep
 from ms_highway.loop.driver import Driver
 from ms_highway.loop.fallback import braking_control
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds
-from ms_highway.vehicle.road_map import LIMIT
 from ms_highway.vehicle.road_view import RoadView, Route, at_constant_speed, look, states_of
 
 STEADINESS = 0.5  # s, by which a neighbour's time gap must be shorter than the partner's to replace it

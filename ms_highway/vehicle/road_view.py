@@ -14,12 +14,12 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
 from ms_highway.game.neighbours import FAR_AWAY, far_behind, places
-from ms_highway.game.road import wrapped
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
+from ms_highway.geometry.lane_paths import Point, Row
+from ms_highway.geometry.path import wrapped
+from ms_highway.geometry.road_map import Chain, Lane, road_map
 from ms_highway.runtime.arrays import State
-from ms_highway.vehicle.lane_paths import Point, Row
-from ms_highway.vehicle.road_map import Chain, Lane, road_map
 
 Route: TypeAlias = list[tuple[str, str, int | None]]
 """Roads to follow in order, as in highway-env's vehicles; the lane of a road may be None."""

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from ms_highway.experiments.analysis.summary import CONFIDENCE
 from ms_highway.planning.human_models import cheapest_first
-from ms_highway.planning.road.settings import MODELS
+from ms_highway.road.constants import MODELS
 from ms_highway.visualization.tables import grid
 
 Drivers = Mapping[str, Mapping[str, Any]]

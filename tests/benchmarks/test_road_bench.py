@@ -19,7 +19,7 @@ from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver
 from ms_highway.benchmarks.road.export import WHEELBASE
 from ms_highway.benchmarks.road.measures import Watch, measured
 from ms_highway.benchmarks.road.recorded import starts_of
-from ms_highway.envs.recorded.commonroad import read_scenario
+from ms_highway.recorded.commonroad import read_scenario
 
 KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleration", "p50_ms", "p99_ms"}
 

@@ -11,8 +11,8 @@ from ms_highway.game.dynamics import step
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import driving_game
 from ms_highway.loop.driver import fixed
+from ms_highway.road.robot import RoadRobot
 from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
-from ms_highway.vehicle.road_robot import RoadRobot
 from ms_highway.vehicle.road_view import look
 
 

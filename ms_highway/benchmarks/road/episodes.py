@@ -19,10 +19,10 @@ from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
 from ms_highway.benchmarks.road.peers import Agent, Idle, Idm, Peer, Random, policy_of
 from ms_highway.benchmarks.road.recorded import Human, RecordedStart
-from ms_highway.envs.road import drive
-from ms_highway.envs.road.graphics import show
-from ms_highway.envs.road.settings import DRIVERS, RoadSettings
-from ms_highway.envs.road.stock import success
+from ms_highway.road import drive
+from ms_highway.road.graphics import show
+from ms_highway.road.settings import DRIVERS, RoadSettings
+from ms_highway.road.stock import success
 from ms_highway.runtime import retired
 
 UNPHYSICAL = 10.0
@@ -147,7 +147,7 @@ _kept_driver = cache(make_driver)
 def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> Episode:
     """Drive one episode.
 
-    It is no success after a crash. Where the scene has a goal, `ms_highway.envs.road.stock.success` decides at its end;
+    It is no success after a crash. Where the scene has a goal, `ms_highway.road.stock.success` decides at its end;
     elsewhere, the ego has stayed on the road in all frames.
 
     Args:

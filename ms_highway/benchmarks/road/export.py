@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ms_highway.envs.recorded.commonroad import read_xml
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.recorded.commonroad import read_xml
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
 

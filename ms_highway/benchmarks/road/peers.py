@@ -14,10 +14,10 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.envs.recorded.environment import RecordedEnv
-from ms_highway.envs.road.driven import unheeded
-from ms_highway.envs.road.stock import desired_speed_of, destination_of, replace_ego
-from ms_highway.vehicle.appointment import Appointment
+from ms_highway.recorded.environment import RecordedEnv
+from ms_highway.road.appointment import Appointment
+from ms_highway.road.driven import unheeded
+from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 
 
@@ -171,7 +171,7 @@ class IdmEgo(OfferedSpeeds, IDMVehicle):
 class Idm(Peer):
     """Let highway-env's IDM and MOBIL drive the ego, as they drive the others: on a route to the goal, if there is one.
 
-    They decide in every frame. The desired speed is that of `ms_highway.envs.road.stock.desired_speed_of`, as for this
+    They decide in every frame. The desired speed is that of `ms_highway.road.stock.desired_speed_of`, as for this
     package's drivers; IDM keeps the speed limits of lanes by itself. An appointment is kept by its own desired speed.
     """
 

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ms_highway.benchmarks.road.peers import Peer
-from ms_highway.envs.recorded.commonroad import scenario_files
-from ms_highway.envs.recorded.environment import RecordedEnv
-from ms_highway.envs.recorded.scenario import SHIPPED, TrafficRecording, open_recording
-from ms_highway.envs.recorded.straight_road import StraightRoad
-from ms_highway.envs.recorded.traffic import RecordedVehicle, sampled
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.recorded.commonroad import scenario_files
+from ms_highway.recorded.environment import RecordedEnv
+from ms_highway.recorded.scenario import SHIPPED, TrafficRecording, open_recording
+from ms_highway.recorded.straight_road import StraightRoad
+from ms_highway.recorded.traffic import RecordedVehicle, sampled
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ms_highway.envs.recorded.commonroad import read_scenario, scenario_files
-from ms_highway.envs.recorded.lane_coordinates import measure_road
-from ms_highway.envs.recorded.scenario import SPEED_LIMIT, TrafficRecording
-from ms_highway.game.road import wrapped
+from ms_highway.geometry.path import wrapped
 from ms_highway.irl.recordings.recording import Recording
+from ms_highway.recorded.commonroad import read_scenario, scenario_files
+from ms_highway.recorded.lane_coordinates import measure_road
+from ms_highway.recorded.scenario import SPEED_LIMIT, TrafficRecording
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:

@@ -1,0 +1,165 @@
+"""Join highway-env's lanes to smooth curves, sampled evenly.
+
+Lanes need not meet where one follows the other, and their curvature jumps there; curves bridge and smooth the joints.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from highway_env.road.lane import AbstractLane, StraightLane
+from jaxtyping import Float
+from scipy.interpolate import CubicHermiteSpline
+from scipy.ndimage import gaussian_filter1d
+
+from ms_highway.geometry.path import BEHIND, SPACING, Path, wrapped
+
+Point = Float[np.ndarray, "2"]
+Row = Float[np.ndarray, "samples"]
+Rows = Float[np.ndarray, "rows samples"]
+Points = Float[np.ndarray, "samples 2"]
+
+FINE = 0.5
+"""Distance between samples of curves [m]."""
+
+COARSE = 2.0  # m, between samples of lanes
+TRIM = 2.0  # m, left out of lanes on both sides of a joint
+MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
+SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m
+SHARPEST = 0.19  # 1/m
+NEAR = 20.0  # m, along a curve, in which a car is looked for
+TIGHTEST = 0.2  # of the radius of a bend, that a car is away from its centre at least
+
+
+def from_heading(heading: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    """Return how far a displacement leads ahead and to the right of a heading, numbers or arrays."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    return cosine * x + sine * y, cosine * y - sine * x
+
+
+def along_bend(bend: float, ahead: float, aside: float) -> tuple[float, float]:
+    """Return the way along a curve, from a point of a known curvature, and the distance to its right, of a place.
+
+    Args:
+        bend: the curvature there [1/m].
+        ahead: how far ahead the place is, along the tangent of the point [m].
+        aside: how far to the right of that [m].
+    """
+    step = ahead / max(1 - bend * aside, TIGHTEST)
+    return step, aside - bend * ahead * step / 2
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A smooth curve along lanes.
+
+    Attributes:
+        samples: x, y, heading (unwrapped), curvature and way of points `FINE` apart. The way is the sum of the
+            lengths of the lanes passed and the longitudinal coordinate on the present one [m].
+    """
+
+    samples: Rows
+
+    def gather(self, rows: Rows, s: Row) -> Rows:
+        """Interpolate rows that belong to the curve's samples at distances from its beginning [m]."""
+        place = np.clip(s / FINE, 0.0, rows.shape[1] - 1.001)
+        low = place.astype(int)
+        share, left = place - low, rows[:, low]
+        return left + share * (rows[:, low + 1] - left)
+
+    def path(self, s: float, knots: int) -> Path:
+        """Return the path whose s = 0 is at a distance from the curve's beginning [m]; its heading there is wrapped."""
+        x, y, heading, curvature = self.gather(self.samples[:4], s - BEHIND + SPACING * np.arange(knots))
+        here = heading[int(BEHIND / SPACING)]
+        return Path(*np.stack([x, y, heading + wrapped(here) - here, curvature]).astype(np.float32))
+
+    def project(self, position: Point, heading: float, way: float) -> tuple[float, float, float]:
+        """Return distance from the curve's beginning, distance to its right and heading relative to it.
+
+        Args:
+            position: of a car [m].
+            heading: of it [rad].
+            way: near which it is [m].
+        """
+        ways = self.samples[4]
+        low = min(int(np.searchsorted(ways, way - NEAR)), ways.size - 2)
+        high = max(int(np.searchsorted(ways, way + NEAR)), low + 1)
+        delta = position[:, None] - self.samples[:2, low:high]
+        nearest = int(np.argmin((delta**2).sum(axis=0)))
+        _, _, along, bend, _ = self.samples[:, low + nearest]
+        ahead, aside = from_heading(along, *delta[:, nearest])
+        step, d = along_bend(bend, ahead, aside)
+        return float((low + nearest) * FINE + step), float(d), float(wrapped(heading - along - bend * step))
+
+    def way(self, s: float) -> float:
+        """Return the way at a distance from the curve's beginning [m]."""
+        return float(np.interp(s, FINE * np.arange(self.samples.shape[1]), self.samples[4]))
+
+
+def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
+    """Return places, positions and headings along a lane, always at the same places between two bounds."""
+    s = COARSE * np.arange(np.ceil(low / COARSE), np.floor(high / COARSE) + 1)
+    if isinstance(lane, StraightLane):  # the only ones that take arrays
+        return s, lane.position(s[:, None], 0.0), np.broadcast_to(lane.heading_at(s), s.shape)
+    points = np.array([lane.position(place, 0.0) for place in s]).reshape(-1, 2)
+    return s, points, np.array([lane.heading_at(place) for place in s])
+
+
+def join_lanes(
+    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float] = SMOOTHING
+) -> Curve:
+    """Return the curve along lanes, between two ways; it goes straight on beyond the last one.
+
+    A Hermite spline through positions and headings on the lanes bridges the joints. Averages along it, weighted as by a
+    Gaussian and corrected so that they keep circles, make its curvature continuous.
+
+    Args:
+        lanes: each of which follows the one before.
+        starts: ways at which each of them begins, and at which the last one ends [m].
+        low: way from which on the curve is needed [m].
+        high: way until which it is needed [m].
+        widths: of the Gaussian, tried in order until no curve is too sharp [m].
+    """
+    low, high, end = low - MARGIN, high + MARGIN, starts[-1]
+    parts = []
+    for number, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
+        first = TRIM if number else -np.inf
+        last = lane.length - (TRIM if number + 1 < len(lanes) else 1.0)
+        s, points, headings = samples(lane, max(first, low - start), min(last, high - start))
+        parts.append((start + s, points, headings))
+    if high > end:
+        beyond, heading = np.arange(max(0.0, low - end), high - end + COARSE, COARSE), lane.heading_at(lane.length)
+        straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
+        parts.append((end + beyond, lane.position(lane.length, 0.0) + straight, np.full(beyond.shape, heading)))
+    raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
+    for width in widths:
+        curve = _smooth(raw, width)
+        if np.abs(curve[3]).max() <= SHARPEST:
+            break
+    return Curve(curve)
+
+
+def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
+    """Return x, y and way of points every `FINE` metres of a Hermite spline."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    spline = CubicHermiteSpline(along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1))
+    dense = np.arange(0.0, along[-1], FINE)
+    return _resampled(np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]))
+
+
+def _resampled(rows: Rows) -> Rows:
+    """Resample rows, the first two of which are positions, at equal distances."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:2])))])
+    even = np.arange(0.0, along[-1], FINE)
+    return np.stack([np.interp(even, along, row) for row in rows])
+
+
+def _smooth(raw: Rows, width: float) -> Rows:
+    """Return a curve's samples, smoothed over a width [m], without the margins at both ends."""
+    once = gaussian_filter1d(raw[:2], width / FINE, mode="nearest")
+    twice = gaussian_filter1d(once, width / FINE, mode="nearest")
+    cut = int(0.9 * MARGIN / FINE)
+    x, y, way = _resampled(np.concatenate([2 * once - twice, raw[2:]])[:, cut:-cut])
+    heading = np.unwrap(np.arctan2(np.gradient(y), np.gradient(x)))
+    return np.stack([x, y, heading, np.gradient(heading, FINE), way])

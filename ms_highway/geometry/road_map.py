@@ -1,0 +1,322 @@
+"""Find which lanes follow which in a highway-env network and where a goal lies, and keep what has been computed."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from functools import cached_property, wraps
+from itertools import accumulate, islice
+from math import cos, hypot, inf, sin
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
+from weakref import WeakKeyDictionary, proxy
+
+import numpy as np
+from highway_env.road.lane import AbstractLane
+from highway_env.road.road import LaneIndex, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+from scipy.spatial import cKDTree
+
+from ms_highway.geometry.lane_paths import COARSE, SMOOTHING, Curve, Point, Points, Row, join_lanes, samples
+from ms_highway.geometry.path import wrapped
+
+
+class Spot(NamedTuple):
+    """A place on a lane.
+
+    Attributes:
+        lane: index of it.
+        place: along it [m].
+    """
+
+    lane: LaneIndex
+    place: float
+
+
+Destination: TypeAlias = str | Spot | tuple[tuple[str, str], ...] | None
+"""A node to reach, or a spot in its lane, or roads to follow where they begin, or none."""
+
+LIMIT = 20.0
+"""Speed limit where a lane has none [m/s]."""
+
+BLOCK = 100.0
+"""Length of the stretches in which long chains of lanes are sampled [m]."""
+
+REACH = 0.5  # widths of a lane, sideways at a joint, up to which a lane leads to the next
+BRIDGED = 10.0  # m, along the lane at a joint
+SHARPEST_TURN = 2.0  # rad, at a joint
+TURN = 5.0  # m of a jump that one radian of a jump in heading is worth
+BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
+MOST_ROADS = 50  # in which changes of lane are looked for
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def kept(function: Function) -> Function:
+    """Compute a function once for equal arguments, as long as the first argument lives, which keeps the results."""
+
+    @wraps(function)
+    def remembered(owner: Any, *rest: Any) -> Any:
+        results, key = vars(owner).setdefault("_kept", {}), (function, *rest)
+        if key not in results:
+            results[key] = function(owner, *rest)
+        return results[key]
+
+    return cast(Function, remembered)
+
+
+class Lane:
+    """A lane of a map.
+
+    Attributes:
+        index: in the network.
+        shape: the lane of highway-env.
+        length: [m].
+        limit: of speed [m/s].
+    """
+
+    def __init__(self, roads: "RoadMap", index: LaneIndex, shape: AbstractLane) -> None:
+        self.roads, self.index, self.shape = roads, index, shape
+        self.start, self.end, self.number = index
+        self.length = float(shape.length)
+        self.limit = float(shape.speed_limit or LIMIT)
+        self.forbidden = bool(shape.forbidden)
+
+    def beside(self, steps: int) -> "Lane | None":
+        """Return the lane of the same road some lanes to the right, None without one."""
+        return self.roads.lanes.get((self.start, self.end, self.number + steps))
+
+    @property
+    def siblings(self) -> "Lanes":
+        """All lanes of its road."""
+        return self.roads.road(self.start, self.end)
+
+    @cached_property
+    def joints(self) -> "dict[Lane, Joint]":
+        """How this lane continues each lane before it."""
+        return {lane: _joint(lane.shape, self.shape) for lane in self.roads.lanes.values() if lane.end == self.start}
+
+    @kept
+    def following(self, reach: float = REACH) -> "Lanes":
+        """Return the nearest lane of each next road that this lane leads to, the most even one first."""
+        roads = [self.roads.road(self.end, end) for end in self.roads.graph.get(self.end, {})]
+        nearest = [min(road, key=lambda other: other.joints[self].aside) for road in roads]
+        leading = [lane for lane in nearest if lane.joints[self].aside < reach]
+        return tuple(sorted(leading, key=lambda other: (other.joints[self].kink, other.index)))
+
+    @cached_property
+    def touched(self) -> set[str]:
+        """Ends of the next roads of which a lane begins right where this one ends."""
+        nexts = [lane for lane in self.roads.lanes.values() if lane.start == self.end]
+        return {lane.end for lane in nexts if lane.joints[self].apart < REACH}
+
+    @cached_property
+    def preceding(self) -> "Lane | None":
+        """The lane that this one continues best."""
+        best = min(self.joints, key=lambda other: self.joints[other].kink, default=None)
+        return best if best and self.joints[best].aside < REACH else None
+
+    @cached_property
+    def refuge(self) -> "Lane | None":
+        """The nearest lane of the same road that goes on where this one ends, None if this one goes on or none does."""
+        onward = () if self.following() else [other for other in self.siblings if other.following()]
+        return min(onward, key=lambda other: abs(other.number - self.number), default=None)
+
+    @kept
+    def continued(self, end: str, number: int | None) -> "Lane":
+        """Return the lane of the road to a node that highway-env's drivers take, who may ask for the lane's number."""
+        last = self.shape.position(self.length, 0)
+        number, _ = self.roads.network.next_lane_given_next_road(*self.index, end, number, last)
+        return self.roads.lanes[self.end, end, number]
+
+    def distance(self, vehicle: Vehicle) -> float:
+        """Return how far a vehicle is from the lane, in position and heading."""
+        return self.shape.distance_with_heading(vehicle.position, vehicle.heading)
+
+    def behind(self, length: float) -> "Lanes":
+        """Return lanes that lead to this one, over at least a length [m] as far as there are any."""
+        before = self.preceding
+        return (*before.behind(length - before.length), before) if before and length > 0 else ()
+
+
+Lanes: TypeAlias = tuple[Lane, ...]
+
+
+class Joint(NamedTuple):
+    """How a lane continues another one.
+
+    Attributes:
+        apart: distance from the other's end to its beginning, in widths.
+        aside: the same across the mean of both headings: an arc that touches both lanes has its chord along it.
+        kink: how unevenly it goes on [m].
+    """
+
+    apart: float
+    aside: float
+    kink: float
+
+
+def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
+    x, y = other.position(0.0, 0.0) - one.position(one.length, 0.0)
+    before, width = one.heading_at(one.length), float(one.width_at(one.length))
+    turn = wrapped(other.heading_at(0.0) - before)
+    mean = before + turn / 2
+    aside = abs(cos(mean) * y - sin(mean) * x)
+    aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (inf if abs(turn) > SHARPEST_TURN else 0.0)
+    later = wrapped(other.heading_at(min(other.length, BRIDGED)) - before)
+    return Joint(hypot(x, y) / width, aside / width, aside + TURN * (abs(turn) + abs(later) / 10))
+
+
+class Chain:
+    """Lanes, each of which follows the one before; a way is a distance along them from the beginning of the first [m].
+
+    Attributes:
+        lanes: in order.
+        starts: ways at which each of them begins, and at which the last one ends.
+    """
+
+    def __init__(self, lanes: Lanes) -> None:
+        self.lanes = lanes
+        self.starts = [0.0, *accumulate(lane.length for lane in lanes)]
+
+    def leg(self, way: float) -> int:
+        """Return the number of the lane at a way."""
+        return bisect_right(self.starts, way, 1, len(self.lanes)) - 1
+
+    def at(self, way: float) -> tuple[Point, float]:
+        """Return position and heading in the middle of the lanes at a way; beyond the end, along the last lane."""
+        leg = self.leg(way)
+        shape, place = self.lanes[leg].shape, float(way - self.starts[leg])
+        return shape.position(place, 0), shape.heading_at(place)
+
+    @kept
+    def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING) -> Curve:
+        """Return the curve along the lanes near a block, a number of `BLOCK` lengths, smoothed as in `join_lanes`."""
+        low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
+        return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high, widths)
+
+
+class Goal:
+    """A destination and which lanes lead there.
+
+    Attributes:
+        towards: the node to go to from each node from which the destination can be reached.
+        leading: lanes from whose end a node of destination can be reached.
+        spot: the destination, if that is one.
+    """
+
+    def __init__(self, roads: "RoadMap", destination: Destination) -> None:
+        self.roads = roads
+        self.spot, self.towards = destination if isinstance(destination, Spot) else None, dict[str, str]()
+        if isinstance(destination, tuple) and not isinstance(destination, Spot):
+            self.towards = dict(destination)
+        destination = self.spot.lane[1] if self.spot else destination
+        queue = [destination] if isinstance(destination, str) else []
+        for node in queue:
+            for start, ends in roads.graph.items():
+                if node in ends and start not in self.towards and start != destination:
+                    self.towards[start] = node
+                    queue.append(start)
+        self.leading = [lane for lane in roads.lanes.values() if lane.end in queue]
+
+    def next(self, lane: Lane | None) -> Lane | None:
+        """Return the lane to follow next: towards the goal if this lane leads there, None where a lane ends."""
+        wanted = lane and self.towards.get(lane.end)
+        nexts = lane.following() if lane else ()
+        return min(nexts, key=lambda other: (other.end != wanted, other.forbidden), default=None)
+
+    def onward(self, lane: Lane) -> Iterator[Lane]:
+        """Yield a lane and those that follow it."""
+        following: Lane | None = lane
+        while following:
+            yield following
+            following = self.next(following)
+
+    def ahead(self, lane: Lane, length: float) -> Lanes:
+        """Return a lane and those that follow it, over at least a length [m] as far as there are lanes."""
+        lanes, covered = [], 0.0
+        for own in self.onward(lane):
+            lanes.append(own)
+            covered += own.length
+            if covered >= length:
+                break
+        return tuple(lanes)
+
+    @kept
+    def demand(self, lane: Lane) -> tuple[int, float]:
+        """Return changes of lane to the right that are needed and the distance from the lane's beginning for them.
+
+        They are needed before the end of the first road from whose lane, followed from here, the next road towards
+        the goal, or without one any road, is out of reach while other lanes lead there. A spot has to be reached in
+        its lane.
+        """
+        passed = 0.0
+        for own in islice(self.onward(lane), MOST_ROADS):
+            if self.spot and own.index[:2] == self.spot.lane[:2]:
+                return self.spot.lane[2] - own.number, passed + self.spot.place
+            passed, wanted = passed + own.length, self.towards.get(own.end)
+            leading = [
+                other for other in own.siblings if any(wanted in (None, onward.end) for onward in other.following())
+            ]
+            if leading and own not in leading:
+                return min((other.number - own.number for other in leading), key=abs), passed
+            if not leading:
+                break
+        return 0, inf
+
+
+class RoadMap:
+    """The lanes of a network.
+
+    Attributes:
+        lanes: by their index.
+    """
+
+    def __init__(self, network: RoadNetwork) -> None:
+        self.network, self.graph = proxy(network), network.graph
+        self.lanes = {index: Lane(self, index, shape) for index, shape in network.lanes_dict().items()}
+
+    @kept
+    def road(self, start: str, end: str) -> Lanes:
+        """Return the lanes from a node to the next, from the left."""
+        return tuple(self.lanes[start, end, number] for number in range(len(self.graph[start][end])))
+
+    @kept
+    def chain(self, lanes: Lanes) -> Chain:
+        """Return a chain of lanes, the same one for the same lanes."""
+        return Chain(lanes)
+
+    @kept
+    def goal(self, destination: Destination) -> Goal:
+        """Return a goal, the same one for the same destination."""
+        return Goal(self, destination)
+
+    def paves(self, points: Points) -> Row:
+        """Return at which points there is a lane, whoever may drive there."""
+        tree, widest = self._surface
+        distances, _ = tree.query(np.pad(points, [(0, 0)] * (points.ndim - 1) + [(0, 1)]), distance_upper_bound=widest)
+        return np.isfinite(distances)
+
+    @cached_property
+    def _surface(self) -> tuple[cKDTree, float]:
+        """Points in the middle of all lanes, lifted, and the widest radius R of the circles that they pave.
+
+        Lifted by ``sqrt(R^2 - r^2)``, the middle of a circle of radius r is nearer than R to just the places in it, so
+        that a look for the nearest suffices, however wide lanes are.
+        """
+        parts = [samples(lane.shape, 0.0, lane.length) for lane in self.lanes.values()]
+        widths = [
+            np.array([lane.shape.width_at(place) for place in places])
+            for lane, (places, _, _) in zip(self.lanes.values(), parts, strict=True)
+        ]
+        radii = np.hypot(np.concatenate(widths), COARSE) / 2  # they meet at the lanes' edges
+        heights = np.sqrt(radii.max() ** 2 - radii**2)
+        middles = np.concatenate([points for _, points, _ in parts])
+        return cKDTree(np.column_stack([middles, heights])), float(radii.max())
+
+
+_maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # no state: a copy's network gets an equal map
+
+
+def road_map(network: RoadNetwork) -> RoadMap:
+    """Return the map of a network, the same one as long as it lives."""
+    if network not in _maps:
+        _maps[network] = RoadMap(network)
+    return _maps[network]

@@ -1,0 +1,205 @@
+"""Recorded: drive on a recorded road, among those who were recorded there."""
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from highway_env.envs.common.action import DiscreteMetaAction
+from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.objects import Obstacle as RoadObstacle
+from msgspec import Meta, Struct
+
+from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
+from ms_highway.envs.configured import ConfiguredEnv
+from ms_highway.recorded.learned_traffic import Learned
+from ms_highway.recorded.network import Axes, network_of
+from ms_highway.recorded.problem import Surface, Task
+from ms_highway.recorded.scenario import SHIPPED, Lanelet, Points, TrafficRecording, open_recording
+from ms_highway.recorded.straight_road import StraightRoad
+from ms_highway.recorded.traffic import Idm, RecordedRoad, Replay, Traffic, sized
+from ms_highway.road.stock import GoalEnv
+
+EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
+TRAFFIC: dict[str, type[Traffic]] = {"learned": Learned, "replay": Replay, "idm": Idm}
+"""Kinds of traffic by name."""
+
+OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
+SLOWEST = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
+
+
+class RecordedSettings(Struct, frozen=True):
+    """The keys of a `RecordedEnv` that highway-env does not have."""
+
+    recording: Annotated[str, Meta(description=f"give the file of a CommonRoad scenario, or say {SHIPPED!r}")]
+    traffic: Literal["learned", "replay", "idm"]
+    ego: Annotated[Annotated[str, Meta(pattern=r"^problem(:[0-9]+)?\Z")] | int, Meta(description=EGO_REMEDY)]
+    goal_reward: Number
+    collision_reward: Number
+    off_road_reward: Number
+    progress_reward: Number
+
+
+class RoadShape(NamedTuple):
+    """What the lanelets of a recording make, the same in all its episodes."""
+
+    network: RoadNetwork
+    straight: StraightRoad
+    surface: Surface
+
+    @classmethod
+    def of(cls, lanelets: tuple[Lanelet, ...]) -> "RoadShape":
+        """Return the shape of the road of lanelets.
+
+        Raises:
+            ValueError: for lanelets that cannot be driven, with the reason.
+        """
+        straight = StraightRoad.of(lanelets)
+        return cls(network_of(lanelets, straight.axes), straight, Surface(lanelets, straight.axes))
+
+
+class RecordedEnv(ConfiguredEnv, GoalEnv):
+    """A car in recorded traffic, with a goal: CommonRoad scenarios and their planning problems.
+
+    Configuration, beside highway-env's own, of which changes act from the next reset on:
+
+    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz`` (with traffic signs: extra ``commonroad``), or
+      ``"us101"``, which comes with the package.
+    * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
+      first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
+      Road users outside lanes, such as pedestrians and trains, are always replayed.
+    * ``ego``: ``"problem"``, the first planning problem, or ``"problem:NUMBER"``, any; or the number of a recorded
+      vehicle, to start in its place and go to its own last position, at the latest 2 s after it was there.
+    * ``goal_reward``, ``collision_reward``, ``off_road_reward``: once, at the end; ``progress_reward``: of each metre
+      along the road.
+
+    An episode is a success if a goal's region is reached in its interval of time, at its speed and heading, without a
+    collision and without leaving the road before, by any corner. It ends then, or with the last goal's time. The road
+    moves at 10 Hz, as it was recorded. Here, x goes along the road and y to its right; ``axes`` leads to the map.
+
+    ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, for
+    each of the scenario's ``tracks``, whether another vehicle blocks its entry. ``info["is_success"]`` repeats the
+    success.
+
+    Attributes:
+        scenario: the recording.
+        task: of the ego.
+        goal: where and when the ego has to be, None if its goal is only a time.
+        success, off_road: whether the goal has been reached, and the road left.
+    """
+
+    settings_type = RecordedSettings
+    scenario: TrafficRecording
+    _shape: RoadShape
+    types = {  # noqa: RUF012
+        "action": {
+            "DiscreteMetaAction": keys_of(DiscreteMetaAction),
+            "ContinuousAction": RANGES | {"dynamical"},
+            "DiscreteAction": RANGES | {"dynamical", "actions_per_axis"},
+        },
+        "observation": {name: keys for name, keys in TYPES["observation"].items() if name != "CarStates"},
+    }
+
+    @classmethod
+    def default_config(cls) -> Config:
+        """highway-env's configuration with this environment's own."""
+        return super().default_config() | {
+            "observation": {"type": "Kinematics", "vehicles_count": 8, "absolute": False},
+            "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 4, 8, 12, 16, 20, 24, 28]},
+            "recording": SHIPPED,
+            "traffic": "learned",
+            "ego": "problem",
+            "goal_reward": 1.0,
+            "collision_reward": -1.0,
+            "off_road_reward": -1.0,
+            "progress_reward": 0.002,
+            "screen_width": 960,
+            "screen_height": 280,
+            "scaling": 6.0,
+            "centering_position": [0.4, 0.5],
+        }
+
+    def _reset(self) -> None:
+        """Build the road, and put the ego and the others on it; all of it, or nothing changes."""
+        scenario = open_recording(self.settings.recording)
+        try:
+            self._build(scenario)
+        except ValueError as error:
+            raise ValueError(f"{scenario.source}: {error}") from error
+
+    def _build(self, scenario: TrafficRecording) -> None:
+        task = Task.of(scenario, self.settings.ego)
+        shape = self._shape if scenario is getattr(self, "scenario", None) else RoadShape.of(scenario.lanelets)
+        axes, road = shape.straight.axes, RecordedRoad(shape.network, np_random=self.np_random)
+        x, y, orientation, speed = task.problem.start
+        position, heading = axes.pose(x, y, orientation)
+        lane = road.network.get_lane(road.network.get_closest_lane_index(position, heading))
+        if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
+            raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
+        for item in scenario.obstacles:
+            stands = RoadObstacle(road, *axes.pose(*item.pose))
+            sized(stands, item.size)
+            road.objects.append(stands)
+        vehicle = self.action_type.vehicle_class(road, position, heading=heading, speed=speed)
+        vehicle.check_collisions = False
+        sized(vehicle, task.size)
+        road.vehicles = [vehicle]
+        begin = task.problem.time
+        road.traffic = TRAFFIC[self.settings.traffic](scenario, shape.straight, road, task.track, begin)
+        self.scenario, self.task, self.road, self._shape = scenario, task, road, shape
+        self.goal, self.desired_speed = task.appointment(road.network, axes), max(speed, SLOWEST)
+        self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
+        self._along = shape.straight.along(vehicle)
+
+    @property
+    def axes(self) -> Axes:
+        """Of the road in the map."""
+        return self._shape.straight.axes
+
+    @property
+    def goal_areas(self) -> list[Points]:
+        """Corners of the areas of all goals that have a place."""
+        return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
+
+    @property
+    def step_of_recording(self) -> int:
+        """The step of the recording that the road is at."""
+        return self.task.problem.time + self.steps
+
+    def _simulate(self, action: Any = None) -> None:
+        """Let everybody act and move for a step, and judge where that has led the ego."""
+        super()._simulate(action)
+        along = self._shape.straight.along(self.vehicle)
+        self.progress, self._along = along - self._along, along
+        ego = self.vehicle
+        self.off_road |= not self._shape.surface.holds(ego)
+        orientation, point = float(self.axes.orientations(ego.heading)), self.axes.points(ego.position)
+        reached = self.task.is_reached(self.step_of_recording, point, orientation, ego.speed)
+        self.success |= reached and not ego.crashed and not self.off_road
+
+    def _rewards(self, action: Any) -> dict[str, float]:
+        return {
+            "goal_reward": float(self.success),
+            "collision_reward": float(self.vehicle.crashed),
+            "off_road_reward": float(self.off_road),
+            "progress_reward": self.progress,
+        }
+
+    def _reward(self, action: Any) -> float:
+        return sum(self.config[name] * value for name, value in self._rewards(action).items())
+
+    def _is_terminated(self) -> bool:
+        return bool(self.success or self.vehicle.crashed or self.off_road)
+
+    def _is_truncated(self) -> bool:
+        return self.step_of_recording >= self.task.last
+
+    def _info(self, obs: Any, action: Any = None) -> Config:
+        return super()._info(obs, action) | {
+            "is_success": self.success,
+            "recorded": {
+                "step": self.step_of_recording,
+                "success": self.success,
+                "collision": bool(self.vehicle.crashed),
+                "off_road": self.off_road,
+                "waiting": np.isin([track.number for track in self.scenario.tracks], self.road.traffic.waiting),
+            },
+        }

@@ -1,0 +1,195 @@
+"""Turn lanelets into a road network of highway-env: smooth lanes of their own widths that merge, branch and end."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from highway_env.road.lane import AbstractLane, LineType
+from highway_env.road.road import RoadNetwork
+from highway_env.utils import get_class_path
+
+from ms_highway.geometry.lane_paths import along_bend, from_heading
+from ms_highway.geometry.path import wrapped
+from ms_highway.recorded.lane_coordinates import Values, dense, fits, side_by_side
+from ms_highway.recorded.scenario import SPEED_LIMIT, Lanelet, Points
+
+STEP = 1.0  # m, between samples of a lane
+BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
+WITHIN = 0.1  # m, from the middle of a lanelet to that of its lane
+
+
+class Axes(NamedTuple):
+    """highway-env's axes, x along the road and y to its right, in those of a map, with y to the left of x.
+
+    Attributes:
+        origin: of highway-env's axes in those of the map [m]; near the road, as single precision resolves little far
+            away.
+        turn: direction of highway-env's x in the map [rad].
+    """
+
+    origin: Points
+    turn: float
+
+    @classmethod
+    def of(cls, lanelets: Sequence[Lanelet]) -> "Axes":
+        """Return axes with their origin in the middle of a road, at whole metres, that go along it in the mean."""
+        lines = [lanelet.centre for lanelet in lanelets]
+        along = np.sum([line[-1] - line[0] for line in lines], axis=0)
+        return cls(np.round(np.concatenate(lines).mean(axis=0)), float(np.arctan2(along[1], along[0])))
+
+    def positions(self, points: Any) -> Points:
+        """Return points of the map in highway-env's axes."""
+        return (np.asarray(points, dtype=float) - self.origin) @ self._mirror
+
+    def points(self, positions: Any) -> Points:
+        """Return positions of highway-env in the map."""
+        return np.asarray(positions, dtype=float) @ self._mirror.T + self.origin
+
+    def headings(self, orientations: Any) -> Any:
+        """Return headings in highway-env's axes, of orientations in the map [rad]."""
+        return wrapped(self.turn - np.asarray(orientations, dtype=float))
+
+    def orientations(self, headings: Any) -> Any:
+        """Return orientations in the map, of headings in highway-env's axes [rad]."""
+        return self.headings(headings)  # a mirror is its own inverse
+
+    def pose(self, x: float, y: float, orientation: float) -> tuple[np.ndarray, float]:
+        """Return position and heading in highway-env's axes, of a point and an orientation in the map."""
+        return self.positions([x, y]), float(self.headings(orientation))
+
+    @property
+    def _mirror(self) -> np.ndarray:
+        cosine, sine = np.cos(self.turn), np.sin(self.turn)
+        return np.array([[cosine, sine], [sine, -cosine]])
+
+
+class SampledLane(AbstractLane):
+    """A lane along a smooth curve, straight on beyond its ends.
+
+    Attributes:
+        length: [m].
+        speed_limit: [m/s].
+    """
+
+    def __init__(self, centres: Points, widths: Values, line_types: Sequence[int], speed_limit: float) -> None:
+        """Make a lane.
+
+        Args:
+            centres: positions, about `STEP` apart [points, 2].
+            widths: at these [m].
+            line_types: of its left and its right edge, highway-env's.
+            speed_limit: [m/s].
+        """
+        self.centres, self.widths = np.asarray(centres, dtype=float), np.asarray(widths, dtype=float)  # JSON has lists
+        self.places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(self.centres, axis=0).T))]
+        tangents = np.gradient(self.centres, self.places, axis=0)
+        self.headings = np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0]))
+        self.bends = np.gradient(self.headings, self.places)
+        self.length, self.speed_limit = float(self.places[-1]), speed_limit
+        self.line_types, self.forbidden, self.priority = list(line_types), False, 0
+
+    def position(self, longitudinal: float, lateral: float) -> np.ndarray:
+        """Return the position at lane coordinates [m]."""
+        inside = min(max(longitudinal, 0.0), self.length)
+        heading, beyond = self.heading_at(inside), longitudinal - inside
+        x, y = (np.interp(inside, self.places, part) for part in self.centres.T)
+        cosine, sine = np.cos(heading), np.sin(heading)
+        return np.array([x + beyond * cosine - lateral * sine, y + beyond * sine + lateral * cosine])
+
+    def heading_at(self, longitudinal: float) -> float:
+        """Return the heading at a place [rad]."""
+        return float(np.interp(longitudinal, self.places, self.headings))
+
+    def width_at(self, longitudinal: float) -> float:
+        """Return the width at a place [m]."""
+        return float(np.interp(longitudinal, self.places, self.widths))
+
+    def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
+        """Return the place along the lane and the distance to the right of its middle [m]."""
+        delta = position - self.centres
+        nearest = int(np.argmin((delta**2).sum(axis=1)))
+        ahead, aside = from_heading(self.headings[nearest], *delta[nearest])
+        inside = 0 <= self.places[nearest] + ahead <= self.length
+        step, right = along_bend(self.bends[nearest] if inside else 0.0, ahead, aside)
+        return float(self.places[nearest] + step), float(right)
+
+    @classmethod
+    def from_config(cls, config: dict) -> "SampledLane":
+        """Return the lane that ``config`` of `to_config` describes."""
+        return cls(**config)
+
+    def to_config(self) -> dict:
+        """Return what describes the lane, for JSON."""
+        config = {
+            "centres": self.centres.tolist(),
+            "widths": self.widths.tolist(),
+            "line_types": self.line_types,
+            "speed_limit": self.speed_limit,
+        }
+        return {"class_path": get_class_path(self.__class__), "config": config}
+
+
+def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
+    """Build the road network of a recording: lanelets side by side are the lanes of a road, from the left.
+
+    Raises:
+        ValueError: for lanes of two directions, a lanelet that is beside itself, or roads that part and meet again.
+    """
+    known = {lanelet.number: lanelet for lanelet in lanelets}
+    network, roads = RoadNetwork(), side_by_side(lanelets)
+    for road, (start, end) in zip(roads, _nodes(roads), strict=True):
+        if end in network.graph.get(start, {}):
+            raise ValueError(
+                f"lanelet {road[0].number} leads from where another road begins to where that ends, but is not beside "
+                "it; such roads cannot be driven here"
+            )
+        for place, lanelet in enumerate(road):
+            left = LineType.STRIPED if place else LineType.CONTINUOUS_LINE
+            right = LineType.NONE if lanelet is not road[-1] else LineType.CONTINUOUS_LINE
+            network.add_lane(start, end, _lane(lanelet, known, axes, [left, right]))
+    return network
+
+
+def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
+    """Return the names of the nodes at which each road begins and ends: one node where lanelets meet."""
+    number = {lanelet.number: road for road, lanelets in enumerate(roads) for lanelet in lanelets}
+    nodes = np.arange(2 * len(roads)).reshape(-1, 2)
+    for lanelet in itertools.chain(*roads):
+        for after in number.keys() & set(lanelet.after):
+            nodes[nodes == nodes[number[after], 0]] = nodes[number[lanelet.number], 1]
+    return nodes.astype(str).tolist()
+
+
+def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]) -> SampledLane:
+    """Return the lane of a lanelet: its centre, smoothed, with the lanes before and after it if possible.
+
+    Raises:
+        ValueError: if every smooth lane is too far from the centre.
+    """
+    centre = lanelet.centre
+    before = [known[number].centre for number in lanelet.before[:1] if number in known]
+    after = [known[number].centre for number in lanelet.after[:1] if number in known]
+    parts = [_last(line, BRIDGED) for line in before] + [centre] + [_last(line[::-1], BRIDGED)[::-1] for line in after]
+    limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
+    for smooth in itertools.chain(fits(np.concatenate(parts)), fits(centre)):
+        along = smooth.locate(centre).x
+        first, last = np.clip(along[[0, -1]], 0.0, smooth.length)
+        places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
+        order = np.argsort(along, kind="stable")
+        widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
+        lane = SampledLane(axes.positions(smooth.curve(places)), widths, lines, limit)
+        found = np.array([lane.local_coordinates(position) for position in axes.positions(dense(centre))])
+        off = max(np.abs(found[:, 1]).max(), -found[:, 0].min(), found[:, 0].max() - lane.length)
+        if off <= WITHIN:
+            return lane
+    raise ValueError(
+        f"lanelet {lanelet.number} turns too sharply: the middle of a smooth lane would be {off:.2f} m off its own"
+    )
+
+
+def _last(line: Points, length: float) -> Points:
+    """Return the points of a line that are less than a length before its end [m]."""
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    left = np.r_[np.cumsum(steps[::-1])[::-1], 0.0]
+    return line[left <= length] if (left <= length).sum() > 1 else line[-2:]

@@ -1,0 +1,17 @@
+"""Drive the stock environments of highway-env: a wrapper, and the properties of each scene that it uses.
+
+Imports `ms_highway.envs` and what stands below it.
+"""
+
+from ms_highway.road.driven import Driven, drive
+from ms_highway.road.stock import replace_ego
+
+__all__ = [
+    "Driven",
+    "drive",
+    "driven",
+    "graphics",
+    "replace_ego",
+    "settings",
+    "stock",
+]

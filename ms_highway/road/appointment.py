@@ -1,0 +1,113 @@
+"""Be at a place in time: a spot on a lane, when to be there, how fast, and how fast to go until then."""
+
+from dataclasses import dataclass, replace
+from itertools import islice
+from math import sqrt
+from typing import TypeAlias
+
+import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.geometry.lane_paths import Point
+from ms_highway.geometry.road_map import MOST_ROADS, Spot, road_map
+from ms_highway.road.constants import RoadWeights
+from ms_highway.road.driver import RoadDriver
+from ms_highway.road.prospects import SECONDS_AFTER
+
+SPARE = 2.0  # s, from the ends of the time to be there, at most
+LOOK_AHEAD = 1.0  # s, after which the speed on the way there is desired
+HASTE = 3.0  # m/s, by which it is more than the present one at most
+WITHIN = 0.5  # m/s, inside the interval of speeds
+GOAL = 20.0  # weight of being in the lane in time: more than that others there are slow
+SLOWEST = 0.1  # m/s, that is desired
+SOON = 0.1  # s
+CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap of who follows closely
+GENTLE, BEFORE = 1.5, 1.0  # m/s^2 and m, of braking before the spot
+
+
+@dataclass(frozen=True)
+class Appointment:
+    """A spot to be at within an interval of time.
+
+    Attributes:
+        spot: on a lane.
+        position: of it [m].
+        times: interval in which to be there [s].
+        speeds: interval of the speed there [m/s].
+    """
+
+    spot: Spot
+    position: Point
+    times: tuple[float, float]
+    speeds: tuple[float, float] = (0.0, np.inf)
+
+    def distance(self, vehicle: Vehicle) -> float:
+        """Return how far the spot is ahead of a vehicle along its lanes [m]; negative behind it."""
+        roads = road_map(vehicle.road.network)
+        own, passed = roads.lanes[vehicle.lane_index], 0.0
+        for lane in islice(roads.goal(self.spot).onward(own), MOST_ROADS):
+            if lane.index[:2] == self.spot.lane[:2]:
+                passed += float(lane.shape.local_coordinates(self.position)[0])
+                break
+            passed += lane.length
+        else:  # it is behind
+            return self.spot.place - float(roads.lanes[self.spot.lane].shape.local_coordinates(vehicle.position)[0])
+        return passed - float(own.shape.local_coordinates(vehicle.position)[0])
+
+    def desired_speed(self, vehicle: Vehicle, now: float) -> float:
+        """Return the speed at which to go now so as to keep the appointment [m/s].
+
+        Of the constant accelerations that lead there in time, ``s = v t + a t^2 / 2``, and to an allowed speed there,
+        ``v + a t = 2 s / t - v``, it takes the least, and returns the speed a second later. Who follows closely is not
+        held up as long as the speed can still be reduced before the spot.
+
+        Args:
+            vehicle: which keeps it.
+            now: the time [s].
+        """
+        left, speed = self.distance(vehicle), float(vehicle.speed)
+        if left <= 0 and now > self.times[0]:
+            return max(speed, SLOWEST)
+        within = min(WITHIN, (self.speeds[1] - self.speeds[0]) / 2)
+        ends = self.speeds[1] - within, self.speeds[0] + (within if self.speeds[0] > 0 else 0.0)
+        soonest, latest = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in ends)
+        first, last = (max(time - now, SOON) for time in self.times)
+        if max(first, soonest) <= min(last, latest):  # some time allows an allowed speed
+            first, last = max(first, soonest), min(last, latest)
+        spare = min((last - first) / 2, SPARE)
+        time = min(max(left / max(speed, SLOWEST), first + spare), last - spare)
+        acceleration = 2 * (left - speed * time) / time**2
+        wanted = speed + min(acceleration * min(LOOK_AHEAD, time), HASTE)
+        return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left - BEFORE, 0.0))), SLOWEST)
+
+    def guide(self, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
+        """Let the next plan of a vehicle's driver keep the appointment; what follows that counts for nothing.
+
+        Args:
+            driver: of the vehicle.
+            vehicle: which keeps it.
+            now: the time [s].
+        """
+        planning, weights = driver.planning, RoadWeights()
+        rest = (self.times[1] - now - planning.steps * float(planning.time_step)) / SECONDS_AFTER
+        prospect = float(weights.prospect) * min(max(rest, 0.0), 1.0)
+        driver.planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
+        driver.weights = replace(weights, goal=GOAL, prospect=prospect)
+
+
+RobotGoal: TypeAlias = str | Appointment | None
+"""A node of the road network to drive to, or an appointment, or nothing."""
+
+
+def destination_for(goal: RobotGoal) -> str | Spot | None:
+    """Return where a goal lies, for `ms_highway.road.observation.observe_road`."""
+    return goal.spot if isinstance(goal, Appointment) else goal
+
+
+def _follower_speed(vehicle: Vehicle) -> float:
+    """Return the speed of who follows a vehicle closely in its lane [m/s], 0 without one."""
+    _, rear = vehicle.road.neighbour_vehicles(vehicle)
+    if rear is None:
+        return 0.0
+    gap = float(np.linalg.norm(rear.position - vehicle.position)) - (rear.LENGTH + vehicle.LENGTH) / 2
+    return float(rear.speed) if gap < CLOSE * rear.speed + CLOSEST else 0.0

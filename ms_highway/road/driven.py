@@ -1,0 +1,259 @@
+"""Let a robot drive the controlled vehicles of a stock highway-env environment."""
+
+from collections import Counter
+from collections.abc import Mapping
+from math import ceil
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+from highway_env.envs import LaneKeepingEnv, MergeEnv, ParkingEnv, RoundaboutEnv
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import (
+    ActionType,
+    ContinuousAction,
+    DiscreteAction,
+    DiscreteMetaAction,
+    MultiAgentAction,
+)
+
+from ms_highway.envs.configuration import as_json
+from ms_highway.envs.graphics import enable_pictures
+from ms_highway.envs.stage import StageEnv
+from ms_highway.road.appointment import destination_for
+from ms_highway.road.constants import MODELS, RoadWeights
+from ms_highway.road.driver import RoadDriver
+from ms_highway.road.graphics import show
+from ms_highway.road.robot import PERIOD, RoadRobot
+from ms_highway.road.scene import TRAFFIC
+from ms_highway.road.settings import RoadSettings
+from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
+
+WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
+UNTIL_FIRST = {
+    "models": ("",) * TRAFFIC,
+    "source": "",
+    "broken": False,
+    "failed": False,
+    "planning_seconds": 0.0,
+    "decision_seconds": 0.0,
+    "compile_seconds": 0.0,
+}
+"""What ``info["road"]`` has of the driver's last step, with its values before the first."""
+
+NO_GAINS = np.full((TRAFFIC, len(MODELS)), np.nan)
+SAME = 1e-5  # m/s^2 and rad, by which the frames of a step may differ from its action
+
+
+def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
+    """Let a robot drive the controlled vehicles of a stock highway-env environment.
+
+    The environment keeps its spaces, reward and time limits. Actions are ignored, and ``info["road"]`` says what the
+    robot does, see `Driven`::
+
+        env = ms_highway.drive(gym.make("roundabout-v0", render_mode="rgb_array"), {"desired_speed": 12.0})
+        env.reset(seed=0)
+        observation, reward, terminated, truncated, info = env.step(None)
+
+    Args:
+        env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment. highway-env
+            itself cannot make merge and roundabout with ``ContinuousAction``.
+        config: any of these keys, see `ms_highway.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
+            default; ``"fixed:naive"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
+            ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs`` and
+            ``intentions`` (whether others show which way they take).
+
+    Returns:
+        The environment, driven.
+
+    Raises:
+        ValueError: for an environment without roads to follow, an unknown key or an impossible value.
+    """
+    return Driven(env, config)
+
+
+def check_drivable(env: Any) -> None:
+    """Check that an environment is one of highway-env's, with roads to follow and actions that its reward can take.
+
+    Raises:
+        ValueError: naming what works.
+    """
+    base, reason = env.unwrapped, None
+    name = base.spec.id if base.spec else type(base).__name__
+    if isinstance(base, ParkingEnv):
+        reason = "has no road to follow"
+    elif isinstance(base, LaneKeepingEnv):
+        reason = "observes the inner state of its own vehicle"
+    elif not isinstance(base, AbstractEnv) or isinstance(base, StageEnv):
+        reason = "is none of highway-env's own environments"
+    if reason:
+        raise ValueError(f"{name} {reason}; the robot drives {WORKS}")
+    kind = base.action_type
+    if isinstance(base, (MergeEnv, RoundaboutEnv)) and type(kind) is ContinuousAction and kind.size > 1:
+        remedy = "make it with config={'action': {'type': 'DiscreteMetaAction'}}"
+        raise ValueError(f"the reward of {name} cannot take a ContinuousAction, as it asks for lane changes; {remedy}")
+
+
+class Driven(gym.Wrapper, RecordConstructorArgs):
+    """Lets a robot drive the controlled vehicles of a stock environment.
+
+    The environment keeps its spaces, reward and time limits.
+
+    Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
+    control in between. ``info["road"]["action"]`` is the ``ContinuousAction`` that does what the robots did in this
+    step, to be imitated, see `action_done`. It is None with discrete or ``dynamical`` actions, and in steps
+    longer than 0.2 s, within which the control changes.
+    ``info["action"]`` is only what highway-env's rewards are told: idle, or the control of the step before.
+    ``info["is_success"]`` is ``info["road"]["success"]``, where the scene has a goal. Every key is there from the reset
+    on, with one shape and type. Of the first controlled vehicle, ``info["road"]`` says:
+
+    * ``models``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of
+      the last plan, see `ms_highway.road.driver.RoadStep`; ``gains``, by model, what its answer about each of the
+      ``models`` may be worth at most, NaN where that was not estimated;
+    * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then; NaN
+      and an empty text for each plan that was not made;
+    * ``late``: how many of these plans were not ready within the budget, so that the plan before drove on;
+    * ``model_counts``: how many cars each model predicted, summed over these plans;
+    * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
+    * ``destination``: node of the road network, or spot in a lane, None without one;
+    * ``success``: whether the goal is reached now, None without one.
+
+    Attributes:
+        settings: of the robot.
+        robots: that drive the controlled vehicles of this episode.
+    """
+
+    def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
+        RecordConstructorArgs.__init__(self, config=as_json(config))
+        gym.Wrapper.__init__(self, env)
+        check_drivable(env)
+        self.settings = RoadSettings.read(config)
+        self.robots: list[RoadRobot] = []
+        self._drivers: list[RoadDriver] = []  # kept, as each measures the costs of its models once
+        show(env)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode, and put a robot in the place of every controlled vehicle.
+
+        Raises:
+            ValueError: if options give the environment actions that its reward cannot take.
+        """
+        restore_traffic(self.env)
+        show(self.env)
+        try:
+            observation, info = self.env.reset(seed=seed, options=options)
+        except ValueError:
+            check_drivable(self.env)
+            raise
+        base = self._base
+        if enable_pictures(base) and self.env.observation_space == base.observation_space:
+            observation = base.observation_type.observe()  # the first was black
+        planning = self.settings.planning(desired_speed_of(base))
+        self.robots = []
+        for number in range(len(base.controlled_vehicles)):
+            if number == len(self._drivers):
+                self._drivers.append(self.settings.build(planning))
+            driver, goal = self._drivers[number], destination_of(base, number)
+            driver.planning, driver.weights = planning, RoadWeights()
+            driver.reset()
+            robot = replace_ego(base, RoadRobot.create_from, number)
+            robot.drive_with(driver, goal, self.settings.acceleration, self.settings.intentions)
+            self.robots.append(robot)
+        return observation, {**info, **self._told()}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Let the robot drive for a step; the action is ignored.
+
+        Raises:
+            ResetNeeded: if this wrapper has not been reset, or the environment below it has been since.
+        """
+        if not self.robots or self._base.controlled_vehicles != self.robots:
+            raise gym.error.ResetNeeded(
+                "the robot is not in the car; call reset of the driven environment, no inner one"
+            )
+        for robot in self.robots:
+            robot.forget()
+        kind = self._base.action_type
+        *outcome, info = self.env.step(unheeded(kind))
+        return *outcome, {**info, **self._told()}
+
+    def render(self) -> Any:
+        """Show the road, the plan, the predictions and the rungs."""
+        show(self.env)
+        return self.env.render()
+
+    @property
+    def _base(self) -> Any:
+        return self.unwrapped
+
+    def _told(self) -> dict[str, Any]:
+        """Return the driver's part of ``info``; shapes and types are the same before and after the first step."""
+        robot, base, kind, reached = self.robots[0], self._base, self._base.action_type, success(self._base)
+        frequency = base.config["simulation_frequency"]
+        frames, frames_of_plan = frequency // base.config["policy_frequency"], max(1, round(PERIOD * frequency))
+        seconds = [step.planning_seconds + step.decision_seconds for step in robot.steps]
+        missing = ceil(frames / frames_of_plan) - len(seconds)
+        gains = getattr(robot.last_step, "gains", NO_GAINS)
+        counts = Counter(name for step in robot.steps for name in step.models)
+        done: Any = tuple(map(action_done, getattr(kind, "agents_action_types", [kind]), self.robots))
+        if frames > frames_of_plan or any(each is None for each in done):
+            done = None
+        elif not isinstance(kind, MultiAgentAction):
+            done = done[0]
+        road = {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
+            "gains": dict(zip(MODELS, gains.T, strict=True)),
+            "decisions": np.array(seconds + [np.nan] * missing),
+            "sources": (*(step.source for step in robot.steps), *[""] * missing),
+            "late": sum(step.status == "late" for step in robot.steps),
+            "model_counts": {name: counts[name] for name in MODELS},
+            "acceleration": float(max(robot.accelerations, default=0.0)),
+            "jerk": float(max(robot.jerks, default=0.0)),
+            "destination": destination_for(robot.goal),
+            "success": reached,
+            "action": done,
+        }
+        return {"road": road} | ({} if reached is None else {"is_success": reached})
+
+
+def unheeded(action_type: ActionType) -> Any:
+    """Return an action, for a car that drives itself, that rewards take for what it does: idle, or its own one."""
+    if isinstance(action_type, MultiAgentAction):
+        return tuple(map(unheeded, action_type.agents_action_types))
+    if isinstance(action_type, DiscreteMetaAction):
+        return action_type.actions_indexes["IDLE"]
+    return _nearest_in(action_type, action_type.controlled_vehicle.action)
+
+
+def action_done(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
+    """Return the ``ContinuousAction`` that repeats a robot's step; None for other types of actions.
+
+    It is NaN where no action of the space does the same: tyres or highway-env's limits changed the control within the
+    step, or the control is outside the ranges of the space.
+    """
+    continuous = isinstance(action_type, ContinuousAction) and not isinstance(action_type, DiscreteAction)
+    if not continuous or action_type.dynamical:
+        return None
+    if not robot.actions:  # at the reset, nothing has been done yet
+        return np.full(action_type.space().shape, np.nan, np.float32)
+    frames = robot.actions
+    action = _nearest_in(action_type, frames[0])
+    does = ContinuousAction.get_action(action_type, action)
+    same = all(abs(frame[key] - does[key]) < SAME for frame in frames for key in does)
+    return action if same else np.full_like(action, np.nan)
+
+
+def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) -> Any:
+    """Return the action of a space, throttle first, that is nearest to what a vehicle executed [m/s^2, rad]."""
+    values = []
+    for key, there, (low, high) in (
+        ("acceleration", action_type.longitudinal, action_type.acceleration_range),
+        ("steering", action_type.lateral, action_type.steering_range),
+    ):
+        if there:
+            values.append(2 * (executed[key] - low) / (high - low) - 1)
+    action = np.clip(values, -1, 1).astype(np.float32)
+    if isinstance(action_type, DiscreteAction):
+        places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
+        return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
+    return action

@@ -1,0 +1,138 @@
+"""See the road from a vehicle as a `RoadScene`."""
+
+from dataclasses import dataclass, field
+from math import cos, inf
+
+import numpy as np
+from highway_env.road.road import LaneIndex
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
+
+from ms_highway.geometry.lane_paths import Point
+from ms_highway.geometry.path import BEHIND, SPACING
+from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, road_map
+from ms_highway.road.corridor import corridor
+from ms_highway.road.scene import KNOTS, RoadScene
+from ms_highway.road.traffic import SHARING
+from ms_highway.road.traffic_paths import traffic_of
+
+KEPT_BEHIND = 60.0  # m of lanes behind the robot
+NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead, at least, and when they are looked up anew
+FARTHEST, ASTRAY = 6.0, 0.8  # m aside of the route, over lanes that lead another way, and rad off it
+UNSURE = 1.5  # m, by which a lane that leads to the goal may be farther than the nearest one
+
+
+@dataclass
+class Memory:
+    """Route and vehicle numbers that a robot keeps between looks; stored on the vehicle, so that copies see the same.
+
+    Attributes:
+        goal: to which its lanes lead.
+        lanes: that it follows, none before the first look.
+        way: at which its rear axle is along them [m].
+        numbers: of the others that it has seen.
+    """
+
+    goal: Destination = None
+    lanes: tuple[LaneIndex, ...] = ()
+    way: float = 0.0
+    numbers: dict[RoadObject, int] = field(default_factory=dict)
+
+
+def observe_road(
+    vehicle: Vehicle,
+    destination: str | Spot | None = None,
+    applied: tuple[float, float] = (0.0, 0.0),
+    intentions: bool = False,
+) -> RoadScene:
+    """See the road from a vehicle.
+
+    Lanes once followed are remembered by the vehicle, so that its route does not jump where lanes meet. Without a
+    destination it follows its ``route``, as far as it has one, and then whichever road continues the present one best.
+
+    Args:
+        vehicle: the robot.
+        destination: node of the network to drive to, or a spot.
+        applied: curvature and acceleration that the robot has applied last [1/m, m/s^2].
+        intentions: whether others show which way they take, as by indicators: the ``route`` that they have.
+    """
+    roads = road_map(vehicle.road.network)
+    followed = tuple((start, end) for start, end, _ in getattr(vehicle, "route", None) or ())
+    wanted = destination or followed or None
+    goal, memory = roads.goal(wanted), vars(vehicle).setdefault("road_memory", Memory())
+    rear = vehicle.position - vehicle.LENGTH / 2 * vehicle.direction
+    ride = _continued(vehicle, rear, goal, memory) if memory.lanes and memory.goal == wanted else None
+    chain, way = ride or _begun(vehicle, rear, goal)
+    memory.goal, memory.lanes, memory.way = wanted, tuple(lane.index for lane in chain.lanes), way
+    around = corridor(chain, goal, way // BLOCK)
+    s, d, heading = around.curve.project(rear, vehicle.heading, way)
+    route = around.curve.path(s, KNOTS)
+    middle = way + vehicle.LENGTH / 2
+    own = chain.leg(middle)
+    changes, room = _changes(chain.lanes[own], goal, middle - chain.starts[own])
+    return RoadScene(
+        route=route,
+        changes=np.array(changes, dtype=np.float32),
+        room=np.asarray(room, dtype=np.float32),
+        robot=np.array([0.0, d, heading, vehicle.speed], dtype=np.float32),
+        size=np.array([vehicle.LENGTH, vehicle.WIDTH], dtype=np.float32),
+        applied=np.array(applied, dtype=np.float32),
+        **around.at(s - BEHIND + SPACING * np.arange(KNOTS)),
+        **traffic_of(vehicle, roads, route, memory.numbers, intentions),
+    )
+
+
+def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> tuple[Chain, float] | None:
+    """Return the lanes to follow and the way along them now; None if a robot has changed lanes or left them."""
+    chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
+    curve = corridor(chain, goal, memory.way // BLOCK).curve
+    s, _, _ = curve.project(rear, vehicle.heading, memory.way)
+    way = curve.way(s)
+    _, d, heading = curve.project(vehicle.position, vehicle.heading, way)
+    leg = chain.leg(way + vehicle.LENGTH / 2)
+    near, index = [lane.index for lane in chain.lanes[max(leg - 1, 0) : leg + 2]], vehicle.lane_index
+    if index not in near:
+        changed = any(other[:2] == index[:2] for other in near)
+        own = vehicle.lane
+        turned = own.heading_at(own.local_coordinates(vehicle.position)[0]) - vehicle.heading
+        farthest = chain.lanes[leg].shape.width_at(0.0) / 2 if cos(turned) > SHARING else FARTHEST
+        if changed or abs(d) > farthest or abs(heading) > ASTRAY:
+            return None
+    if chain.starts[-1] - way > NEEDED:
+        return chain, way
+    first = chain.leg(way - KEPT_BEHIND)
+    lanes = chain.lanes[first:leg] + goal.ahead(chain.lanes[leg], PLANNED + way - chain.starts[leg])
+    return goal.roads.chain(lanes), way - chain.starts[first]
+
+
+def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
+    """Return the lanes to follow from a robot's present lane on, with the lanes behind it, and its way along them."""
+    lane = _own_lane(vehicle, goal)
+    place = float(lane.shape.local_coordinates(rear)[0])
+    behind = lane.behind(KEPT_BEHIND - place)
+    chain = goal.roads.chain(behind + goal.ahead(lane, PLANNED + place))
+    return chain, chain.starts[len(behind)] + place
+
+
+def _own_lane(vehicle: Vehicle, goal: Goal) -> Lane:
+    """Return the lane of a robot: the nearest one, or one hardly farther that leads to the node of the goal."""
+    nearest = goal.roads.lanes[vehicle.lane_index]
+    if nearest in goal.leading or not goal.leading:
+        return nearest
+    best = min(goal.leading, key=lambda lane: lane.distance(vehicle))
+    return best if best.distance(vehicle) < nearest.distance(vehicle) + UNSURE else nearest
+
+
+def _changes(own: Lane, goal: Goal, place: float) -> tuple[list[int], float]:
+    """Return changes of lane to the right needed from the left, the own and the right lane, and the room for them.
+
+    Args:
+        own: the robot's lane.
+        goal: of the robot.
+        place: of it along its lane [m].
+    """
+    needed, room = goal.demand(own)
+    beside = [(own.beside(step), step) for step in (-1, 0, 1)]
+    demands = [goal.demand(lane) if lane else (needed - step, inf) for lane, step in beside]
+    room = room if needed else min(until for _, until in demands)
+    return [changes for changes, _ in demands], max(room - place, 0.0)

@@ -1,0 +1,201 @@
+"""A robot with highway-env's own kinematics that drives itself on any road, within what tyres hold in every frame."""
+
+from collections.abc import Sequence
+from math import acos, asin, atan, cos, hypot, sin, sqrt, tan
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from highway_env.road.road import LaneIndex, Road, Route
+from highway_env.vehicle.controller import ControlledVehicle
+from highway_env.vehicle.graphics import VehicleGraphics
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.geometry.lane_paths import Point
+from ms_highway.road.appointment import Appointment, RobotGoal, destination_for
+from ms_highway.road.driver import RoadDriver, RoadStep
+from ms_highway.road.motion import SLIP
+from ms_highway.road.observation import observe_road
+from ms_highway.road.scene import RoadScene
+from ms_highway.vehicle.bicycle import OfferedSpeeds
+from ms_highway.vehicle.road_view import at_constant_speed
+
+PERIOD = 0.2
+"""Time between two plans [s], rounded to frames of the simulation."""
+
+GRIP = 5.0
+"""Largest total acceleration, by default [m/s^2]."""
+
+MARGIN = 0.98
+"""Share of the grip that is used."""
+
+WIDEST = 1.1  # rad, slip angle at most
+ANY_TURN = 3.2  # rad, where a car hardly moves
+
+
+def steering_of(curvature: float, length: float) -> float:
+    """Return highway-env's steering angle [rad] for a yaw rate of ``speed * curvature``.
+
+    With its slip angle beta, ``yaw rate = 2 speed sin(beta) / length`` and ``tan(beta) = tan(steering) / 2``.
+    """
+    return atan(2 * tan(_slip(curvature, length)))
+
+
+def _slip(curvature: float, length: float) -> float:
+    return asin(min(max(curvature * length / 2, -SLIP), SLIP))
+
+
+class Velocity(NamedTuple):
+    """How a vehicle's centre moves in a frame.
+
+    Attributes:
+        speed: [m/s].
+        course: direction in which it moves, heading and slip [rad].
+    """
+
+    speed: float
+    course: float
+
+    def change(self, other: "Velocity") -> float:
+        """Return the length of the difference of both velocities [m/s]."""
+        turn = self.course - other.course
+        return sqrt(max(self.speed**2 + other.speed**2 - 2 * self.speed * other.speed * cos(turn), 0.0))
+
+
+def keep_grip(
+    wanted: Point, now: Velocity, before: Velocity, length: float, dt: float, grip: float
+) -> tuple[float, float]:
+    """Return the control that is nearest to a wanted one and within the grip of tyres for a frame.
+
+    First the curvature: ``|v^2 k| <= grip``, and the velocity of the centre, slip included, changes by ``grip dt`` at
+    most from the frame before, ``v^2 + v'^2 - 2 v v' cos(turn) <= (grip dt)^2``. Then the acceleration: ``a^2 + (v^2
+    k)^2 <= grip^2``, never backwards, and the velocity along the heading, which turns by ``v k dt``, changes by ``grip
+    dt`` at most; so the next frame can keep the slip of this one.
+
+    Args:
+        wanted: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
+        now: speed and heading of the vehicle.
+        before: of its centre in the frame before.
+        length: of the vehicle [m].
+        dt: duration of a frame [s].
+        grip: total acceleration at most [m/s^2].
+    """
+    curvature, acceleration = map(float, wanted)
+    speed, most = now.speed, grip * dt
+    turn, product = ANY_TURN, 2 * speed * before.speed
+    if product >= 1e-9:
+        turn = acos(min(max((speed**2 + before.speed**2 - most**2) / product, -1.0), 1.0))
+    straight = before.course - now.course
+    left, right = (max(min(straight + side * turn, WIDEST), -WIDEST) for side in (-1, 1))
+    sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * SLIP / length)
+    curvature = min(max(curvature, 2 * sin(left) / length), 2 * sin(right) / length)
+    curvature = min(max(curvature, -sharpest), sharpest)
+    most_along = sqrt(max(grip**2 - (speed**2 * curvature) ** 2, 0.0))
+    angle = speed * curvature * dt
+    room = sqrt(max(most**2 - (speed * sin(angle)) ** 2, 0.0))
+    slowest, fastest = speed * cos(angle) - room, speed * cos(angle) + room
+    lowest = max(-most_along, (max(slowest, 0.0) - speed) / dt, -speed / dt)
+    return curvature, min(max(acceleration, lowest), most_along, (fastest - speed) / dt)
+
+
+class RoadRobot(OfferedSpeeds, Vehicle):
+    """Car that drives itself with a `RoadDriver` whenever its road lets vehicles act; it ignores all actions.
+
+    It plans every `PERIOD` and holds the control in between, within its grip in every frame. Rewards and rules of
+    highway-env's environments find in it what they ask of the car that they control.
+
+    Attributes:
+        driver: plans; without one, the car keeps its velocity.
+        goal: node of the road network that it drives to, a spot to be at in time, or None without any.
+        grip: total acceleration at most [m/s^2].
+        intentions: whether others show which way they take.
+        route: roads to follow, None without a route.
+        last_step: of the driver, None before the first.
+        applied: curvature and acceleration in the last frame [1/m, m/s^2].
+        frame: duration of the last one [s].
+        time: since `drive_with` [s].
+        steps: of the driver since `forget`.
+        actions: highway-env's ``acceleration`` [m/s^2] and ``steering`` [rad] in each frame since `forget`.
+        accelerations: largest total acceleration in each frame since `forget` [m/s^2]: of the control, and of the
+            velocity between frames, with and without slip.
+        jerks: change of the acceleration within the last `PERIOD`, in each frame since `forget` [m/s^3].
+    """
+
+    action: dict[str, float]
+
+    def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
+        super().__init__(road, position, heading, speed)
+        self.route: Route | None = None
+        self.last_step: RoadStep | None = None
+        self.applied = self._wanted = np.zeros(2)
+        self._before: Velocity | None = None
+        self._elapsed, self.frame = np.inf, PERIOD
+        self._executed: list[tuple[float, float]] = []
+        self.drive_with(None)
+        self.forget()
+
+    @classmethod
+    def create_from(cls, vehicle: Vehicle) -> Self:
+        """Return a car without a driver in the place of another vehicle, on the same route."""
+        car = super().create_from(vehicle)
+        car.route = getattr(vehicle, "route", None)
+        return car
+
+    def drive_with(
+        self, driver: RoadDriver | None, goal: RobotGoal = None, grip: float = GRIP, intentions: bool = False
+    ) -> None:
+        """Let a driver drive, to a node of the road network or a spot where there is a goal."""
+        self.driver, self.goal, self.grip, self.intentions, self.time = driver, goal, grip, intentions, 0.0
+
+    def forget(self) -> None:
+        """Forget the record of steps and frames."""
+        self.steps: list[RoadStep] = []
+        self.actions: list[dict[str, float]] = []
+        self.accelerations: list[float] = []
+        self.jerks: list[float] = []
+
+    def look(self) -> RoadScene:
+        """Observe the road."""
+        curvature, acceleration = self.applied.tolist()
+        return observe_road(self, destination_for(self.goal), (curvature, acceleration), self.intentions)
+
+    def act(self, action: dict[str, Any] | str | None = None) -> None:
+        """Plan if it is time for it; ignore actions."""
+        due = self._elapsed + self.frame / 2 >= PERIOD
+        if action is None and self.driver is not None and due and not self.crashed:
+            if isinstance(self.goal, Appointment):
+                self.goal.guide(self.driver, self, self.time)
+            self.last_step = self.driver.step(self.look())
+            self.steps.append(self.last_step)
+            self._wanted, self._elapsed = np.asarray(self.last_step.control, dtype=float), 0.0
+
+    def step(self, dt: float) -> None:
+        """Move for ``dt`` seconds within the grip; crashed, as highway-env's vehicles do."""
+        self.time += dt
+        if self.crashed:
+            self.color = VehicleGraphics.RED
+            super().step(dt)
+            self.actions.append(dict(self.action))
+            return
+        now = Velocity(self.speed, self.heading)
+        before = self._before or now
+        curvature, along = keep_grip(self._wanted, now, before, self.LENGTH, dt, MARGIN * self.grip)
+        self.applied = np.array([curvature, along])
+        self.action = {"steering": steering_of(curvature, self.LENGTH), "acceleration": along}
+        sliding = Velocity(now.speed, now.course + _slip(curvature, self.LENGTH))
+        super().step(dt)
+        self.actions.append(dict(self.action))
+        self._before, self._elapsed, self.frame = sliding, self._elapsed + dt, dt
+        changed = max(sliding.change(before), Velocity(self.speed, self.heading).change(now))
+        across = now.speed**2 * curvature
+        self.accelerations.append(max(hypot(along, across), changed / dt))
+        self._executed = [*self._executed, (along, across)][-round(PERIOD / dt + 1) :]
+        (first_along, first_across), span = self._executed[0], dt * max(len(self._executed) - 1, 1)
+        self.jerks.append(hypot(along - first_along, across - first_across) / span)
+
+    @property
+    def target_lane_index(self) -> LaneIndex:
+        """The lane that it is on."""
+        return self.lane_index
+
+    plan_route_to = ControlledVehicle.plan_route_to
+    predict_trajectory_constant_speed = at_constant_speed

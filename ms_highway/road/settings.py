@@ -1,0 +1,119 @@
+"""Read the configuration of a driver for stock environments."""
+
+import re
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from msgspec import Meta, Struct, ValidationError, convert
+
+from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.road.constants import MODELS, RoadPlanning
+from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
+from ms_highway.road.robot import MARGIN
+from ms_highway.road.rungs import BudgetedRungs, FixedRung, PricedRungs, RungChoice
+from ms_highway.runtime import retired
+
+DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
+"""What drives, as in ``config["driver"]``."""
+
+NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
+    "priced": (PricedRungs, "its price, such as priced:0.1"),
+    "budget": (BudgetedRungs, "its milliseconds, such as budget:5"),
+}
+Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
+COSTS = "say 'shipped', 'measured', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
+IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, {MODELS[0]} among them"
+
+
+class RoadSettings(Struct, frozen=True):
+    """How a robot drives a stock environment.
+
+    Attributes:
+        driver: ``"priced"``, a rung for each car by price or budget; ``"priced:PRICE"`` and ``"budget:MS"``, the same
+            with the number; ``"fixed:RUNG"``, the same rung for all cars.
+        price: reward that a second of computation costs.
+        budget: milliseconds of computation per plan, instead of a price; None for no budget.
+        costs: ``"shipped"``; ``"measured"`` in the first step among others; or milliseconds that each rung adds to a
+            plan per car, by name, 0 where left out. Unless they are measured, episodes at a price can be repeated
+            exactly; a budget counts the time of decisions.
+        ladder: rungs to choose from, of `ms_highway.road.constants.MODELS` in their order.
+        desired_speed: [m/s]; None for what the scene rewards.
+        acceleration: total acceleration at most [m/s^2].
+        curvature: of the path at most [1/m].
+        intentions: whether others show which way they take: their ``route``, where they have one; highway-env's
+            ``observe_intentions`` shows agents the direction of its end.
+
+    Raises:
+        ValueError: for a ladder in another order, unknown rungs, or an impossible driver.
+    """
+
+    driver: Annotated[str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")] = "priced"
+    price: NotNegative = 1.0
+    budget: Wish = None
+    costs: Annotated[Literal["shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
+    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = MODELS
+    desired_speed: Wish = None
+    acceleration: Positive = 5.0
+    curvature: Positive = 0.2
+    intentions: bool = False
+
+    @classmethod
+    def read(cls, config: Mapping[str, Any] | None) -> "RoadSettings":
+        """Read a configuration, by default the default one.
+
+        Raises:
+            ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+        """
+        config = {} if config is None else config
+        if gone := retired.replacement(retired.DRIVERS, *re.findall(r"[\w:-]+", repr(config))):
+            raise ValueError(gone)
+        return read(cls, "config", config)
+
+    def __post_init__(self) -> None:
+        refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), MODELS)
+        if MODELS[0] not in self.ladder or self.ladder != tuple(rung for rung in MODELS if rung in self.ladder):
+            raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
+        self.choice()
+
+    def choice(self) -> RungChoice:
+        """Return what chooses the rungs.
+
+        Raises:
+            ValueError: for an unknown driver.
+        """
+        kind, _, rest = self.driver.partition(":")
+        message = f"config['driver'] is {self.driver!r}"
+        if self.budget is not None:
+            if self.driver != "priced":
+                raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
+            return BudgetedRungs(self.budget, self.ladder)
+        if self.driver == "priced":
+            return PricedRungs(self.price, self.ladder)
+        if kind in NUMBERED:
+            rule, wanted = NUMBERED[kind]
+            try:
+                return rule(convert(rest, NotNegative, strict=False), self.ladder)
+            except ValidationError:
+                raise ValueError(f"{message}; it needs {wanted}, as a number from 0") from None
+        if kind == "fixed" and rest in MODELS:
+            if rest in self.ladder:
+                return FixedRung(rest)
+            raise ValueError(f"{message}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it")
+        raise ValueError(f"{message}; choose one of {', '.join(map(repr, DRIVERS))}")
+
+    def planning(self, desired_speed: float) -> RoadPlanning:
+        """Return limits and wishes of plans.
+
+        Args:
+            desired_speed: that the scene rewards, where no other is configured [m/s].
+        """
+        return RoadPlanning(self.desired_speed or desired_speed, MARGIN * self.acceleration, self.curvature)
+
+    def build(self, planning: RoadPlanning) -> RoadDriver:
+        """Return a driver with these limits and wishes."""
+        costs = SHIPPED_COSTS if self.costs == "shipped" else None
+        if isinstance(self.costs, dict):
+            costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in MODELS]))
+        return RoadDriver(planning, self.choice(), costs=costs)

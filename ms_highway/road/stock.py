@@ -1,0 +1,169 @@
+"""Know highway-env's own environments: what they ask of their car, how to take its place, and what they overwrite."""
+
+import runpy
+from collections.abc import Callable, Iterator
+from functools import cache
+from types import MappingProxyType
+from typing import Any
+
+from highway_env.envs import ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, UTurnEnv
+from highway_env.vehicle import behavior
+from highway_env.vehicle.graphics import VehicleGraphics
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.road.appointment import RobotGoal
+
+DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
+USUAL_SPEED = 30.0  # m/s
+MERGED = 370.0  # m, where merge-v0 ends
+
+
+class GoalEnv:
+    """Base of environments that themselves say what they ask of a robot that drives their car.
+
+    Attributes:
+        goal: where the robot has to be, and when; None if nowhere.
+        desired_speed: of the robot without a goal in time [m/s].
+        success: whether the goal has been reached.
+    """
+
+    goal: RobotGoal
+    desired_speed: float
+    success: bool
+
+
+def destination_of(env: Any, number: int = 0) -> RobotGoal:
+    """Return the node of the road network that a controlled vehicle has to reach, or where it has to be in time.
+
+    None if it has to be nowhere.
+
+    Args:
+        env: a highway-env environment, or a wrapper of one, after a reset.
+        number: of the controlled vehicle.
+    """
+    env = env.unwrapped
+    if isinstance(env, GoalEnv):
+        return env.goal
+    if isinstance(env, IntersectionEnv):
+        route = getattr(env.controlled_vehicles[number], "route", None) or []
+        return route[-1][1] if len(route) > 1 else env.config["destination"] if number == 0 else None
+    return next((node for kind, node in DESTINATIONS.items() if isinstance(env, kind)), None)
+
+
+def desired_speed_of(env: Any) -> float:
+    """Return the speed that an environment rewards most [m/s].
+
+    In an intersection it is the speed limit; a `GoalEnv` says it.
+    """
+    config = env.unwrapped.config
+    action = config["action"].get("action_config", config["action"])
+    if isinstance(env.unwrapped, GoalEnv):
+        return env.unwrapped.desired_speed
+    if isinstance(env.unwrapped, IntersectionEnv):  # which rewards no more than 9 m/s, but grants 13 s only
+        return float(env.unwrapped.vehicle.lane.speed_limit)
+    speeds = config.get("reward_speed_range") or action.get("target_speeds")
+    speeds = [config.get("speed_limit") or USUAL_SPEED] if speeds is None else speeds
+    return float(max(speeds))
+
+
+def success(env: Any) -> bool | None:
+    """Return whether the goal of a highway-env environment is reached now; None where it has no goal.
+
+    exit: on the exit or its lane; intersection: every controlled car has arrived; roundabout: it has left the ring to
+    the north; merge: it has passed the ramp. A car that has crashed has no success. A u-turn has no goal that counts:
+    the road back is 191 m away, more than its 10 s allow. A `GoalEnv` says it.
+    """
+    env = env.unwrapped
+    vehicles, road = env.controlled_vehicles, env.vehicle.lane_index[:2]
+    if isinstance(env, GoalEnv):
+        there = env.success
+    elif isinstance(env, ExitEnv):
+        there = env._is_success()
+    elif isinstance(env, IntersectionEnv):
+        there = all(env.has_arrived(vehicle) for vehicle in vehicles)
+    elif isinstance(env, RoundaboutEnv):
+        there = road in (("nx", "nxs"), ("nxs", "nxr"))
+    elif isinstance(env, MergeEnv):
+        there = env.vehicle.position[0] > getattr(env, "end_position", MERGED)
+    else:
+        return None
+    return bool(there) and not any(vehicle.crashed for vehicle in vehicles)
+
+
+KEPT = (
+    *("color", "route", "target_speeds", "check_collisions", "collidable", "solid", "MIN_SPEED", "MAX_SPEED"),
+    *("LENGTH", "WIDTH", "diagonal"),
+)
+"""Attributes of a vehicle, beside its state, that its replacement keeps where the vehicle itself has them."""
+
+
+def replace_ego(env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0) -> Vehicle:
+    """Replace a controlled vehicle by another at the same place, in the same state and with the same route.
+
+    Args:
+        env: a highway-env environment, or a wrapper of one, after a reset.
+        make: builds the new vehicle from the old one.
+        number: of the controlled vehicle.
+
+    Returns:
+        The new vehicle.
+    """
+    env = env.unwrapped
+    old = env.controlled_vehicles[number]
+    new = make(old)
+    new.position, new.heading, new.speed = old.position.copy(), old.heading, old.speed
+    new.crashed, new.impact = old.crashed, old.impact
+    for name in vars(old).keys() & KEPT:
+        setattr(new, name, getattr(old, name))
+    if getattr(new, "color", None) is None:
+        new.color = VehicleGraphics.EGO_COLOR
+    new.on_state_update()
+    env.controlled_vehicles[number] = new
+    env.road.vehicles[env.road.vehicles.index(old)] = new
+    alone = len(env.controlled_vehicles) == 1
+    for part in (*_parts(env.action_type), *_parts(env.observation_type)):
+        for name in ("controlled_vehicle", "observer_vehicle"):
+            if hasattr(part, name) and (alone or getattr(part, name) is old):
+                setattr(part, name, new)
+    return new
+
+
+def _parts(whole: Any) -> Iterator[Any]:
+    """Yield an action or observation type, and those that it is made of."""
+    yield whole
+    for name in ("agents_action_types", "agents_observation_types", "observation_types"):
+        for part in getattr(whole, name, ()):
+            yield from _parts(part)
+
+
+OVERWRITTEN = MappingProxyType({"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3})
+"""What the reset of an `IntersectionEnv` sets on the class of its traffic."""
+
+
+@cache
+def _originals() -> dict[str, type]:
+    """Return the classes of `behavior` as they are before anything has changed them."""
+    fresh = runpy.run_path(behavior.__file__)
+    return {name: kind for name, kind in fresh.items() if isinstance(kind, type) and kind.__module__ == "<run_path>"}
+
+
+def restore_traffic(env: Any) -> None:
+    """Give highway-env's drivers their own distances and accelerations back, unless the environment sets them itself.
+
+    Only the values of an `IntersectionEnv` are undone, all of them together; values that somebody else has set, and
+    classes of others, are left alone.
+
+    Args:
+        env: a highway-env environment, or a wrapper of one, that is about to be reset.
+    """
+    if isinstance(env.unwrapped, IntersectionEnv):
+        return
+    for name, original in _originals().items():
+        kind = getattr(behavior, name)
+        if any(vars(kind).get(key) != value for key, value in OVERWRITTEN.items()):
+            continue
+        for key in OVERWRITTEN:
+            if key in vars(original):
+                setattr(kind, key, vars(original)[key])
+            else:
+                delattr(kind, key)

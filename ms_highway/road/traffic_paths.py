@@ -1,0 +1,224 @@
+"""Find the ways that other vehicles may take, and who follows whom on them."""
+
+from math import sin
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Landmark, RoadObject
+from jaxtyping import Int
+
+from ms_highway.geometry.lane_paths import Row, from_heading
+from ms_highway.geometry.path import BEHIND, SPACING, Path, wrapped
+from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
+from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS
+from ms_highway.runtime.arrays import Car
+
+AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, in which others are seen ahead, coming, and behind
+MOST_VEHICLES, MOST_WAYS = 16, 3
+BRANCHES = 60.0  # m ahead, up to which all ways are told apart
+AGAINST = -0.7  # cosine of the angle between headings of those who come
+LENGTH = 140.0  # m, of ways
+TENS = 10.0  # m, in steps of which the rest of a lane is counted
+CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
+ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
+NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
+IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
+NO_GAP = 1e3  # m, without a leader
+SLOWEST = 0.1  # m/s, of what may move
+FAR = -1e4  # m, coordinates of unused paths
+EVERY = 2  # knots, compared
+LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
+NOBODY = {
+    "paths": Path(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
+    "states": np.zeros(4),
+    "sizes": np.array([5.0, 2.0]),
+    "present": False,
+    "limits": LIMIT,
+    "owners": -1,
+    "names": -1,
+    "moving": False,
+}
+"""An unused row of what is known of others."""
+
+Owners = Int[np.ndarray, "traffic"]
+
+
+class Way(NamedTuple):
+    """A way that a vehicle may take.
+
+    Attributes:
+        car: the vehicle, or an obstacle.
+        owner: number of it, nearest first.
+        chain: lanes.
+        path: along them.
+        state: of the vehicle on the path.
+        limit: of its speed [m/s].
+    """
+
+    car: RoadObject
+    owner: int
+    chain: Chain
+    path: Path
+    state: Car
+    limit: float
+
+
+def traffic_of(
+    vehicle: Vehicle, roads: RoadMap, route: Path, numbers: dict[RoadObject, int], intentions: bool = False
+) -> dict[str, Any]:
+    """Return what a ``RoadScene`` has of others, nearest first; of more than `TRAFFIC`, those near the route first.
+
+    Args:
+        vehicle: the robot.
+        roads: of its network.
+        route: its path.
+        numbers: of all vehicles seen so far; those seen first now are added.
+        intentions: whether others show which way they take.
+    """
+    seen = _in_sight(vehicle)
+    for car in seen:
+        numbers.setdefault(car, len(numbers))
+    ways = [way for owner, car in enumerate(seen) for way in _ways(car, owner, roads, intentions)]
+    if len(ways) > TRAFFIC:
+        ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]
+    rows = [
+        {
+            "paths": way.path,
+            "states": way.state,
+            "sizes": np.array([way.car.LENGTH, way.car.WIDTH]),
+            "present": True,
+            "limits": way.limit,
+            "owners": way.owner,
+            "names": numbers[way.car],
+            "moving": _drives(way.car),
+        }
+        for way in ways
+    ]
+    table = jax.tree.map(_column, *rows, *[NOBODY] * (TRAFFIC - len(rows)))
+    leaders, gaps = _leaders_of(table["paths"], [way.car for way in ways], table["owners"])
+    return table | {"leaders": leaders, "gaps": gaps, "accelerations": np.zeros(TRAFFIC, np.float32)}
+
+
+def _column(*values: Any) -> np.ndarray:
+    column = np.array(values)
+    return column.astype({"i": np.int32, "f": np.float32}.get(column.dtype.kind, bool))
+
+
+def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
+    """Return vehicles and solid objects in sight, nearest first."""
+    others = [car for car in vehicle.road.vehicles if car is not vehicle]
+    others += [item for item in vehicle.road.objects if not isinstance(item, Landmark)]
+    delta = np.array([car.position for car in others]).reshape(-1, 2) - vehicle.position
+    distances = np.hypot(delta[:, 0], delta[:, 1])
+    comes = [isinstance(car, Vehicle) and car.direction @ vehicle.direction < AGAINST for car in others]
+    ahead = np.where(comes, ONCOMING, AHEAD)
+    seen = distances < np.where(delta @ vehicle.direction > 0, ahead, BEHIND_SIGHT)
+    nearest = [number for number in np.argsort(distances, kind="stable") if seen[number]]
+    return [others[number] for number in nearest[:MOST_VEHICLES]]
+
+
+def _drives(car: RoadObject) -> bool:
+    """Return whether something may drive on; what has crashed slides to a stop."""
+    return isinstance(car, Vehicle) and not car.crashed
+
+
+def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list[Way]:
+    """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane.
+
+    Where it shows its intentions, these are the ways from all lanes of the road from which most of its route follows.
+    """
+    found, own = [], roads.lanes[car.lane_index]
+    if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
+        x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
+        path = Path(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
+        return [
+            Way(car, owner, roads.chain((own,)), path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))
+        ]
+    legs = frozenset(leg[:2] for leg in (intentions and getattr(car, "route", None)) or ())
+    for lane in _begun(car, own) if _drives(car) else [own]:
+        place = float(lane.shape.local_coordinates(car.position)[0])
+        chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
+        found += [(number, place, chain) for number, chain in enumerate(chains)]
+    shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
+    most = max(shown)
+    roads_shown = {chain.lanes[0].index[:2] for (*_, chain), number in zip(found, shown, strict=True) if number == most}
+    found = [item for item in found if item[2].lanes[0].index[:2] in roads_shown]
+    found.sort(key=lambda item: item[0])
+    ways = []
+    for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:
+        curve = chain.curve(place // BLOCK)
+        s, d, heading = curve.project(car.position, car.heading, place)
+        path = curve.path(s, TRAFFIC_KNOTS)
+        ways.append(Way(car, owner, chain, path, np.array([0.0, d, heading, car.speed]), chain.lanes[0].limit))
+    return ways
+
+
+def _begun(car: Vehicle, own: Lane) -> list[Lane]:
+    """Return the lanes that a vehicle may be following.
+
+    These are its lane; those that begin at the same node, as long as it cannot be told apart which one it takes; the
+    neighbour that it moves to within a second, and that beside a lane that ends.
+    """
+    place, aside = own.shape.local_coordinates(car.position)
+    found = [own]
+    for end, lanes in own.roads.graph[own.start].items():
+        if end != own.end:
+            other = own.roads.lanes[own.start, end, min(own.number, len(lanes) - 1)]
+            s, d = other.shape.local_coordinates(car.position)
+            turned = wrapped(car.heading - other.shape.heading_at(s))
+            if s >= -1.0 and abs(d) < max(ON_LANE, abs(aside)) and abs(turned) < ALONG:
+                found.append(other)
+    drift = aside + car.speed * sin(wrapped(car.heading - own.shape.heading_at(place)))
+    changes = abs(drift) > own.shape.width_at(place) / 2
+    neighbour = own.beside(1 if drift > 0 else -1) if changes else own.refuge
+    return [*found, neighbour] if neighbour else found
+
+
+@kept
+def _chains_from(lane: Lane, tens: int, legs: frozenset[tuple[str, str]]) -> list[Chain]:
+    """Return the chains of lanes from some tens of metres before a lane's end on, one for each way that branches.
+
+    Where some of the roads that follow are legs of a route, the others do not count.
+    """
+    found: list[Chain] = []
+    open_ends: list[tuple[Lanes, float]] = [((lane,), TENS * tens)]
+    for lanes, covered in open_ends:
+        nexts = lanes[-1].following(CROOKED) if covered < LENGTH else ()
+        onward = [following for following in nexts if following.index[:2] in legs]
+        onward = onward or list(nexts if covered < BRANCHES else nexts[:1])
+        open_ends += [((*lanes, following), covered + following.length) for following in onward]
+        if not nexts:
+            found.append(lane.roads.chain(lanes))
+    return found
+
+
+def _meets(path: Path, route: Path) -> bool:
+    """Return whether a path comes near the route; oncoming traffic that keeps to its own lane does not."""
+    ahead = slice(int(BEHIND / SPACING) - 2, None, EVERY)
+    distances = np.hypot(path.x[ahead, None] - route.x[None, ahead], path.y[ahead, None] - route.y[None, ahead])
+    oncoming = np.cos(path.heading[ahead, None] - route.heading[None, ahead]) < 0
+    return bool(((distances < CROSSING) | ((distances < NEAR_ROUTE) & ~oncoming)).any())
+
+
+def _leaders_of(paths: Path, cars: list[RoadObject], owners: Owners) -> tuple[Owners, Row]:
+    """Return the place of the car ahead on each path, -1 without one, and the distance to it."""
+    leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.full(TRAFFIC, NO_GAP, dtype=np.float32)
+    if not cars:
+        return leaders, gaps
+    count = len(cars)
+    positions = np.array([car.position for car in cars])  # [cars, 2]
+    x = positions[None, :, None, 0] - paths.x[:count, None, :]  # [paths, cars, knots]
+    y = positions[None, :, None, 1] - paths.y[:count, None, :]
+    nearest = np.argmin(x**2 + y**2, axis=-1)
+    rows, columns = np.arange(count)[:, None], np.arange(count)[None, :]
+    ahead, d = from_heading(paths.heading[rows, nearest], x[rows, columns, nearest], y[rows, columns, nearest])
+    s = SPACING * nearest - BEHIND + ahead
+    other = owners[:count, None] != owners[None, :count]
+    leading = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
+    distance = np.where(leading, s, NO_GAP)
+    leader = np.argmin(distance, axis=1)  # the first path of a car comes before its others
+    leaders[:count] = np.where(leading.any(axis=1), leader, -1)
+    gaps[:count] = distance[np.arange(count), leader]
+    return leaders, gaps

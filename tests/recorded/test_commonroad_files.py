@@ -1,0 +1,290 @@
+"""Read each element of CommonRoad files; refuse a damaged file by the names of the file and the element."""
+
+import copy
+import random
+import re
+from xml.etree import ElementTree
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from commonroad.common.reader.file_reader_xml import XMLFileReader
+from recordings import TURN, car, lanelet, linked_lanes, pedestrian, place, problem, scenario, sign, standing, straight
+
+from ms_highway.recorded.commonroad import read_scenario
+from ms_highway.recorded.problem import Task
+
+CARS = car(100, 60, 0) + car(101, 40, 3.5)
+
+
+def read(directory, cars=CARS, lanelets=None, problems="", **more):
+    path = directory / "small.xml"
+    path.write_text(scenario(cars=cars, lanelets=lanelets, problems=problems, **more))
+    return read_scenario(path)
+
+
+def rectangle(more="", length=4.5, width=1.8):
+    return f"<rectangle><length>{length}</length><width>{width}</width>{more}</rectangle>"
+
+
+def polygon(*corners):
+    return f"<polygon>{''.join(f'<point><x>{x}</x><y>{y}</y></point>' for x, y in corners)}</polygon>"
+
+
+def centre(x, y):
+    return f"<center><x>{x}</x><y>{y}</y></center>"
+
+
+TRUCK = (
+    "<truckShape><truckDims><length>8</length><width>2.5</width></truckDims>"
+    "<originXShift>-3</originXShift></truckShape>"
+)
+BODIES = [
+    (rectangle(), (4.5, 1.8), (0.0, 0.0)),
+    (rectangle("<originXShift>-1.25</originXShift>"), (4.5, 1.8), (1.25, 0.0)),
+    (rectangle(centre(1.0, -0.5)), (4.5, 1.8), (1.0, -0.5)),
+    (f"<circle><radius>0.4</radius>{centre(0, 0.2)}</circle>", (0.8, 0.8), (0.0, 0.2)),
+    (polygon((-1, -1), (5, -1), (5, 1), (2, 2), (-1, 1)), (6.0, 3.0), (2.0, 0.5)),
+    (TRUCK, (8.0, 2.5), (3.0, 0.0)),
+    (rectangle() + rectangle(centre(-5.5, 0), 6.0, 2.0), (10.75, 2.0), (-3.125, 0.0)),
+]
+
+
+@pytest.mark.parametrize(("shape", "size", "middle"), BODIES)
+def test_a_moving_body_is_as_large_and_where_the_file_says(shape, size, middle, tmp_path):
+    plain, shifted = read(
+        tmp_path, CARS + car(102, 20, 0.3, shape=rectangle()) + car(103, 20, 0.3, shape=shape)
+    ).tracks[2:]
+    assert shifted.size == pytest.approx(size)
+    ahead, left = middle
+    moved = ahead * np.array([np.cos(TURN), np.sin(TURN)]) + left * np.array([-np.sin(TURN), np.cos(TURN)])
+    np.testing.assert_allclose(shifted.samples[:, 1:3] - plain.samples[:, 1:3] - moved, 0, atol=1e-9)
+    np.testing.assert_array_equal(shifted.samples[:, [0, 3, 4]], plain.samples[:, [0, 3, 4]])
+
+
+def covered(obstacles, points):
+    """Which points any of the boxes of obstacles covers."""
+    found = np.zeros(len(points), bool)
+    for (length, width), (x, y, turn) in ((one.size, one.pose) for one in obstacles):
+        east, north = (points - [x, y]).T
+        ahead, left = np.cos(turn) * east + np.sin(turn) * north, np.cos(turn) * north - np.sin(turn) * east
+        found |= (abs(ahead) < length / 2) & (abs(left) < width / 2)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("standing_obstacle", "corners"),
+    [
+        (standing(9, rectangle(centre(2, 0)), 30, 10, 0.5), [(-0.25, -0.9), (4.25, -0.9), (4.25, 0.9), (-0.25, 0.9)]),
+        (standing(9, rectangle("<orientation>0.3</orientation>"), 30, 10, 0.5), None),
+        (standing(9, polygon((0, 0), (3, 3), (1, 5), (-2, 2)), 30, 10, 0.5), [(0, 0), (3, 3), (1, 5), (-2, 2)]),
+    ],
+)
+def test_what_stands_is_as_large_and_where_the_file_says(standing_obstacle, corners, tmp_path):
+    import shapely
+
+    if corners is None:
+        corners = shapely.affinity.rotate(shapely.box(-2.25, -0.9, 2.25, 0.9), 0.3, use_radians=True).exterior.coords
+    there = shapely.Polygon(corners)
+    there = shapely.affinity.translate(shapely.affinity.rotate(there, 0.5, (0, 0), use_radians=True), 30, 10)
+    points = np.random.default_rng(0).uniform(-8, 8, (400, 2)) + there.centroid.coords[0]
+    found = covered(read(tmp_path, CARS + standing_obstacle).obstacles, points)
+    np.testing.assert_array_equal(found, shapely.contains_xy(there, points))
+    assert 5 < found.sum() < 395
+
+
+def test_each_piece_that_stands_is_there_by_itself(tmp_path):
+    far = rectangle() + rectangle(centre(100, 0))
+    obstacles = read(tmp_path, CARS + standing(9, far, 0, 0, 0)).obstacles
+    assert [(one.number, one.size, one.pose) for one in obstacles] == [
+        (9, (4.5, 1.8), (0, 0, 0)),
+        (9, (4.5, 1.8), (100, 0, 0)),
+    ]
+
+
+@pytest.mark.parametrize("angle", np.linspace(0, 6, 7))
+@pytest.mark.parametrize(("distance", "reached"), [(4.95, True), (5.05, False)])
+def test_a_round_goal_is_reached_within_its_radius(angle, distance, reached, tmp_path):
+    x, y = place(50, 0)
+    goal = re.sub("<rectangle>.*</rectangle>", f"<circle><radius>5</radius>{centre(x, y)}</circle>", problem())
+    task = Task.of(read(tmp_path, problems=goal), "problem")
+    point = np.array([x, y]) + distance * np.array([np.cos(angle), np.sin(angle)])
+    assert task.is_reached(20, point, 0.0, 10.0) == reached
+
+
+@pytest.mark.parametrize(
+    ("position", "inside", "outside"),
+    [
+        (rectangle(centre(0, 0)) + rectangle(centre(20, 0)), [(0, 0), (20, 0.5)], [(10, 0)]),
+        ('<lanelet ref="1"/><lanelet ref="4"/>', [place(50, 0), place(150, 3.5)], [place(150, 0), place(50, 3.5)]),
+        (polygon((0, 0), (4, 0), (0, 4)), [(1, 1)], [(3, 3)]),
+    ],
+)
+def test_each_piece_of_a_goal_is_enough(position, inside, outside, tmp_path):
+    goal = re.sub("<goalState><position>.*</position>", f"<goalState><position>{position}</position>", problem())
+    task = Task.of(read(tmp_path, lanelets=linked_lanes(), problems=goal), "problem")
+    assert all(task.is_reached(20, point, 0.0, 10.0) for point in inside)
+    assert not any(task.is_reached(20, point, 0.0, 10.0) for point in outside)
+
+
+def test_any_heading_reaches_a_goal_whose_headings_are_a_full_turn(tmp_path):
+    task = Task.of(read(tmp_path, problems=problem(headings=(-np.pi, np.pi))), "problem")
+    assert all(task.is_reached(20, place(50, 0), heading, 10.0) for heading in (-3.0, 0.0, 1.5))
+
+
+def signed(values, points=30):
+    """Two lanes; the left one has a speed sign."""
+    first, rest = linked_lanes(points=points).split("<laneletType>", 1)
+    return f'{first}<trafficSignRef ref="50"/><laneletType>{rest}{sign(50, values)}'
+
+
+def test_lanes_have_the_limits_of_their_signs(tmp_path):
+    assert [lane.limit for lane in read(tmp_path, lanelets=signed(["13.9"])).lanelets] == [13.9, None, None, None]
+
+
+@pytest.mark.parametrize("values", [["nan"], ["-5"], ["inf"], ["1e9"], ["0"], ["fast"], []])
+def test_a_sign_without_a_speed_that_can_be_driven_is_refused(values, tmp_path):
+    with pytest.raises(ValueError, match=r"small\.xml .*trafficSign 50: .*<additionalValue>"):
+        read(tmp_path, lanelets=signed(values))
+
+
+@pytest.mark.parametrize("kind", ["sidewalk", "crosswalk"])
+def test_where_pedestrians_walk_is_no_lane(kind, tmp_path):
+    walk = lanelet(9, -7.0, straight(0, 200)).replace("highway", kind)
+    lanelets = linked_lanes().replace("<laneletType>", '<adjacentRight ref="9" drivingDir="opposite"/><laneletType>')
+    path = tmp_path / "walk.xml"
+    path.write_text(scenario(lanelets=lanelets + walk, cars=CARS, problems=problem()))
+    assert [lane.number for lane in read_scenario(path).lanelets] == [1, 2, 3, 4]
+    env = gym.make("ms-highway/recorded-v0", config={"recording": str(path), "traffic": "replay"})
+    env.reset(seed=0)
+    assert len(env.unwrapped.road.network.lanes_list()) == 4
+
+
+STATE = "<velocity><exact>12.0</exact></velocity>"
+OCCUPANCY = (
+    f"<occupancySet><occupancy><shape>{rectangle()}</shape><time><exact>1</exact></time></occupancy></occupancySet>"
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cars": CARS.replace("</trajectory>", f"</trajectory>{OCCUPANCY}")}, "dynamicObstacle 100: <occupancySet>"),
+        ({"cars": CARS + f'<phantomObstacle id="5">{OCCUPANCY}</phantomObstacle>'}, "phantomObstacle '5' cannot be"),
+        ({"cars": CARS.replace(STATE, "", 1)}, "dynamicObstacle 100: <initialState> lacks <velocity/exact>"),
+        (
+            {
+                "cars": CARS.replace("<position><point>", "<position><rectangle>").replace(
+                    "</point></p", "</rectangle></p"
+                )
+            },
+            "dynamicObstacle 100: <initialState> lacks <position/point/x>",
+        ),
+        (
+            {"cars": CARS + standing(9, "<semiTrailerTruckShape/>", 0, 0)},
+            "staticObstacle 9: <semiTrailerTruckShape> is no shape that can be read",
+        ),
+        ({"cars": CARS + car(100, 90, 0)}, "dynamicObstacle 100: it has the id of another one"),
+        ({"cars": CARS.replace("<length>4.5", "<length>0")}, "dynamicObstacle 100: <rectangle> has no area"),
+        ({"problems": problem().replace("rectangle>", "point>")}, "planningProblem 7: <point> is no shape"),
+        ({"problems": problem().replace("</goalS", "<yawRate/></goalS")}, "planningProblem 7: a goal has <yawRate>"),
+        ({"problems": problem(times=(40, 10))}, "planningProblem 7: <time> of a goal ends before it begins"),
+        ({"lanelets": signed(["9"]).replace('Sign id="50"', 'Sign id="51"')}, "lanelet 1: there is no trafficSign 50"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_by_file_and_element(changes, message, tmp_path):
+    with pytest.raises(ValueError, match=rf"small\.xml cannot be read as a CommonRoad scenario \({re.escape(message)}"):
+        read(tmp_path, **changes)
+
+
+@pytest.mark.parametrize("role", ["dynamic", "static"])
+def test_obstacles_of_the_older_format_are_read(role, tmp_path):
+    older = re.sub(r"<dynamicObstacle (.*?)>", f"<obstacle \\1><role>{role}</role>", car(102, 20, 0))
+    older = older.replace("dynamicObstacle", "obstacle")
+    path = tmp_path / "older.xml"
+    path.write_text(scenario(cars=CARS + older).replace("2020a", "2018b"))
+    found = read_scenario(path)
+    assert (len(found.tracks), len(found.obstacles)) == ((3, 0) if role == "dynamic" else (2, 1))
+
+
+HOSTILE = ["", "x", "nan", "inf", "-1", "0", "1e9", "1e400", "9" * 5000, "0.5", "7", "100", "²", "<>\n\0"[:3]]
+
+
+def damaged(root, chance):
+    """Damage one element of a file, of any of its kinds."""
+    kind = chance.choice(sorted({element.tag for element in root.iter()}))
+    parents = {child: parent for parent in root.iter() for child in parent}
+    element = chance.choice(list(root.iter(kind)))
+    parent = parents.get(element, root)
+    how = chance.randrange(6)
+    if how == 0 and element is not root:
+        parent.remove(element)
+    elif how == 1 and element is not root:
+        parent.insert(chance.randrange(len(parent)), element)
+    elif how == 2 and element.attrib:
+        element.set(chance.choice(sorted(element.attrib)), chance.choice(HOSTILE))
+    elif how == 3 and element.attrib:
+        element.attrib.pop(chance.choice(sorted(element.attrib)))
+    elif how == 4:
+        element.tag = chance.choice(["x", "circle", "lanelet", "point", "exact"])
+    else:
+        element.text = chance.choice(HOSTILE)
+
+
+def varied():
+    """A scenario with an element of each kind."""
+    times = "<time><intervalStart>20</intervalStart><intervalEnd>30</intervalEnd></time>"
+    goals = f'<goalState><position><lanelet ref="2"/></position>{times}</goalState></planningP'
+    walk = lanelet(9, -7.0, straight(0, 200, 6)).replace("highway", "sidewalk")
+    return scenario(
+        lanelets=signed(["13.9"], 6) + walk,
+        cars=car(100, 60, 0, 5)
+        + pedestrian(102, 120, 5)
+        + standing(103, rectangle(), *place(180, 3.5))
+        + standing(104, polygon((0, 50), (9, 50), (9, 70)), 0, 0),
+        problems=problem(speeds=(5.0, 20.0), headings=(0.0, 1.0)).replace("</planningP", goals),
+    )
+
+
+def test_lanelets_states_and_problems_are_those_that_commonroads_own_reader_finds(tmp_path):
+    path = tmp_path / "varied.xml"
+    path.write_text(varied())
+    scene, problems = XMLFileReader(str(path)).open()
+    found = read_scenario(path)
+    theirs = {lanelet.lanelet_id: lanelet for lanelet in scene.lanelet_network.lanelets}
+    for lane in found.lanelets:
+        same = theirs[lane.number]
+        np.testing.assert_array_equal([lane.left, lane.right], [same.left_vertices, same.right_vertices])
+        assert [list(lane.before), list(lane.after)] == [same.predecessor, same.successor]
+        assert lane.beside == (same.adj_left, same.adj_right)
+    for track in found.tracks:
+        obstacle = scene.obstacle_by_id(track.number)
+        states = [obstacle.initial_state, *obstacle.prediction.trajectory.state_list]
+        rows = [[state.time_step, *state.position, state.orientation, state.velocity] for state in states]
+        np.testing.assert_allclose(track.samples, rows, atol=1e-9)
+    (start,) = problems.planning_problem_dict.values()
+    assert found.problems[0].start == (*start.initial_state.position, start.initial_state.orientation, 12.0)
+
+
+def test_200_damaged_files_are_read_or_refused_by_file_and_element(tmp_path):
+    path, whole, wrong, survived = tmp_path / "damaged.xml", ElementTree.fromstring(varied()), {}, 0
+    names = "|".join(sorted({element.tag for element in whole.iter()} | {"planning problem"}))
+    path.write_text(varied())
+    cheap = {"type": "Kinematics", "normalize": False}
+    config = {"recording": str(path), "traffic": "replay", "observation": cheap}
+    env = gym.make("ms-highway/recorded-v0", config=config).unwrapped
+    for seed in range(200):
+        root = copy.deepcopy(whole)
+        damaged(root, random.Random(seed))
+        path.write_bytes(ElementTree.tostring(root))
+        try:
+            env.reset(seed=0)
+            env.road.step(0.1)
+            survived += 1
+        except ValueError as error:
+            if not re.match(rf".*damaged\.xml\W.*\b({names})\b", str(error)):
+                wrong[seed] = str(error)
+        except Exception as error:
+            wrong[seed] = repr(error)
+    assert not wrong
+    assert 40 < survived < 160

@@ -1,0 +1,131 @@
+"""How humans answer the robot on any road."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+from roads import PLANNING, arc, keeping_velocity, scene_of
+
+from ms_highway.game.dynamics import Motion
+from ms_highway.game.features import motion_reward
+from ms_highway.game.learned_reward import commuter_weights
+from ms_highway.game.reward import linear_reward
+from ms_highway.game.scenario import PAPER_UNIT
+from ms_highway.game.scene import Scene
+from ms_highway.geometry.path import locate, place
+from ms_highway.road.answers import UNIT, Commuter, commuter_among, commuter_of
+
+TIMES = np.asarray(PLANNING.times)
+
+
+def robot_at(s, speed, d=0.0):
+    """World trajectory on a straight road."""
+    return jnp.stack(jnp.broadcast_arrays(*map(jnp.float32, (s, d, 0.0)), jnp.asarray(speed, jnp.float32)))
+
+
+@jax.jit
+def answer(scene, robot, others):
+    return UNIT * commuter_among(scene, PLANNING, 0, robot, others).answer()
+
+
+@jax.jit
+def follow(scene, accelerations):
+    human = commuter_of(scene, PLANNING, 0)
+    s, speed = human.move(human.held(accelerations / UNIT))
+    return jnp.stack([*place(human.path, s, human.aside), speed])
+
+
+AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
+
+
+def answered(scene, robot):
+    return np.asarray(answer(scene, robot, keeping_velocity(scene)))
+
+
+@pytest.mark.parametrize("bend", [0.0, 1 / 30, -1 / 60])
+def test_projecting_undoes_placing_also_beyond_the_ends_of_a_path_and_wraps_headings(bend):
+    path = arc(64, bend)
+    random = np.random.default_rng(0)
+    s, d, turned = (jnp.asarray(random.uniform(-a, a, 500), jnp.float32) for a in (19.0, 6.0, 3.0))
+    s = s + 40.0 * (np.arange(500) % 2)
+    s, d = s.at[:2].set(jnp.array([-60.0, 150.0])), d.at[:2].set(jnp.array([3.0, -5.0]))
+    x, y, along = jax.jit(place)(path, s, d)
+    poses = jax.jit(locate)(path, x, y, along + turned + 2 * np.pi)
+    for found, true, within in zip(poses, (s, d, turned), (0.02, 0.02, 0.005), strict=True):
+        np.testing.assert_allclose(found, true, atol=within)
+
+
+BUSY = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
+
+
+def busy_human():
+    cut_in = robot_at(8 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
+    return jax.jit(commuter_among)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY))
+
+
+def test_the_reward_is_the_commuters_on_a_straight_road():
+    human = busy_human()
+    learned = linear_reward(commuter_weights(), 30.0)
+    scene = Scene(jnp.zeros(1), 4.0, jnp.zeros((0, 2)), jnp.ones(2), jnp.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
+
+    def earned(scaled):
+        a = scaled * UNIT
+        speed = 22 + jnp.cumsum(a) * 0.2
+        s = jnp.cumsum(jnp.concatenate([jnp.full(1, 22.0), speed[:-1]]) + speed) * 0.1
+        own = Motion(s, 0 * s, 0 * s + 1, 0 * s, speed)
+        comfort = learned.comfort[1] * jnp.sum((a / PAPER_UNIT) ** 2) / 2
+        return jnp.sum(motion_reward(scene, learned, own, Motion(*human.others))) - comfort
+
+    random = np.random.default_rng(0)
+    first, second = (jnp.asarray(random.normal(size=PLANNING.steps) / 10, jnp.float32) for _ in range(2))
+    found, difference = (float(jax.jit(of)(first) - jax.jit(of)(second)) for of in (human.earned, earned))
+    assert abs(difference) > 10
+    assert found == pytest.approx(difference, rel=1e-3)
+
+
+def test_its_derivatives_are_exact():
+    human, at = busy_human(), jnp.full(PLANNING.steps, -0.1)
+    found = jax.jit(Commuter.expand)(human, at)
+    gradient, hessian = (jax.jit(of(human.earned))(at) for of in (jax.grad, jax.hessian))
+    for part, exact in zip(found, (gradient, hessian), strict=True):
+        np.testing.assert_allclose(part, exact, atol=1e-4 * np.abs(exact).max())
+
+
+def test_a_free_human_approaches_the_speed_limit_gently():
+    slow = answered(scene_of(cars=[(0.0, 0, 20.0)], limit=30.0), AWAY)
+    fast = answered(scene_of(cars=[(0.0, 0, 30.0)], limit=20.0), AWAY)
+    assert ((slow > 0) & (slow < 1)).all()
+    assert ((fast < 0) & (fast > -1.5)).all()
+
+
+def test_a_human_behind_a_braking_robot_brakes_and_one_beside_a_cut_in_slows():
+    scene = scene_of(cars=[(0.0, 0, 20.0)])
+    braking = robot_at(20 + 20 * TIMES - 2 * TIMES**2, 20 - 4 * TIMES)
+    assert answered(scene, braking).mean() < -1.0
+    cut_in = robot_at(10 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
+    beside = robot_at(10 + 20 * TIMES, 20.0 + 0 * TIMES, -4.0)
+    assert -6.0 < answered(scene, cut_in)[:5].mean() < answered(scene, beside)[:5].mean() - 0.5
+
+
+def test_a_human_stops_behind_a_standing_car_that_it_would_drive_through():
+    scene = scene_of(cars=[(-30.0, 0, 15.0), (2.0, 0, 0.0)])
+    found = answered(scene, AWAY)
+    x, _, _, speed = follow(scene, jnp.asarray(found))
+    assert float(x[-1]) < 2.0 - 5.0
+    assert float(speed.min()) >= 0.0
+
+
+def test_a_human_does_not_look_at_itself_nor_at_its_other_way():
+    scene = scene_of(cars=[(0.0, 0, 20.0), (0.0, 0, 20.0), (15.0, 0, 15.0)])
+    alone = answered(scene_of(cars=[(0.0, 0, 20.0)]), AWAY)
+    owned = scene.__class__(**{**vars(scene), "owners": np.array([0, 0, *[-1] * (len(scene.owners) - 2)])})
+    owned.present[2:] = False
+    np.testing.assert_allclose(answered(owned, AWAY), alone, atol=1e-3)
+
+
+def test_humans_stop_and_never_reverse():
+    human = commuter_of(scene_of(cars=[(0.0, 0, 2.0)]), replace(PLANNING, steps=4), 0)
+    held = jax.jit(Commuter.held)(human, jnp.array([[-9.0, -9, -9, 9], [-1, -20, 5, -1]]) / UNIT)
+    np.testing.assert_allclose(UNIT * held, [[-6, -4, 0, 3], [-1, -6, 3, -1]], atol=1e-5)

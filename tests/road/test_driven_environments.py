@@ -1,0 +1,319 @@
+"""The robot in highway-env's own environments."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import registry
+from highway_env.vehicle.behavior import IDMVehicle
+
+import ms_highway
+from ms_highway.envs.graphics import PAPER, model_color
+from ms_highway.road.graphics import PANEL
+from ms_highway.road.scene import TRAFFIC
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+
+UNDRIVABLE = ("parking", "lane-keeping")
+STOCK = [
+    name
+    for name, spec in registry.items()
+    if "highway_env" in str(spec.entry_point) and not name.startswith(UNDRIVABLE)
+]
+CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
+
+
+def driven(name, driver="fixed:naive", *, wrap=lambda env: env, **options):
+    """A stock environment that is driven, just reset; `wrap` wraps it below the robot."""
+    env = ms_highway.drive(wrap(gym.make(name, **options)), {"driver": driver})
+    env.reset(seed=0)
+    return env
+
+
+def pixels(picture, color):
+    return (picture == color).all(axis=-1).sum()
+
+
+@pytest.mark.parametrize("name", STOCK)
+def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the_rest_as_it_is(name):
+    stock, env = gym.make(name), ms_highway.drive(gym.make(name))
+    assert (env.action_space, env.observation_space) == (stock.action_space, stock.observation_space)
+    observation, info = env.reset(seed=1)
+    np.testing.assert_equal(observation, stock.reset(seed=1)[0])
+    assert np.isnan(info["road"]["decisions"]).all()
+    vehicle, move, accelerations = env.unwrapped.vehicle, env.unwrapped.road.step, []
+
+    def watched(dt):
+        before = vehicle.velocity
+        move(dt)
+        accelerations.append(np.linalg.norm(vehicle.velocity - before) / dt)
+
+    env.unwrapped.road.step = watched
+    observation, reward, terminated, _, info = env.step(env.action_space.sample())
+    road, rates = info["road"], env.unwrapped.config
+    assert env.observation_space.contains(observation)
+    assert road["action"] is None or env.action_space.contains(road["action"])
+    assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()
+    assert not np.any(terminated)
+    assert road["source"] in ("proposal", "last plan", "braking")
+    frames = int(rates["simulation_frequency"] // rates["policy_frequency"])
+    assert len(env.robots[0].actions) == len(accelerations) == frames
+    assert max(accelerations) <= min(road["acceleration"] + 1e-9, 5.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "seed", "ahead", "why"),
+    [
+        ("highway-fast-v0", 2, 0.011, "a plan that lacked room to stop won over sound ones"),
+        ("roundabout-v1", 1, 0.0, "a car that braked for others was expected to go on"),
+        ("roundabout-v0", 75, 0.0, "a car that had crashed was expected to lie along its lane"),
+        ("roundabout-v0", 1014, 0.0, "a plan passed who had crashed by less than steps of 0.2 s can tell"),
+        ("two-way-v0", 59, 0.0, "a plan could not drop behind a car beside it to make way for one that came"),
+    ],
+)
+def test_the_robot_no_longer_crashes_where_it_did(name, seed, ahead, why):
+    env = driven(name, "priced")
+    env.reset(seed=seed)
+    car = env.unwrapped.vehicle
+    car.position = car.position + ahead * car.direction
+    done = False
+    while not done:
+        *_, terminated, truncated, _ = env.step(env.action_space.sample())
+        done = terminated or truncated
+    assert not car.crashed, why
+
+
+@pytest.mark.parametrize(("lane", "place", "turned"), [(("ir0", "il1", 0), 10.0, 1.6), (("il1", "o1", 0), 10.0, 0.0)])
+def test_the_robot_goes_round_a_car_that_has_crashed_in_its_way_over_lanes_of_others(lane, place, turned):
+    env = driven("intersection-v0", config={"initial_vehicle_count": 1, "spawn_probability": 0.0, "duration": 20})
+    env.reset(seed=0)
+    road, robot = env.unwrapped.road, env.unwrapped.vehicle
+    wreck = IDMVehicle.make_on_lane(road, lane, place, speed=0.0)
+    wreck.heading, wreck.crashed, wreck.route = wreck.heading + turned, True, [lane]
+    road.vehicles, ended = [robot, wreck], False
+    while not ended:
+        *_, terminated, truncated, info = env.step(None)
+        ended = terminated or truncated
+    assert info["road"]["success"]
+    assert not robot.crashed
+
+
+def test_a_budget_that_no_plan_keeps_makes_all_plans_late_and_says_so():
+    env = driven("merge-v0", "budget:0.001")
+    roads = [env.step(0)[4]["road"] for _ in range(2)]
+    assert [road["late"] for road in roads] == [np.isfinite(road["decisions"]).sum() for road in roads]
+    assert roads[1]["source"] == "last plan"
+
+
+@pytest.mark.parametrize("frequency", [1, 5])
+def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is(frequency):
+    env = driven("merge-v0", config={"policy_frequency": frequency})
+    assert [np.isfinite(env.step(0)[4]["road"]["decisions"]).sum() for _ in range(2)] == [5 // frequency] * 2
+
+
+def test_other_cars_that_show_their_routes_have_one_way_each():
+    ways = []
+    for intentions in (False, True):
+        env = ms_highway.drive(gym.make("intersection-v1"), {"driver": "fixed:naive", "intentions": intentions})
+        env.reset(seed=3)
+        env.step(env.action_space.sample())
+        owners = env.unwrapped.vehicle.steps[0].owners
+        ways.append(owners[owners >= 0].tolist())
+    unknown, shown = ways
+    assert len(unknown) > len(set(unknown)) == len(shown) == len(set(shown))
+
+
+def test_actions_change_nothing_and_a_time_limit_in_steps_is_kept():
+    one, other = driven("two-way-v0"), driven("two-way-v0")
+    for step in range(15):
+        outcome, same = one.step(0), other.step(3)
+        np.testing.assert_array_equal(outcome[0], same[0])
+        assert (outcome[1], outcome[4]["action"]) == (same[1], 1)  # of which highway-env thinks that it is idle
+        assert outcome[2:4] == (False, step == 14)
+
+
+def test_imitating_the_continuous_actions_told_of_the_robot_drives_as_it_did():
+    env, stock = driven("highway-fast-v0", config=CONTINUOUS), gym.make("highway-fast-v0", config=CONTINUOUS)
+    stock.reset(seed=0)
+    for _ in range(15):
+        stock.step(env.step(None)[4]["road"]["action"])
+        own, other = env.unwrapped.vehicle, stock.unwrapped.vehicle
+        assert np.linalg.norm(own.position - other.position) < 1e-3
+    assert own.speed != 25.0
+
+
+def test_each_action_told_of_the_robot_leads_where_it_went_and_where_none_does_it_is_nan():
+    """In a turn, tyres limit the control within some of the steps of three frames."""
+    env, stock = driven("intersection-v0", config=CONTINUOUS), gym.make("intersection-v0", config=CONTINUOUS)
+    stock.reset(seed=0)
+    assert np.isnan(env.reset(seed=0)[1]["road"]["action"]).all()
+    told = []
+    for _ in range(40):
+        copy, own = stock.unwrapped.vehicle, env.unwrapped.vehicle
+        copy.position, copy.heading, copy.speed = own.position.copy(), own.heading, own.speed
+        action = env.step(None)[4]["road"]["action"]
+        told.append(bool(env.action_space.contains(action)))
+        assert told[-1] or np.isnan(action).all()
+        stock.unwrapped.road.vehicles = [copy]
+        stock.step(action)
+        assert not told[-1] or np.linalg.norm(own.position - copy.position) < 1e-3
+    assert told.count(True) > 20 > told.count(False) > 0
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        CONTINUOUS | {"policy_frequency": 1},
+        {"action": {"type": "DiscreteAction"}, "policy_frequency": 5},
+        {"action": {"type": "ContinuousAction", "dynamical": True}, "policy_frequency": 5},
+    ],
+)
+def test_where_no_action_can_do_what_the_robot_did_none_is_told(action):
+    env = driven("highway-fast-v0", config=action)
+    assert env.step(None)[4]["road"]["action"] is None
+
+
+def test_a_reset_below_the_wrapper_leaves_no_robot_in_the_car_and_the_error_says_so():
+    env = ms_highway.drive(gym.make("highway-fast-v0"))
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(None)
+    env.reset(seed=0)
+    env.env.reset(seed=1)
+    with pytest.raises(gym.error.ResetNeeded, match="call reset of the driven environment"):
+        env.step(None)
+
+
+def test_every_controlled_vehicle_is_driven():
+    env = driven("intersection-multi-agent-v0")
+    base = env.unwrapped
+    assert env.robots == base.controlled_vehicles
+    assert [each.controlled_vehicle for each in base.action_type.agents_action_types] == env.robots
+    assert [each.observer_vehicle for each in base.observation_type.agents_observation_types] == env.robots
+    env.step((0, 0))
+    assert all(len(robot.steps) == 5 for robot in env.robots)
+
+
+def test_a_driven_environment_can_be_made_again_from_its_specification():
+    env = gym.make(ms_highway.drive(gym.make("merge-v0"), {"price": 0.5}).spec)
+    assert env.settings.price == 0.5
+    env.reset(seed=0)
+    env.step(1)
+
+
+def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensive_model():
+    env = driven("roundabout-v0", "fixed:idm", render_mode="rgb_array")
+    before = env.render()
+    env.step(1)
+    last, frame, height = env.robots[0].last_step, env.render(), env.unwrapped.config["screen_height"]
+    assert before.shape == frame.shape == (height + PANEL, 600, 3)
+    assert pixels(frame[:height], model_color("idm")) > 100
+    assert (frame[height] == PAPER).all()
+    assert (frame[height:] != PAPER).any()
+    owners = last.owners.tolist()
+    several = next(path for path, owner in enumerate(owners) if owner >= 0 and owners.count(owner) > 1)
+    models = tuple("tom" if path == several else model for path, model in enumerate(last.models))
+    env.robots[0].last_step = replace(last, models=models)
+    assert pixels(env.render(), model_color("tom")) > 100  # the body, beside the dots of one path
+    env.close()
+
+
+def test_a_plan_that_is_none_is_not_drawn():
+    env = driven("merge-v0", render_mode="rgb_array")
+    robot = env.robots[0]
+    scene = replace(robot.look(), robot=np.full(4, np.nan, np.float32))
+    robot.look = lambda: scene
+    assert env.step(1)[4]["road"]["source"] == "braking"
+    assert env.render().shape == (150 + PANEL, 600, 3)
+    env.close()
+
+
+@pytest.mark.parametrize(("outside", "count"), [(False, 2), (True, 16)])  # per step, or per frame of the simulation
+def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside, count, tmp_path):
+    env = gym.make("merge-v0", render_mode="rgb_array")
+    if outside:
+        pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
+        env = ms_highway.drive(env, {"driver": "fixed:naive"})
+        env = gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
+        env.unwrapped.set_record_video_wrapper(env)
+    else:
+        env = ms_highway.drive(gym.wrappers.RenderCollection(env), {"driver": "fixed:naive"})
+    env.reset(seed=0)
+    env.step(1)
+    frames = env.recorded_frames if outside else env.render()
+    assert {frame.shape for frame in frames} == {(150 + PANEL, 600, 3)}
+    assert len(frames) == count
+    env.close()
+    assert bool(list(tmp_path.glob("films/*.mp4"))) == outside
+
+
+def test_vector_environments_are_driven():
+    envs = gym.vector.SyncVectorEnv([lambda: driven("highway-fast-v0", "fixed:idm")] * 2)
+    envs.reset(seed=[5, 5])
+    for _ in range(2):
+        observations, rewards, _, _, infos = envs.step(envs.action_space.sample())
+    np.testing.assert_array_equal(*observations)
+    assert rewards[0] == rewards[1]
+    assert (infos["road"]["acceleration"] <= 5.0).all()
+
+
+def test_vector_environments_go_on_where_some_episodes_end_before_others():
+    envs = gym.vector.SyncVectorEnv([lambda: driven("intersection-v0", config={"duration": 2})] * 2)
+    envs.reset(seed=[1, 2])
+    envs.envs[1].unwrapped.config["duration"] = 3
+    infos = [envs.step(envs.action_space.sample())[4]["road"] for _ in range(4)]
+    assert all(len(road["models"][0]) == TRAFFIC and road["gains"]["idm"].shape == (2, TRAFFIC) for road in infos)
+
+
+@pytest.mark.filterwarnings("ignore:`.*` is set to None:UserWarning")
+@pytest.mark.parametrize("name", ["highway-fast-v0", "intersection-v0", "ms-highway/recorded-v0"])
+def test_minari_records_all_that_info_says(name, tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari", reason="minari is not installed")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    collector = minari.DataCollector(driven(name), record_infos=True)
+    collector.reset(seed=0)
+    for _ in range(3):
+        collector.step(collector.action_space.sample())
+    (episode,) = collector.create_dataset("robot/test-v0", eval_env=name)
+    assert {key: gains.shape for key, gains in episode.infos["road"]["gains"].items()} == dict.fromkeys(
+        ("naive", "idm", "tom"), (4, TRAFFIC)
+    )
+
+
+WORKERS = """
+import warnings
+import gymnasium as gym
+import ms_highway
+from jax import numpy as jnp
+
+def make():
+    ms_highway.keep_compilations()
+    return ms_highway.drive(gym.make("highway-fast-v0"), {"driver": "fixed:naive"})
+
+if __name__ == "__main__":
+    envs = gym.vector.AsyncVectorEnv([make], context="spawn")
+    envs.reset(seed=[5])
+    *_, infos = envs.step(envs.action_space.sample())
+    envs.close()
+    assert (infos["road"]["planning_seconds"] > 0).all()
+    jnp.ones(3).sum()
+    warnings.simplefilter("ignore")  # JAX and Python warn of the fork
+    envs = gym.vector.AsyncVectorEnv([make], context="fork")
+    envs.reset(seed=[5])
+    try:
+        envs.step(envs.action_space.sample())
+    except RuntimeError as error:
+        print(error)
+"""
+
+
+@pytest.mark.slow
+def test_spawned_workers_drive_and_forked_ones_say_how_to_start_them_instead_of_waiting_for_ever(tmp_path):
+    script = tmp_path / "workers.py"
+    script.write_text(WORKERS)
+    done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert "start it with context='forkserver' or 'spawn'" in done.stdout

@@ -1,0 +1,107 @@
+"""What the robot is told of highway-env's scenes, and what it refuses; nothing is planned here."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+import ms_highway
+from ms_highway.road.robot import RoadRobot
+from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego, success
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+
+VALUES = "DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN"
+
+
+def made(name, **config):
+    env = gym.make(name, config=config)
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize(
+    ("name", "destination", "speed"),
+    [
+        ("roundabout-v0", "nxs", 16.0),
+        ("exit-v0", "exit", 30.0),
+        ("u-turn-v0", "d", 24.0),
+        ("intersection-v0", "o1", 10.0),
+        ("merge-v0", None, 30.0),
+        ("two-way-v0", None, 30.0),
+        ("racetrack-v0", None, 10.0),
+    ],
+)
+def test_where_to_and_how_fast_is_what_the_scene_asks_for(name, destination, speed):
+    assert (destination_of(made(name)), desired_speed_of(made(name))) == (destination, speed)
+
+
+def test_success_is_told_where_a_scene_grants_time_enough_for_its_goal():
+    told = {name: success(made(name)) for name in ("roundabout-v0", "exit-v0", "merge-v0", "u-turn-v0", "two-way-v0")}
+    assert list(told.values()) == [False, False, False, None, None]
+
+
+def test_a_destination_that_is_drawn_is_the_end_of_the_route():
+    env, found = made("intersection-v0", destination=None), set()
+    for seed in range(6):
+        env.reset(seed=seed)
+        found.add(destination_of(env))
+        assert destination_of(env) == env.unwrapped.vehicle.route[-1][1]
+    assert len(found) > 1
+
+
+@pytest.mark.parametrize("config", [{}, {"action": {"type": "ContinuousAction"}}])
+def test_another_vehicle_takes_the_place_of_the_controlled_one(config):
+    env = made("intersection-v0", **config).unwrapped
+    old, place, observed = env.vehicle, env.road.vehicles.index(env.vehicle), env.observation_type.observe()
+    new = replace_ego(env, RoadRobot.create_from)
+    assert env.vehicle is env.road.vehicles[place] is env.action_type.controlled_vehicle is new
+    assert env.observation_type.observer_vehicle is new
+    assert old not in env.road.vehicles
+    assert (new.speed, new.heading, getattr(old, "route", None)) == (old.speed, old.heading, new.route)
+    np.testing.assert_array_equal(env.observation_type.observe(), observed)
+
+
+def test_what_an_intersection_does_to_highway_envs_drivers_is_undone_in_other_scenes():
+    for name, expected in (("intersection-v0", [7, 6, -3]), ("merge-v0", [10.0, 3.0, -5.0])):
+        ms_highway.drive(gym.make(name)).reset(seed=0)
+        assert [getattr(IDMVehicle, value) for value in VALUES] == expected
+
+
+def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch):
+    monkeypatch.setattr(IDMVehicle, "DISTANCE_WANTED", 12.0)
+    monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 6)
+    ms_highway.drive(gym.make("merge-v0")).reset(seed=0)
+    assert (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX) == (12.0, 6)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
+        ({"driver": "priced:cheap"}, "'priced:cheap'; it needs its price, such as priced:0.1"),
+        ({"driver": "fixed:nobody"}, "'fixed:nobody'; choose one of 'priced'"),
+        ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "add 'tom' to it"),
+        ({"ladder": ("tom", "naive")}, "give rungs of naive, idm, tom in this order"),
+        (
+            {"costs": {"naive": 1, "tom": -1}},
+            r"config\['costs'\]\['tom'\] is -1; say 'shipped', 'measured', or give mill",
+        ),
+        ({"desired_speed": float("nan")}, "is nan; it must be a positive number, or None"),
+    ],
+)
+def test_an_impossible_configuration_is_refused(config, message):
+    with pytest.raises(ValueError, match=message):
+        ms_highway.drive(gym.make("merge-v0"), config)
+
+
+def test_where_a_reward_takes_no_continuous_action_the_error_says_so():
+    env = ms_highway.drive(gym.make("merge-v0"))
+    with pytest.raises(ValueError, match=r"cannot take a ContinuousAction.*make it with config=.*Discrete"):
+        env.reset(options={"config": {"action": {"type": "ContinuousAction"}}})
+
+
+@pytest.mark.parametrize("name", ["parking-v0", "lane-keeping-v0", "ms-highway/merger-v0"])
+def test_where_there_is_no_road_to_follow_the_error_says_what_works(name):
+    with pytest.raises(ValueError, match=f"{name}.*the robot drives highway, merge, roundabout"):
+        ms_highway.drive(gym.make(name))

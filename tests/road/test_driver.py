@@ -1,0 +1,146 @@
+"""The robot's driver on roads: what it records, how it chooses models, and what it does when a plan fails."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+from roads import PLANNING, country_road, scene_of, wrecked
+
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.road.constants import MODELS, RoadWeights
+from ms_highway.road.driver import RoadDriver
+from ms_highway.road.rungs import BudgetedRungs, FixedRung, PricedRungs
+from ms_highway.road.scene import TRAFFIC
+
+COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.003]))
+SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
+BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
+PLANS = ("proposal", "last plan")
+
+
+def driver(choice=FixedRung("naive")):  # noqa: B008
+    return RoadDriver(PLANNING, choice, costs=COSTS)
+
+
+def test_a_step_tells_what_was_planned_and_predicted():
+    step = driver(FixedRung("idm")).step(SCENE)
+    shapes = [value.shape for value in (step.control, step.path, step.humans, step.gains)]
+    assert shapes == [(2,), (PLANNING.steps, 3), (TRAFFIC, PLANNING.steps, 2), (TRAFFIC, len(MODELS))]
+    assert step.models == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
+    np.testing.assert_array_equal(step.owners, SCENE.owners)
+    assert step.source in PLANS
+    assert np.isfinite([*step.control, *step.path.ravel()]).all()
+    assert np.hypot(18.0**2 * step.control[0], step.control[1]) <= PLANNING.grip + 1e-3
+    assert np.abs(step.path[0, :2] - [2.5 + 18 * 0.2, 0.0]).max() < 0.2  # the centre, one step on
+    assert min(step.planning_seconds, step.decision_seconds) > 0
+
+
+def test_obstacles_are_predicted_by_the_cheapest_model():
+    standing = replace(SCENE, moving=np.arange(TRAFFIC) == 1)
+    assert driver(FixedRung("tom")).step(standing).models[:3] == ("naive", "tom", "naive")
+
+
+def test_models_are_chosen_by_gains_and_costs():
+    eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
+    np.testing.assert_array_equal(eager.gains, thrifty.gains)
+    chosen = eager, thrifty, driver(BudgetedRungs(0.0)).step(SCENE)
+    assert [set(step.models[:3]) for step in chosen] == [{"tom"}, {"naive"}, {"naive"}]
+
+
+def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there():
+    measured = RoadDriver(PLANNING, PricedRungs(1.0), costs=None)
+    measured.step(scene_of())
+    assert measured.costs is None
+    assert measured.step(scene_of()).model == ""
+    first, second = measured.step(SCENE), measured.step(SCENE)
+    assert measured.costs.base > 0
+    assert measured.costs.each.shape == (len(MODELS),)
+    assert measured.costs.each.min() >= 0
+    assert second.compile_seconds < first.compile_seconds
+
+
+def test_costs_that_are_shipped_make_the_same_choices_every_time():
+    steps = [RoadDriver(PLANNING, PricedRungs(300.0)).step(SCENE) for _ in range(3)]
+    assert len({step.models for step in steps}) == 1
+    np.testing.assert_array_equal(steps[0].control, steps[2].control)
+
+
+def test_a_plan_beyond_its_budget_is_followed_a_step_later():
+    late, usual = driver(BudgetedRungs(0.0)), driver(FixedRung("naive"))
+    steps = [late.step(SCENE) for _ in range(3)]
+    first, second = usual.step(SCENE), usual.step(SCENE)
+    assert [step.status for step in steps] == ["late"] * 3
+    assert [step.source for step in steps] == ["braking", "last plan", "last plan"]
+    assert not any(step.failed for step in steps)
+    np.testing.assert_array_equal(steps[0].control, [0.0, -PLANNING.grip])
+    np.testing.assert_array_equal(steps[1].control, first.plan[1])
+    np.testing.assert_array_equal(steps[2].control, second.plan[1])
+
+
+def test_a_car_that_brakes_harder_than_its_model_says_is_expected_to_go_on_braking():
+    slower = replace(
+        SCENE, states=SCENE.states - np.array([[0, 0, 0, 1.2 * (car == 0)] for car in range(TRAFFIC)], np.float32)
+    )
+    for model in ("naive", "idm", "tom"):
+        surprised, unaware = driver(FixedRung(model)), driver(FixedRung(model))
+        surprised.step(SCENE)
+        seen, new = surprised.step(slower), unaware.step(slower)
+        assert seen.humans[0, -1, 0] < new.humans[0, -1, 0] - 5.0  # m, after 4 s at first at -6 m/s^2
+
+
+def test_nothing_compiles_after_the_first_step(caplog):
+    driver(PricedRungs(1.0)).step(SCENE)
+    caplog.clear()
+    with jax.log_compiles():
+        for choice in (*map(FixedRung, MODELS), PricedRungs(0.0), BudgetedRungs(20.0)):
+            planning = replace(PLANNING, desired_speed=22.0, grip=4.0)
+            other = RoadDriver(planning, choice, RoadWeights(speed=2.0), COSTS)
+            other.step(scene_of(cars=[(20.0, 0, 10.0)]))
+            other.step(scene_of(bend=1 / 50, robot=(0.0, 0.0, 0.0, 10.0)))
+    assert not [record for record in caplog.records if "compilation" in record.getMessage()]
+
+
+def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_brakes():
+    unknown = np.where(np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states)
+    robot = driver()
+    first = robot.step(SCENE)
+    steps = [robot.step(blind) for blind in (*[BLIND] * PLANNING.steps, *[replace(SCENE, states=unknown)] * 2)]
+    assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + ["braking"] * 3
+    assert not first.failed
+    assert all(step.failed and not any(step.models) and len(step.path) == 0 for step in steps)
+    for step, control in zip(steps, first.plan[1:], strict=False):
+        np.testing.assert_allclose(step.control, control, atol=1e-6)
+    np.testing.assert_array_equal(steps[-1].control, [0.0, -PLANNING.grip])
+    again = robot.step(SCENE)
+    assert again.source in PLANS
+    assert np.isfinite(again.control).all()
+
+
+def test_the_next_plan_has_the_rest_of_the_last_one_also_where_one_between_them_failed():
+    robot = RoadDriver(replace(PLANNING, desired_speed=10.0), FixedRung("naive"), costs=COSTS)
+    wreck = wrecked(country_road((26.0, 0, 0.0)), 0)
+    step = robot.step(wreck)
+    for passed in (1, 2):
+        assert robot._last.side == -1, "it goes round the wreck"
+        np.testing.assert_array_equal(robot._last.goal, step.path[-1, :2])
+        np.testing.assert_array_equal(robot._last.controls[:-passed], step.plan[passed:])
+        robot.step(BLIND)
+
+
+def test_without_a_last_plan_a_failure_brakes_at_once_and_a_reset_forgets():
+    robot = driver()
+    assert robot.step(BLIND).source == "braking"
+    first = robot.step(SCENE)
+    robot.reset()
+    assert robot.step(BLIND).source == "braking"
+    robot.reset()
+    np.testing.assert_array_equal(robot.step(SCENE).control, first.control)
+
+
+def test_before_a_wall_of_cars_the_robot_brakes_hardest_and_says_that_no_plan_holds():
+    wall = scene_of(cars=[(28.0, lane, 0.0) for lane in (-1, 0, 1)], robot=(0.0, 0.0, 0.0, 20.0))
+    step = driver().step(wall)
+    assert step.source == "braking"
+    assert step.broken
+    assert not step.failed
+    assert step.control[1] < -0.95 * PLANNING.grip

@@ -1,0 +1,250 @@
+"""Scenes of highway-env's own roads, seen from a driving car."""
+
+from functools import cache
+from itertools import pairwise
+
+import gymnasium as gym
+import highway_env  # noqa: F401, registers the environments
+import jax
+import numpy as np
+import pytest
+from highway_env.road.lane import StraightLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.geometry.path import BEHIND, SPACING, locate, place
+from ms_highway.geometry.road_map import road_map
+from ms_highway.road.observation import observe_road
+from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS
+from ms_highway.road.traffic_paths import _ways
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
+
+GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
+SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
+BEHIND_KNOTS = round(BEHIND / SPACING)
+KINDS = {"leaders": np.int32, "owners": np.int32, "names": np.int32}
+KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
+
+located, placed = jax.jit(locate), jax.jit(jax.vmap(place))
+
+
+def with_ego(scene, lane=None, at=0.0):
+    """An IDM vehicle in place of the ego vehicle of a scene, at a place on a lane or where that one is."""
+    environment = gym.make(scene).unwrapped
+    environment.reset(seed=0)
+    old, road = environment.vehicle, environment.road
+    ego = IDMVehicle(road, old.position, old.heading, old.speed if isinstance(old, Vehicle) else 8.0)
+    if lane:
+        ego = IDMVehicle.make_on_lane(road, lane, at, speed=10.0)
+    road.vehicles = [ego if car is old else car for car in road.vehicles]
+    return ego
+
+
+def seen_from(scene, lane, at, goal=None):
+    return observe_road(with_ego(scene, lane, at), goal)
+
+
+def among(ego, *others, speed=8.0):
+    """Let there be no others than IDM vehicles at places on lanes."""
+    road = ego.road
+    road.vehicles = [ego, *(IDMVehicle.make_on_lane(road, lane, at, speed=speed) for lane, at in others)]
+    return road.vehicles[1:]
+
+
+@cache
+def drive(scene, steps=80):
+    """What the ego sees of the road in every frame, its rear axle's pose, its lane, and the positions of all."""
+    ego, goal, frames = with_ego(scene), GOALS.get(scene), []
+    if goal:
+        ego.plan_route_to(goal)
+    for _ in range(steps):
+        pose = (*(ego.position - ego.LENGTH / 2 * ego.direction), ego.heading)
+        positions = np.array([car.position for car in (*ego.road.vehicles, *ego.road.objects)])
+        frames.append((observe_road(ego, goal), pose, ego.lane_index, positions))
+        ego.road.act()
+        ego.road.step(1 / 15)
+    return frames
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_have_the_same_shapes(scene):
+    for seen, pose, _, positions in drive(scene)[::3]:
+        route, edges = seen.route, seen.edges
+        assert (route.x.shape, edges.shape, seen.paths.x.shape) == ((KNOTS,), (2, KNOTS), (TRAFFIC, TRAFFIC_KNOTS))
+        assert seen.lanes.shape == seen.open.shape == (LANES, KNOTS)
+        for name, value in vars(seen).items():
+            for leaf in jax.tree.leaves(value):
+                assert leaf.dtype == KINDS.get(name, np.float32), name
+                assert name == "room" or np.isfinite(leaf).all(), name
+        assert np.abs(route.curvature).max() <= 0.2
+        assert np.abs(np.diff(route.curvature)).max() < 0.1
+        chords = np.diff(route.x) + 1j * np.diff(route.y)
+        turns = np.angle(chords * np.exp(-0.5j * (route.heading[1:] + route.heading[:-1])))
+        assert np.abs(chords) == pytest.approx(2.0, abs=0.02)
+        assert np.abs(turns).max() < 0.1 * 2.0 / 12, "as the curvature's steps allow"
+        assert (edges[1] - edges[0] >= 3.9).all()
+        np.testing.assert_allclose(located(route, *pose), seen.robot[:3], atol=0.02)
+        x, y, _ = placed(seen.paths, *seen.states.T[:2])
+        found = np.stack([x, y], axis=-1)[seen.present, None] - positions
+        assert (np.hypot(*found.T).min(axis=0, initial=np.inf) < 0.1).all()
+
+
+@pytest.mark.parametrize("scene", ["roundabout-v0", "intersection-v2", "racetrack-v0", "u-turn-v0", "merge-v0"])
+def test_a_route_does_not_wobble_while_it_is_driven(scene):
+    for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene)):
+        if lane == last or lane[:2] != last[:2]:
+            route = before.route
+            _, aside, _ = located(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
+            assert np.abs(aside).max() < 0.05
+
+
+def test_circles_stay_round():
+    bend = seen_from("u-turn-v0", ("b", "c", 0), 28.0, "d").route.curvature[7:20]
+    assert bend == pytest.approx(-1 / 20, rel=0.01)
+
+
+def test_the_way_into_a_roundabout_and_out_of_it_is_one_smooth_curve():
+    ego = with_ego("roundabout-v0")
+    route = observe_road(ego, "nxs").route
+    assert np.hypot(route.x, route.y).min() == pytest.approx(24.0, abs=0.3), "the ring, a corner cut"
+    end = ego.road.network.get_lane(("nxs", "nxr", 0))
+    assert end.distance(np.array([route.x[-1], route.y[-1]])) < 0.1
+    assert np.abs(route.curvature).max() < 0.07, "joints have 0.12 of their own"
+
+
+@pytest.mark.parametrize(
+    ("lane", "at", "changes", "room"),
+    [
+        (("0", "1", 0), 100.0, [7, 6, 5], 400.0),
+        (("0", "1", 5), 380.0, [2, 1, 0], 120.0),
+        (("1", "2", 6), 50.0, [1, 0, -1], 50.0),
+    ],
+)
+def test_the_exit_asks_for_changes_to_its_lane_before_it_leaves_the_road(lane, at, changes, room):
+    seen = seen_from("exit-v0", lane, at, "exit")
+    assert seen.changes.tolist() == changes
+    assert float(seen.room) == pytest.approx(room, abs=0.1)
+    assert seen_from("exit-v0", lane, at).changes[1] == 0
+    assert (float(seen.route.y[-1]) > 26.0) == (changes[1] == 0), "the exit bends away from the road"
+
+
+def test_the_exit_lane_opens_beside_the_road_and_stays_open():
+    right = seen_from("exit-v0", ("0", "1", 5), 380.0, "exit").open[2]
+    knots = 380.0 - 2.5 - 20.0 + 2.0 * np.arange(KNOTS)
+    assert not right[knots < 399].any()
+    assert right[(knots > 401) & (knots < 520)].all()
+    assert seen_from("exit-v0", ("0", "1", 5), 380.0).edges[1].max() == pytest.approx(6.0, abs=0.1)
+
+
+def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_closed_to_the_cars_beside_it():
+    seen = seen_from("merge-v0", ("k", "b", 0), 60.0)
+    x, (left, own, _) = seen.route.x, seen.open
+    assert seen.changes[1] == -1
+    assert float(seen.room) == pytest.approx(100.0, abs=0.5)
+    assert [left[x < 228].any(), left[x > 232].all()] == [False, True]
+    assert [own[x < 308].all(), own[x > 312].any()] == [True, False]
+    assert np.allclose(seen.edges[1, x > 312], seen.lanes[0, x > 312] + 2.0, atol=0.05)
+    beside = seen_from("merge-v0", ("b", "c", 1), 10.0)
+    assert not beside.open[2].any()
+    assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
+
+
+def test_the_left_lane_of_a_two_way_road_is_open():
+    seen = seen_from("two-way-v0", ("a", "b", 1), 100.0)
+    assert seen.open.all(axis=1).tolist() == [True, True, False]
+    assert [*seen.lanes[0], *(seen.edges[0] + 2.0)] == pytest.approx([-4.0] * 2 * KNOTS, abs=0.01)
+
+
+def test_lanes_of_those_who_come_are_paved_and_no_part_of_the_robots_road():
+    seen = seen_from("intersection-v0", ("o0", "ir0", 0), 60.0, "o1")
+    here = slice(BEHIND_KNOTS, BEHIND_KNOTS + 10)
+    np.testing.assert_allclose(seen.edges[:, here], np.tile([[-2.0], [2.0]], 10), atol=0.1)
+    np.testing.assert_allclose(seen.paved[:, here], np.tile([[-6.0], [2.0]], 10), atol=0.3)
+    highway = seen_from("highway-v0", ("0", "1", 1), 100.0)
+    np.testing.assert_allclose(highway.paved, highway.edges, atol=0.3)
+
+
+@pytest.mark.parametrize(("one", "other"), [(3.0, 3.0), (3.0, 6.0), (6.0, 3.0)])
+def test_lanes_of_any_width_pave_all_between_their_edges_and_nothing_before_or_after_them(one, other):
+    network = RoadNetwork()
+    network.add_lane("a", "b", StraightLane([0, 0], [200, 0], width=one, forbidden=True))
+    network.add_lane("c", "d", StraightLane([120, -(one + other) / 2], [20, -(one + other) / 2], width=other))
+    seen = observe_road(Vehicle(Road(network), [62.5, 0.0], 0.0, 8.0))
+    x, (left, right) = seen.route.x, seen.paved
+    np.testing.assert_allclose(right[x > 0], one / 2, atol=0.51)
+    np.testing.assert_allclose(left[(x >= 22.0) & (x <= 118.0)], -one / 2 - other, atol=0.51)
+    np.testing.assert_allclose(left[(x > 0) & (x < 18.0) | (x >= 121.0)], -one / 2, atol=0.51)
+
+
+def test_a_robot_on_the_lane_of_those_who_come_still_follows_its_own():
+    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 60.0)
+    own = observe_road(ego, "o1").route
+    ego.position = ego.position - np.array([4.0, 2.0])
+    ego.on_state_update()
+    assert ego.lane_index == ("il0", "o0", 0)
+    seen = observe_road(ego, "o1")
+    assert seen.robot[1] == pytest.approx(-4.0, abs=0.05)
+    np.testing.assert_allclose(seen.route.x[:20], own.x[1:21], atol=0.05)
+
+
+def test_cars_that_come_are_seen_from_farther_than_those_that_go_the_same_way():
+    ego = with_ego("two-way-v0", ("a", "b", 0), 100.0)
+    (comes, _) = among(ego, (("b", "a", 0), 500.0), (("a", "b", 0), 300.0))
+    seen = observe_road(ego)
+    assert seen.present.sum() == 1
+    x, _, _ = place(jax.tree.map(lambda field: field[0], seen.paths), *seen.states[0, :2])
+    assert x == pytest.approx(comes.position[0], abs=0.1)
+
+
+def test_cars_before_an_intersection_may_go_several_ways():
+    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 80.0)
+    (other,) = among(ego, (("o2", "ir2", 0), 85.0))
+    other.plan_route_to("o1")
+    seen = observe_road(ego, "o1")
+    assert seen.owners[seen.present].tolist() == [0, 0, 0]
+    ends = np.stack([seen.paths.x[:3, -1], seen.paths.y[:3, -1]], axis=-1)
+    assert len(np.unique(ends.round(-1), axis=0)) == 3
+    shown = observe_road(ego, "o1", intentions=True)
+    assert shown.present.sum() == 1
+    assert [shown.paths.x[0, -1] < -50.0, shown.paths.y[0, -1]] == [True, pytest.approx(-2.0, abs=0.1)]
+    among(ego, (("ir2", "il3", 0), 10.0))
+    assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
+
+
+def test_a_car_that_shows_its_route_has_one_way_also_farther_than_branches():
+    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 80.0)
+    (far,) = among(ego, (("o3", "ir3", 0), 5.0))
+    for goal in ("o0", "o1", "o2"):
+        far.plan_route_to(goal)
+        (way,) = _ways(far, 0, road_map(far.road.network), True)
+        assert [lane.index[:2] for lane in way.chain.lanes[:3]] == [leg[:2] for leg in far.route]
+
+
+def test_a_car_that_changes_lanes_has_a_way_along_both_also_where_it_shows_its_route():
+    ego = with_ego("roundabout-v0")
+    (other,) = among(ego, (("ex", "ee", 0), 1.0))
+    other.plan_route_to("exr")
+    other.heading, other.speed = other.heading + 0.25, 12.0
+    for shows in (False, True):
+        ways = _ways(other, 0, road_map(other.road.network), shows)
+        assert {way.chain.lanes[0].index[2] for way in ways} == {0, 1}
+        assert not shows or all(way.chain.lanes[1].index[:2] == other.route[1][:2] for way in ways)
+
+
+def test_leaders_are_the_nearest_cars_ahead_on_the_same_path():
+    ego = with_ego("highway-v0", ("0", "1", 1), 100.0)
+    among(ego, *(((*"01", lane), at) for lane, at in [(1, 110.0), (1, 140.0), (2, 130.0)]), speed=20.0)
+    seen = observe_road(ego)
+    near, middle, far = map(seen.owners.tolist().index, range(3))
+    assert seen.leaders[[near, middle, far]].tolist() == [far, -1, -1]
+    assert seen.gaps[near] == pytest.approx(30.0, abs=0.01)
+    assert seen.moving[[near, middle, far]].all()
+
+
+def test_obstacles_stand_still():
+    seen = seen_from("merge-v0", ("b", "c", 2), 10.0)
+    (standing,) = np.flatnonzero(seen.present & ~seen.moving)
+    assert seen.sizes[standing].tolist() == [2.0, 2.0]
+    assert seen.states[standing, 3] == 0

@@ -1,0 +1,220 @@
+"""Proposals: driven within limits, in traffic that keeps its speed or follows as highway-env's does."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from highway_env.road.lane import CircularLane
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from jax import numpy as jnp
+from roads import (
+    NOBODY,
+    PLANNING,
+    PLANS,
+    coming,
+    driven_and_judged,
+    execute,
+    judged,
+    manners_of,
+    scene_of,
+    winding,
+    wrecked,
+)
+
+from ms_highway.geometry.path import SPACING, interpolate
+from ms_highway.road.proposals import ALL, FULL_BRAKING, PROPOSALS
+from ms_highway.road.scene import KNOTS, TRAFFIC
+
+GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
+FOLLOWING = np.ones(TRAFFIC, bool)
+NOTHING = np.zeros((TRAFFIC, STEPS), np.float32)
+AS_MODELLED = np.zeros(TRAFFIC, np.float32)
+STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
+FOLLOWING_RIGHT, KEEPING_RIGHT = ([plan[:4] for plan in ALL].index((2, 1.0, 0.0, follows)) for follows in (True, False))
+LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
+
+
+def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING, surprise=AS_MODELLED):
+    """All proposals, and how they turn out."""
+    plans = PLANS._replace(controls=np.tile(np.asarray(last, np.float32), (PROPOSALS, 1, 1)))
+    accelerations = np.tile(np.asarray(accelerations, np.float32), (PROPOSALS, 1, 1))
+    manners = manners_of(follows, given=ordered, accelerations=accelerations, surprise=surprise)
+    return plans, driven_and_judged(scene, PLANNING, manners, plans)[0]
+
+
+def given(scene, controls, lane, follows):
+    """How a plan turns out whose controls are given."""
+    return jax.tree.map(lambda field: field[0], judged(scene, controls[None], np.array([lane]), follows)[0])
+
+
+def before_a_bend(speed, ahead):
+    """A straight road that bends by a radius of 20 m ahead."""
+    curvature = np.where(np.arange(KNOTS) * SPACING > 20.0 + ahead, 1 / 20, 0.0)
+    return replace(scene_of(robot=(0.0, 0.0, 0.0, speed)), route=winding(curvature))
+
+
+SCENES = {
+    "standing": scene_of(robot=(0.0, 0.0, 0.0, 0.0)),
+    "fast in traffic": scene_of(robot=(0.0, 0.5, -0.05, 38.0), cars=[(30.0, 0, 10.0), (-15.0, 1, 30.0)]),
+    "circle": scene_of(bend=-1 / 15, robot=(0.0, 1.0, 0.2, 11.0), cars=[(20.0, 0, 5.0)]),
+    "before a bend": before_a_bend(20.0, 15.0),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
+    wild = np.random.default_rng(0).normal(size=(STEPS, 2)).astype(np.float32) * [0.3, 10]
+    scene = SCENES[name]
+    rollouts = proposed(scene, FOLLOWING, wild)[1]
+    states, (curvature, acceleration) = np.asarray(rollouts.states), np.moveaxis(np.asarray(rollouts.controls), -1, 0)
+    start = np.full((PROPOSALS, 1), scene.robot[3])
+    before = np.concatenate([start, states[:, :-1, 3]], axis=1)
+    assert np.hypot(before**2 * curvature, acceleration).max() <= GRIP + 1e-4
+    assert np.abs(curvature).max() <= PLANNING.curvature
+    assert states[..., 3].min() > -1e-6
+    driven, _ = jax.jit(jax.vmap(execute, (None, None, 0)))(scene, PLANNING, rollouts.controls)
+    np.testing.assert_allclose(states, driven, atol=0.02)
+
+
+@pytest.mark.parametrize(("speed", "ahead"), [(14.0, 25.0), (18.0, 50.0), (9.0, 0.0)])
+def test_who_follows_is_slow_enough_for_a_bend_when_it_gets_there(speed, ahead):
+    scene = before_a_bend(speed, ahead)
+    plans, rollouts = proposed(scene)
+    s, _, _, speeds = np.moveaxis(np.asarray(rollouts.states)[np.asarray(plans.follows & (plans.lane == 1))], -1, 0)
+    assert s.max() > ahead + 4
+    assert (speeds**2 * np.abs(interpolate(scene.route.curvature, jnp.asarray(s)))).max() <= GRIP
+
+
+@pytest.mark.parametrize("braking", [-3.0, -6.0])
+@pytest.mark.parametrize(("gap", "speed"), [(35.0, 20.0), (20.0, 20.0), (10.0, 10.0)])
+def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed, braking):
+    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
+    first = np.arange(TRAFFIC) == 0
+    plans, rollouts = proposed(scene, NOBODY, STRAIGHT_ON, first, np.where(first[:, None], braking, NOTHING))
+    own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
+    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+
+
+@pytest.mark.parametrize(("gap", "ahead"), [(50.0, 0.0), (20.0, 12.0), (8.0, 18.0)])
+def test_a_robot_that_follows_does_not_hit_a_slower_car_ahead(gap, ahead):
+    plans, rollouts = proposed(scene_of(cars=[(gap + LENGTHS, 0, ahead)]))
+    own = np.asarray(plans.follows & (plans.lane == 1))
+    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+
+
+def test_predictions_stay_on_their_paths_and_come_to_the_middle_of_the_lane():
+    scene = scene_of(bend=1 / 30, cars=[(0.0, 1, 8.0)])
+    scene.states[0, 1] = 1.0
+    found = given(scene, STRAIGHT_ON, 1, NOBODY)
+    x, y, heading, _ = found.world[0]
+    distance, along = np.hypot(x, y - 30), 8 * DT * np.arange(1, STEPS + 1)
+    assert (np.diff(distance) > 0).all()
+    assert abs(distance[-1] - 26.0) < 0.15
+    np.testing.assert_allclose(heading, along / 26 - np.arcsin(2.5 / 26), atol=2e-3)
+    np.testing.assert_allclose(found.along[0], along, rtol=1e-4)
+    np.testing.assert_allclose(found.cosine[0], 1.0, atol=1e-3)
+    np.testing.assert_allclose(found.d[0], 30 - distance, atol=0.05)
+
+
+def test_a_follower_brakes_for_a_robot_that_cuts_in_and_one_that_keeps_its_speed_does_not():
+    cut_in = np.zeros((STEPS, 2), np.float32)
+    cut_in[:6, 0], cut_in[6:12, 0] = 0.006, -0.006
+    calm, brakes = (given(scene_of(cars=[(-10.0, 1, 24.0)]), cut_in, 2, follows) for follows in (NOBODY, FOLLOWING))
+    np.testing.assert_allclose(calm.speeds[0], 24.0)
+    np.testing.assert_allclose(np.diff(calm.along[0]), 24.0 * DT, rtol=1e-4)
+    assert np.min(brakes.speeds[0]) < 20.0
+    assert float(brakes.s[0, -1]) < float(brakes.states[-1, 0]) - 2.5
+
+
+def theirs(speed, wanted, distance, ahead):
+    """Acceleration of highway-env's IDMVehicle at a distance of centres to the car ahead, limited as its own is."""
+    road = Road(RoadNetwork.straight_road_network(1, speed_limit=50.0))
+    car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=wanted)
+    other = IDMVehicle(road, [100.0 + distance, 0.0], 0.0, ahead)
+    return np.clip(car.acceleration(car, other), -IDMVehicle.ACC_MAX, IDMVehicle.COMFORT_ACC_MAX)
+
+
+@pytest.mark.parametrize(("speed", "ahead", "distance"), [(20.0, 20.0, 45.0), (25.0, 22.0, 60.0), (22.0, 25.0, 30.0)])
+def test_predictions_of_who_follows_are_highway_envs_behind_others_and_behind_the_robot(speed, ahead, distance):
+    led = scene_of(cars=[(40.0, 1, speed), (40.0 + distance, 1, ahead)])
+    led.leaders[0], led.gaps[0] = 1, distance
+    behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
+    for scene in (led, behind):
+        speeds = np.asarray(given(scene, STRAIGHT_ON, 1, FOLLOWING).speeds)
+        assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, speed, distance, ahead), abs=5e-3)
+
+
+def test_a_car_that_is_much_slower_than_its_limit_is_expected_to_want_that():
+    slow = scene_of(cars=[(60.0, 1, 5.0)], limit=30.0)
+    speeds = np.asarray(given(slow, STRAIGHT_ON, 1, FOLLOWING).speeds)
+    assert (speeds[0, 0] - 5.0) / DT == pytest.approx(theirs(5.0, 30.0, 1e4, 30.0), abs=5e-3)
+
+
+def test_a_car_that_rolls_backwards_faster_and_faster_is_expected_to_go_on_so_for_a_moment_then_forwards_again():
+    braking = np.where(np.arange(TRAFFIC) == 0, -8.0, 0.0).astype(np.float32)
+    _, rollouts = proposed(scene_of(cars=[(60.0, 0, -3.0)]), FOLLOWING, STRAIGHT_ON, NOBODY, NOTHING, braking)
+    speeds = np.asarray(rollouts.speeds)[0, 0]
+    assert speeds[2] < -3.5
+    assert speeds[-1] > 0
+
+
+def test_a_car_that_turns_is_expected_at_the_angle_to_its_path_that_highway_envs_cars_have():
+    network, radius, speed = RoadNetwork(), 14.0, 8.0
+    network.add_lane("a", "b", CircularLane([0.0, radius], radius, -np.pi / 2, np.pi, speed_limit=speed))
+    car = IDMVehicle.make_on_lane(Road(network), ("a", "b", 0), 0.0, speed)
+    car.target_speed = speed
+    for _ in range(30):
+        car.act()
+        car.step(1 / 15)
+    along, _ = car.lane.local_coordinates(car.position)
+    highway_envs = car.heading - car.lane.heading_at(along)
+    assert highway_envs < -0.1
+
+    _, rollouts = proposed(scene_of(bend=1 / radius, cars=[(20.0, 0, speed)]))
+    s, heading = np.asarray(rollouts.s)[0, 0], np.asarray(rollouts.world)[0, 0, 2]
+    np.testing.assert_allclose(heading - s / radius, highway_envs, atol=0.03)
+
+
+@pytest.mark.parametrize("heading", [1.2, 2.6, -0.8])
+def test_a_car_that_has_crashed_is_expected_to_slide_where_it_heads_as_highway_envs_do(heading):
+    scene = wrecked(scene_of(cars=[(30.0, 0, 6.0)]), 0, heading, speed=6.0)
+    _, rollouts = proposed(scene)
+    car, places = Vehicle(None, [30.0, 0.0], heading, 6.0), []
+    car.crashed = True
+    for _ in range(PLANNING.steps * 10):
+        car.step(float(PLANNING.time_step) / 10)
+        places.append(car.position.copy())
+    np.testing.assert_allclose(np.asarray(rollouts.world)[0, 0, :2].T, places[9::10], atol=0.6)
+    np.testing.assert_allclose(np.asarray(rollouts.world)[:, 0, 2], heading, atol=1e-6)
+
+
+def gaps(number, *cars):
+    """Gaps to the first car [m], negative behind the robot, once a proposal is in the right lane; the last comes."""
+    scene = coming(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[*cars, (250.0, 0, 20.0)]), len(cars))
+    rollouts = proposed(scene)[1]
+    s, d, _, _ = np.moveaxis(np.asarray(rollouts.states)[number], -1, 0)
+    assert d[-1] > 2.0
+    return (np.asarray(rollouts.s)[number, 0] - s - 2.5)[d > 2.0]
+
+
+def test_where_others_come_plans_drop_behind_the_car_beside_or_overtake_it_before_they_change_lanes():
+    assert gaps(FOLLOWING_RIGHT, (3.0, 1, 20.0)).min() > 7.0
+    assert gaps(FOLLOWING_RIGHT, (1.5, 1, 14.0)).max() < -7.0
+    assert gaps(KEEPING_RIGHT, (12.0, 1, 12.0)).max() < -5.0
+
+
+def test_a_plan_that_has_changed_lanes_does_not_come_back_for_the_next_car():
+    """The second car is ahead, and slower, as the robot is halfway there."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 25.0), cars=[(12.0, 1, 12.0), (75.0, 1, 15.0), (250.0, 0, 20.0)])
+    d = np.asarray(proposed(coming(scene, 2))[1].states)[KEEPING_RIGHT, :, 1]
+    assert (np.diff(d) > -0.01).all()
+
+
+def test_in_a_bend_at_the_grip_of_tyres_a_plan_brakes_before_it_steers():
+    _, rollouts = proposed(scene_of(bend=1 / 11, robot=(0.0, 0.4, 0.0, 7.4)))
+    own_lane = FULL_BRAKING[1]
+    assert np.asarray(rollouts.controls)[own_lane, 0, 1] < -2.9
+    assert np.abs(np.asarray(rollouts.states)[own_lane, :, 1]).max() < 1.0, "it stays in its lane"

@@ -1,0 +1,91 @@
+"""What the robot's car does with controls, whatever they are."""
+
+from types import SimpleNamespace
+
+import gymnasium as gym
+import highway_env  # noqa: F401, registers the environments
+import numpy as np
+import pytest
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.road.robot import GRIP, RoadRobot
+
+
+class Wild:
+    """A driver that draws its controls, up to some curvature and acceleration either way."""
+
+    def __init__(self, curvature, acceleration):
+        self.random, self.largest, self.calls = np.random.default_rng(0), np.array([curvature, acceleration]), 0
+
+    def step(self, scene):
+        self.calls += 1
+        return SimpleNamespace(control=self.random.uniform(-1, 1, 2) * self.largest)
+
+
+def robot_on_a_road(speed, driver=None):
+    robot = RoadRobot(Road(RoadNetwork.straight_road_network(3, length=10_000)), [100.0, 4.0], 0.0, speed)
+    robot.drive_with(driver)
+    return robot
+
+
+@pytest.mark.parametrize("frequency", [5, 15])
+@pytest.mark.parametrize("speed", [0.0, 3.0, 16.0, 30.0])
+def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(speed, frequency):
+    robot, last = robot_on_a_road(speed, Wild(0.5, 20.0)), None
+    for _ in range(100):
+        robot.act()
+        before, start = robot.velocity, robot.position.copy()
+        robot.step(1 / frequency)
+        moved = (robot.position - start) * frequency
+        assert np.linalg.norm(robot.velocity - before) * frequency <= GRIP
+        assert last is None or np.linalg.norm(moved - last) * frequency <= GRIP
+        assert robot.speed >= -1e-9
+        last = moved
+    assert 0.9 * GRIP < max(robot.accelerations) <= GRIP
+
+
+@pytest.mark.parametrize(("frequency", "every"), [(5, 1), (10, 2), (15, 3)])
+def test_it_plans_every_fifth_of_a_second_and_holds_the_control_in_between(frequency, every):
+    robot = robot_on_a_road(20.0, Wild(0.001, 1.0))
+    for frame in range(12):
+        robot.act("FASTER")
+        robot.act({"acceleration": 5.0, "steering": 0.3})
+        robot.act()
+        assert robot.driver.calls == len(robot.steps) == frame // every + 1
+        robot.step(1 / frequency)
+        np.testing.assert_allclose(robot.applied, robot.last_step.control, atol=1e-3)
+
+
+@pytest.mark.parametrize("speed", [5.0, 20.0])
+def test_the_yaw_rate_is_speed_times_curvature(speed):
+    robot = robot_on_a_road(speed, SimpleNamespace(step=lambda scene: SimpleNamespace(control=np.array([0.004, 0.0]))))
+    for _ in range(30):
+        robot.act()
+        before = robot.heading
+        robot.step(0.1)
+    assert robot.heading - before == pytest.approx(speed * 0.004 * 0.1)
+
+
+def test_a_crashed_robot_brakes_as_highway_envs_vehicles_do():
+    robot = robot_on_a_road(20.0, Wild(0.5, 20.0))
+    other = Vehicle(robot.road, robot.position, 0.0, 20.0)
+    robot.crashed = other.crashed = True
+    for _ in range(10):
+        robot.act()
+        robot.step(0.1)
+        other.step(0.1)
+    assert (robot.speed, robot.accelerations) == (other.speed, [])
+
+
+@pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
+def test_environments_find_what_they_ask_of_their_own_car():
+    env = gym.make("merge-v0").unwrapped
+    env.reset(seed=0)
+    own, times = env.vehicle, np.array([1.0, 5.0, 10.0])
+    robot = RoadRobot.create_from(own)
+    assert (robot.speed_index, robot.target_lane_index) == (own.speed_index, own.lane_index)
+    assert robot.plan_route_to("d").route == own.plan_route_to("d").route
+    paths = (car.predict_trajectory_constant_speed(times) for car in (robot, own))
+    for mine, theirs in zip(*paths, strict=True):
+        np.testing.assert_allclose(mine, theirs)

@@ -1,0 +1,77 @@
+"""Which model predicts whom on a road: what answers may be worth, against prices and budgets."""
+
+from dataclasses import replace
+
+import numpy as np
+from roads import PLANNING, WEIGHTS, scene_of
+
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.road.constants import IDM, MODELS
+from ms_highway.road.driver import proposed_for
+from ms_highway.road.plan import no_plan
+from ms_highway.road.rungs import BudgetedRungs, FixedRung, PricedRungs
+from ms_highway.road.scene import TRAFFIC
+
+TOP = len(MODELS) - 1
+COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.003]))
+GAINS = np.array([0.0, 5.0, 0.2, 30.0, 1e-3, 0.0, 2.0])
+
+
+def gains_of(scene):
+    nobody = np.zeros(TRAFFIC, np.int32)
+    return np.asarray(proposed_for(scene, PLANNING, WEIGHTS, nobody, no_plan(PLANNING)).worth)
+
+
+def test_answers_of_cars_far_away_and_of_absent_ones_are_worth_nothing():
+    np.testing.assert_array_equal(gains_of(scene_of(cars=[(-250.0, 0, 10.0), (95.0, 1, 38.0)])), 0.0)
+
+
+def test_a_leader_does_not_answer():
+    gains = gains_of(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(25.0, 0, 5.0)]))
+    np.testing.assert_array_equal(gains, 0.0)
+
+
+def test_the_answer_of_a_car_that_is_in_the_way_and_could_yield_is_worth_something():
+    """The goal asks for the lane in which a car comes from behind."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
+    scene = replace(scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0))
+    gains = gains_of(scene)
+    assert gains[0] > 0
+    np.testing.assert_array_equal(gains[1:], 0.0)
+
+
+def test_a_fixed_model_predicts_everybody():
+    for number, name in enumerate(MODELS):
+        np.testing.assert_array_equal(FixedRung(name).choose(GAINS, COSTS, 1.0), number)
+
+
+def test_models_that_cost_nothing_predict_everybody():
+    np.testing.assert_array_equal(PricedRungs(0.0).choose(GAINS, COSTS, 0.0), TOP)
+    free = Costs(0.004, np.array([0.0, 0.0, 0.002]))
+    for choice in (PricedRungs(1e9), BudgetedRungs(0.1)):
+        np.testing.assert_array_equal(choice.choose(GAINS, free, 0.0), IDM)
+
+
+def test_a_higher_price_never_buys_a_more_expensive_model():
+    chosen = np.array([PricedRungs(price).choose(GAINS, COSTS, 0.0) for price in np.geomspace(1, 1e6, 30)])
+    assert (np.diff(chosen, axis=0) <= 0).all()
+    assert len(np.unique(chosen[:, 3])) == len(MODELS)
+
+
+def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
+    random = np.random.default_rng(0)
+    for _ in range(100):
+        gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
+        costs = Costs(random.uniform(0, 0.004), np.cumsum([0.0, *random.uniform(0, 0.002, 2)]))
+        milliseconds, spent = random.uniform(0, 20), random.uniform(0, 0.005)
+        rungs = BudgetedRungs(milliseconds).choose(gains, costs, spent)
+        extra = costs.each[rungs].sum()
+        assert extra == 0 or spent + costs.base + extra <= milliseconds / 1e3 + 1e-12
+        assert (np.diff(rungs[np.argsort(-gains, kind="stable")]) <= 0).all()
+        assert (rungs[gains == 0] == 0).all()
+
+
+def test_only_models_on_the_ladder_are_chosen():
+    ladder = ("naive", "idm")
+    for choice in (PricedRungs(1e-6, ladder), BudgetedRungs(1e3, ladder)):
+        np.testing.assert_array_equal(choice.choose(GAINS, COSTS, 0.0), np.where(GAINS > 0, IDM, 0))
