@@ -1,4 +1,4 @@
 """State what robot and humans play: dynamics, scenes, rewards and scenarios.
 
-Imports `ms_highway.numerics` and what stands below it.
+Imports `ms_highway.geometry` and what stands below it.
 """

@@ -1,4 +1,4 @@
 """Curves, lanes of highway-env networks joined to curves, and coordinates along them.
 
-Imports `ms_highway.runtime`.
+Imports `ms_highway.numerics` and what stands below it.
 """

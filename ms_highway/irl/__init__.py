@@ -1,6 +1,6 @@
 """Learn a human's reward from recordings: windows, maximum entropy, prediction, evaluation.
 
-Imports `ms_highway.envs` and what stands below it.
+Imports `ms_highway.recorded` and what stands below it.
 """
 
 from typing import Literal, TypeAlias
