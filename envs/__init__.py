@@ -6,6 +6,7 @@
 stands below it.
 """
 
+import re
 import sys
 from typing import cast
 
@@ -14,7 +15,16 @@ from gymnasium.envs.registration import EnvCreator
 
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
-from ms_highway.envs.scenes import CrossingCrowdEnv, DenseMergeEnv, GiveWayEnv, MergerEnv, StayBackEnv
+from ms_highway.envs.scenes import (
+    CrossingCrowdEnv,
+    DenseMergeEnv,
+    GiveWayEnv,
+    GiveWayV1Env,
+    MergerEnv,
+    MergerV1Env,
+    StayBackEnv,
+    StayBackV1Env,
+)
 from ms_highway.game.scenario import Scenario
 
 __all__ = [
@@ -26,16 +36,28 @@ __all__ = [
     "DemonstrationEnv",
     "DenseMergeEnv",
     "GiveWayEnv",
+    "GiveWayV1Env",
     "InteractionEnv",
     "MergerEnv",
+    "MergerV1Env",
     "StayBackEnv",
+    "StayBackV1Env",
     "add_scenario",
     "environment_id",
 ]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
     environment.scenario.name: environment
-    for environment in (StayBackEnv, MergerEnv, GiveWayEnv, DenseMergeEnv, CrossingCrowdEnv)
+    for environment in (
+        StayBackEnv,
+        MergerEnv,
+        GiveWayEnv,
+        DenseMergeEnv,
+        CrossingCrowdEnv,
+        StayBackV1Env,
+        MergerV1Env,
+        GiveWayV1Env,
+    )
 }
 """The environments by name of their scenario."""
 
@@ -45,6 +67,9 @@ SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environme
 PACKAGE_SCENARIOS = tuple(SCENARIOS)
 PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
+
+VERSIONED = re.compile(r".*-v\d+")
+"""Names of scenarios that are versions of others; other scenarios are at version 0."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 """The Gymnasium id of the `DemonstrationEnv`, with the prefix that lets spawned workers find it."""
@@ -58,7 +83,8 @@ def environment_id(scenario: str) -> str:
     """
     if scenario not in ENVIRONMENTS:
         raise ValueError(f"unknown scenario {scenario!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
-    return f"ms_highway:ms-highway/{scenario.replace('_', '-')}-v0"
+    version = "" if VERSIONED.fullmatch(scenario) else "-v0"
+    return f"ms_highway:ms-highway/{scenario.replace('_', '-')}{version}"
 
 
 def add_scenario(environment: type[InteractionEnv]) -> str:

@@ -63,7 +63,7 @@ class InteractionEnv(GameEnv):
       proportion). T of any plan is additive in the humans. With ``"shipped"``, budgets choose by measured times, and
       ``counted_seconds`` stay the shipped ones. The same seed is another episode only where the clock has a say, which
       ``info["clocked"]`` tells.
-    * ``semantics``: ``"paper"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
+    * ``semantics``: ``"paper"``, ``"physical"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
       belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
@@ -134,7 +134,7 @@ class InteractionEnv(GameEnv):
             "controller": {"type": "learned", "lambda": 1.0},
             "ladder": list(scenario.ladder),
             "costs": "shipped" if several else "published",
-            "semantics": "paper",
+            "semantics": scenario.semantics,
             "human_reward": None,
             "humans": scenario.humans,
             "beliefs": "learned",

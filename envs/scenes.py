@@ -1,7 +1,16 @@
 """The environments of the package's scenarios."""
 
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
+from ms_highway.game.scenarios import (
+    CROSSING_CROWD,
+    DENSE_MERGE,
+    GIVE_WAY,
+    GIVE_WAY_V1,
+    MERGER,
+    MERGER_V1,
+    STAY_BACK,
+    STAY_BACK_V1,
+)
 
 
 class StayBackEnv(InteractionEnv):
@@ -20,6 +29,24 @@ class GiveWayEnv(InteractionEnv):
     """The robot drives in the left lane between two scripted cars; the human beside it wants to merge."""
 
     scenario = GIVE_WAY
+
+
+class StayBackV1Env(InteractionEnv):
+    """Stay Back within what tyres hold: plans of two seconds, and a start farther before the cones."""
+
+    scenario = STAY_BACK_V1
+
+
+class MergerV1Env(InteractionEnv):
+    """Merger within what tyres hold: plans of a second."""
+
+    scenario = MERGER_V1
+
+
+class GiveWayV1Env(InteractionEnv):
+    """Give Way within what tyres hold: plans of a second."""
+
+    scenario = GIVE_WAY_V1
 
 
 class DenseMergeEnv(InteractionEnv):

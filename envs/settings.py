@@ -21,7 +21,7 @@ from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
 
-HUMAN_REWARDS = {"paper": "learned", "released": "published"}
+HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "published"}
 """The humans' reward that belongs to each semantics."""
 
 LADDER = "give a list of human models, cheapest first, or say 'best'"
@@ -151,7 +151,7 @@ class Settings(Struct, frozen=True):
     def game(self, scenario: Scenario) -> Game:
         """Build the game of a scenario, in which all humans have the reward that theirs are drawn around."""
         limit = self.control_limit
-        if limit is None and self.semantics == "paper":
+        if limit is None and self.semantics != "released":
             limit = scenario.control_limit
         reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
         if isinstance(reward, str):

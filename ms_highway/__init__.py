@@ -61,15 +61,18 @@ def __getattr__(name: str) -> object:
 
 
 _ENVIRONMENTS = {
-    "stay-back": "envs:StayBackEnv",
-    "merger": "envs:MergerEnv",
-    "give-way": "envs:GiveWayEnv",
-    "dense-merge": "envs:DenseMergeEnv",
-    "crossing-crowd": "envs:CrossingCrowdEnv",
-    "demonstration": "envs:DemonstrationEnv",
-    "recorded": "recorded:RecordedEnv",
+    "stay-back-v0": "envs:StayBackEnv",
+    "merger-v0": "envs:MergerEnv",
+    "give-way-v0": "envs:GiveWayEnv",
+    "stay-back-v1": "envs:StayBackV1Env",
+    "merger-v1": "envs:MergerV1Env",
+    "give-way-v1": "envs:GiveWayV1Env",
+    "dense-merge-v0": "envs:DenseMergeEnv",
+    "crossing-crowd-v0": "envs:CrossingCrowdEnv",
+    "demonstration-v0": "envs:DemonstrationEnv",
+    "recorded-v0": "recorded:RecordedEnv",
 }
 
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned
-    if f"ms-highway/{_name}-v0" not in _registry:
-        _register_environment(f"ms-highway/{_name}-v0", entry_point=f"ms_highway.{_environment}")
+    if f"ms-highway/{_name}" not in _registry:
+        _register_environment(f"ms-highway/{_name}", entry_point=f"ms_highway.{_environment}")

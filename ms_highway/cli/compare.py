@@ -23,7 +23,7 @@ such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model drawn for every
 a choice that looks at nothing, which others have to beat. Without scenarios and controllers, the paper's comparison
 runs: its three scenarios, each with its ladder and the paper's two lambdas, and {LEARNED} beside them.
 
-In {" and ".join(SCENARIO_NAMES[3:])}, a controller chooses a model for each of several humans. A model's name stands
+In {" and ".join(SCENARIO_NAMES[3:5])}, a controller chooses a model for each of several humans. A model's name stands
 for all humans; nearest:K predicts the K nearest humans by tom, and the others naively; budget:MILLISECONDS chooses
 what is worth most within this time of planning and deciding per step.
 

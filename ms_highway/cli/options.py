@@ -26,7 +26,16 @@ MOST_LAMBDAS = 10_000
 MOST_SEEDS = 2**63 - 1 - MOST
 """First seed of as many as possible that Parquet's integers hold."""
 
-SCENARIO_NAMES = ("stay_back", "merger", "give_way", "dense_merge", "crossing_crowd")
+SCENARIO_NAMES = (
+    "stay_back",
+    "merger",
+    "give_way",
+    "dense_merge",
+    "crossing_crowd",
+    "stay-back-v1",
+    "merger-v1",
+    "give-way-v1",
+)
 """Keys of `ms_highway.envs.ENVIRONMENTS`, for help texts, which need no JAX."""
 
 CONTROLLERS = (
@@ -57,7 +66,7 @@ keys; these are the usual ones:
                           of step_size=0.03 are chosen to suit the horizon unless they are given
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
   grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none)
-  humans=6                number of humans, 2 to 20, in {" and ".join(SCENARIO_NAMES[3:])}
+  humans=6                number of humans, 2 to 20, in {" and ".join(SCENARIO_NAMES[3:5])}
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
                           keep their velocity; always make room for it; or mixed, each of them never or always
   way_out=false           let plans leave no escape from humans who do not yield

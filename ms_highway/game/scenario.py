@@ -21,7 +21,7 @@ from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import Planner, Solver
 from ms_highway.runtime.arrays import HumansWeights, State
 
-Semantics: TypeAlias = Literal["paper", "released"]
+Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
 PAPER_UNIT = 100 / 3  # m
 
@@ -108,6 +108,7 @@ class Scenario:
             succeeds if it ends in the target lane, the leftmost one, and never collides.
         humans: their number, by default.
         caution: factor on the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
+        semantics: by default, see `build_game`.
         planning, solver, control_limit, grip: of plans by default, see `build_game`.
         way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
     """
@@ -128,6 +129,7 @@ class Scenario:
     streams: tuple[Stream, ...] = ()
     humans: int = 1
     caution: float = 1.0
+    semantics: Semantics = "paper"
     planning: PlanningSettings = PAPER_PLANNING
     solver: Solver = "gradient"
     control_limit: tuple[float, float] | None = PHYSICAL_LIMIT
@@ -136,8 +138,9 @@ class Scenario:
 
 
 def title(name: str) -> str:
-    """Return the title of a scenario's name: ``Stay Back`` for ``stay_back``."""
-    return name.replace("_", " ").title()
+    """Return the title of a scenario's name: ``Stay Back`` for ``stay_back``, ``Stay Back v1`` for ``stay-back-v1``."""
+    words = name.replace("_", " ").replace("-", " ").split()
+    return " ".join(word if word[1:].isdigit() else word.title() for word in words)
 
 
 def build_game(
@@ -156,11 +159,12 @@ def build_game(
     Args:
         scenario: to build.
         semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and humans with a
-            damped response; ``released``: those of the released code, where planners ignore the world's drag, and the
-            exact response.
+            damped response; ``physical``: the same within what tyres hold, `GRIP`; ``released``: those of the released
+            code, where planners ignore the world's drag, and the exact response.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics; None
             for no bounds.
-        grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`.
+        grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`; None for no limit, or
+            in physical semantics for `GRIP`.
         unit: length of one paper unit in the game; 1 keeps the released code's numbers.
         solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`; None for the
             scenario's.
@@ -188,11 +192,13 @@ def build_game(
     names = features_for(scenario.robot_weights, human_weights)
     robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * unit, scenario.robot_gap * unit, names)
     human = linear_reward(human_weights, SPEED_LIMIT * unit, scenario.human_gap * unit, names)
-    if semantics == "paper":
-        plans = world = PAPER_DYNAMICS
-    else:
+    if semantics == "released":
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
         world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
+    else:
+        plans = world = PAPER_DYNAMICS
+    if semantics == "physical" and grip is None:
+        grip = GRIP * unit / PAPER_UNIT
     planning = planning or scenario.planning
     plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
     planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning)
@@ -200,7 +206,7 @@ def build_game(
         planner = replace(planner, persistent=True, manoeuvres=planner.smooth)
     if planner.smooth:
         planner = replace(planner, ease=EASE)
-    influence: Influence = "damped" if semantics == "paper" else "exact"
+    influence: Influence = "exact" if semantics == "released" else "damped"
     game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
 

@@ -1,6 +1,8 @@
 """The package's scenarios: three of the paper with one human, two with several. Numbers are in the paper's units."""
 
+from dataclasses import replace
 from math import sqrt
+from typing import Any
 
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import COMMON_WEIGHTS, GRIP, SECONDS_LIMIT, SPEED_LIMIT, Scenario, Stream
@@ -55,6 +57,26 @@ GIVE_WAY = Scenario(
     corner=0.675 / sqrt(2),
 )
 """The human wants into the robot's lane, and the robot is paid for letting it in."""
+
+
+def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
+    """Return the next version of a scenario, in which robot and human plan and drive within what tyres hold.
+
+    Args:
+        scenario: of the paper.
+        horizon: steps of plans; half a second, the paper's, is too short to brake or to go round anything.
+        changes: of what else differs.
+    """
+    name = scenario.name.replace("_", "-") + "-v1"
+    physical = replace(scenario, name=name, semantics="physical", grip=GRIP, solver="convex_newton")
+    return replace(physical, planning=PlanningSettings(horizon=horizon), **changes)
+
+
+STAY_BACK_V1 = _physical(STAY_BACK, 20, cars=((-1.8, -0.14), (-1.8, 0.0)), steps=60)
+"""The cars start far enough before the cones that a good plan within what tyres hold passes them."""
+
+MERGER_V1 = _physical(MERGER, 10)
+GIVE_WAY_V1 = _physical(GIVE_WAY, 10)
 
 
 def _merge_among_several(
