@@ -67,7 +67,7 @@ def _compare(options: argparse.Namespace) -> None:
     if not options.controllers:
         asked = _with_learned(asked)
     with own_results(options) as record:
-        counts, wanted = run(asked, options.out), len(list(asked.episodes()))
+        counts, wanted = run(asked, options.out, processes=2, modules=options.modules), len(list(asked.episodes()))
         already = next(counts)
         if already < wanted:
             record()

@@ -3,13 +3,18 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
+from typing import Any, TypeAlias
+
+import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS
-from ms_highway.experiments.records import columns
+from ms_highway.experiments.records import KEYS, NEVER_EMPTY, columns
 from ms_highway.planning.human_models import rung_names
+
+Key: TypeAlias = tuple[str, str, int]
+"""Which episode: its scenario, its controller's short name, and its seed."""
 
 USUAL = ("semantics", "solver", "human_reward", "costs")
 """Keys of the configuration that results say in any case, unless the scenarios' defaults differ."""
@@ -31,7 +36,7 @@ class Comparison:
     first_seed: int = 0
     config: Mapping[str, Any] = field(default_factory=dict)
 
-    def episodes(self) -> Iterator[tuple[str, str, int]]:
+    def episodes(self) -> Iterator[Key]:
         """Yield every (scenario, controller, seed)."""
         seeds = range(self.first_seed, self.first_seed + self.seeds)
         for scenario, controllers in self.controllers.items():
@@ -83,6 +88,21 @@ def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
     environment_id(scenario)
     whole = ENVIRONMENTS[scenario].checked_config({**config, "controller": controller_config("naive")})
     return round(whole["duration"] * whole["policy_frequency"])
+
+
+def whole_episodes(records: pd.DataFrame, config: Mapping[str, Any]) -> pd.Series:
+    """Return of each record whether it is of an episode that went on to its end, and of which no cell is empty.
+
+    Args:
+        records: a row per step, of any scenarios.
+        config: what their environments have in common.
+    """
+    lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
+    filled = records.assign(filled=records[NEVER_EMPTY].notna().all(axis=1)).groupby(KEYS, dropna=False)
+    ends = filled["step"].transform("size") == records["scenario"].map(lengths)
+    if config.get("terminate_on_collision"):
+        ends |= filled["collision"].transform("last").eq(True)
+    return ends & filled["filled"].transform("all")
 
 
 def paper_controllers(scenario: str) -> list[str]:

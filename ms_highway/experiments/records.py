@@ -1,10 +1,11 @@
-"""Records of steps: their columns, and what is picked out of them."""
+"""Records of steps: their columns, a row per episode made of them, and what is picked out of them."""
 
 from collections.abc import Callable, Iterable, Sequence
 
 import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS
+from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.planning.human_models import is_model, known_models, model_names
 
 KEYS = ["scenario", "controller", "seed"]
@@ -17,6 +18,7 @@ CARS, STATE = ("robot", "human"), ("x", "y", "heading", "speed")
 NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
 COUNTED = "counted_seconds"
 TEXTS = ("scenario", "controller", "model", "status")
+FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
 LARGEST = 1e38  # number, in single precision
 
 
@@ -67,6 +69,36 @@ def models_of(table: pd.DataFrame, column: Callable[[str], str]) -> list[str]:
     return [name for name in known_models(names) if name in names]
 
 
+def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame:
+    """Return a row per episode, in the order of the steps.
+
+    Columns: ``scenario``, ``controller`` and ``seed``; ``reward``, ``counted_seconds`` and, where they were measured,
+    ``planning_seconds`` and ``decision_seconds`` as means over the steps, empty where a step's is; ``share_MODEL`` of
+    the steps; ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed; ``way_out``
+    and, where times were measured, ``late``, shares of the steps driven to keep a way out, and with an old plan because
+    the new one was late. Where scenarios have several humans, there are ``success``, 0 or 1, at the end, and the mean
+    of ``humans_MODEL``; the share of a model is of the steps in which it is the most expensive one in use.
+
+    Args:
+        steps: records; those of an episode follow each other.
+        models: whose shares are wanted; by default, all known ones.
+    """
+    models = list(models) or known_models(steps["model"].unique())
+    marks = {share_column(name): steps["model"] == name for name in models}
+    marks |= {"collisions": steps["collision"], "fallbacks": steps["status"].isin(FAILED)}
+    marks |= {"way_out": steps["status"] == STATUSES[WAY_OUT], "late": steps["status"] == STATUSES[LATE]}
+    episodes = steps.assign(**marks).groupby((steps["step"] == 0).cumsum())
+    measured = [name for name in MEASURED[:2] if name in steps]
+    counts = [count_column(name) for name in models_of(steps, count_column)]
+    shares = [*map(share_column, models), *counts, "way_out", *(["late"] if measured else [])]
+    means = episodes[["reward", COUNTED, *measured, *shares]]
+    table = episodes[KEYS].first().join(means.mean().where(means.count().eq(episodes.size(), axis=0)))
+    table = table.join(episodes[["collisions", "fallbacks"]].sum())
+    if "success" in steps:
+        table["success"] = episodes["success"].last().astype(int)
+    return table.reset_index(drop=True)
+
+
 def check_records(records: pd.DataFrame) -> None:
     """Check that records have the columns that results are made from, numbers where they belong, and known names.
 
@@ -111,11 +143,6 @@ def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
             wrong = table[~right].iloc[0]
             where = f"{wrong['controller']} with seed {wrong['seed']}"
             raise ValueError(f"{name} of {where} is {wrong[name]}; it must be from {least:g} to {most:g}")
-
-
-def whole_steps(records: pd.DataFrame) -> pd.Series:
-    """Return the number of steps without empty cells that every episode has, by `KEYS`."""
-    return records.dropna(subset=NEVER_EMPTY).groupby(KEYS).size()
 
 
 def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:

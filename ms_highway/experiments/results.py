@@ -1,5 +1,6 @@
 """Read and check a directory of results of ``ms-highway compare``, beside the results that the paper published."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -7,9 +8,9 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
-from ms_highway.experiments.comparison import episode_steps
+from ms_highway.experiments.comparison import whole_episodes
 from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
-from ms_highway.experiments.records import check_records, whole_steps
+from ms_highway.experiments.records import check_records
 from ms_highway.experiments.runner import STEPS_FILE
 from ms_highway.runtime.files import reading
 
@@ -94,14 +95,19 @@ class Results:
 
     def published(self, scenario: str, controller: str) -> Published | None:
         """Return what the paper published of a controller, if these results may be compared with it."""
-        chosen = {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
+        chosen = {key: value for key, value in comparison_config(self.settings).items() if value is not None}
         return PUBLISHED.get((scenario, controller)) if chosen == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict[str, Any]:
         """Return the configuration that a scenario's environment had, but for the controller."""
-        config = {key: value for key, value in self.settings.items() if key not in EXTENDED}
+        config = comparison_config(self.settings)
         measured = self.settings.get("measured", {})
         return config | ({"costs": measured[scenario]} if scenario in measured else {})
+
+
+def comparison_config(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what all environments of a comparison had in common, of the settings of its results."""
+    return {key: value for key, value in settings.items() if key not in EXTENDED}
 
 
 def read_results(directory: Path) -> Results:
@@ -122,13 +128,9 @@ def read_results(directory: Path) -> Results:
     with reading(file, REMEDY):
         records = pd.read_csv(file)
         check_records(records)
+        if records.empty:
+            raise ValueError("it holds no episodes yet; let `ms-highway compare` finish one")
         summaries = summary(records)
-    read = Results(directory, records, summaries, settings, results.runs())
-    if records.empty:
-        raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
-    lengths = whole_steps(records)
-    wanted = {name: episode_steps(name, read.config(name)) for name in read.scenarios}
-    whole = all(length == wanted[scenario] for (scenario, *_), length in lengths.items())
-    if not whole or lengths.sum() != len(records):
+    if not whole_episodes(records, comparison_config(settings)).all():
         raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which resumes")
-    return read
+    return Results(directory, records, summaries, settings, results.runs())

@@ -1,12 +1,21 @@
-"""Run episodes in the environments and keep their records, so that an interrupted run can be resumed."""
+"""Run episodes of a comparison and keep their records part by part, so that an interrupted run goes on where it was.
 
-import csv
-import io
-from collections.abc import Iterator
-from dataclasses import asdict
-from itertools import count, groupby
+A part is an episode in the environments, or many that are simulated together (`ms_highway.experiments.sweep`). What
+computes parts yields them as they are done, in any order, and this process alone writes them: a part is either whole in
+the results or computed again.
+"""
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from functools import lru_cache, partial
+from io import StringIO
+from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -15,12 +24,207 @@ import pandas as pd
 from ms_highway.envs import environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.comparison import Comparison, episode_steps
+from ms_highway.experiments.comparison import Comparison, Key, whole_episodes
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
-from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns, whole_steps
+from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns
 from ms_highway.runtime.files import append, reading, replacing
+from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 STEPS_FILE = "steps.csv"
+FEWEST = 60  # episodes that are worth the seconds in which further processes start
+
+
+class Parts(Protocol):
+    """Where the results of a run are kept, part by part."""
+
+    @property
+    def episodes(self) -> int:
+        """How many are wanted."""
+
+    def missing(self) -> dict[Any, int]:
+        """Return the parts that are not there yet, and how many episodes each has."""
+
+    def write(self, part: Any, rows: Any) -> None:
+        """Write a part, whole."""
+
+
+def run_parts(parts: Parts, compute: Callable[[Sequence[Any]], Iterator[tuple[Any, Any]]]) -> Iterator[int]:
+    """Compute the parts that are missing and write each when it is done.
+
+    Args:
+        parts: where they are kept.
+        compute: computes parts and yields each with its rows, in any order.
+
+    Yields:
+        The number of episodes there: first of those that earlier runs have left, then after every part.
+
+    Raises:
+        ValueError: if what is there cannot be read, or is of other settings.
+    """
+    missing = parts.missing()
+    number = parts.episodes - sum(missing.values())
+    yield number
+    for part, rows in compute(list(missing)):
+        parts.write(part, rows)
+        number += missing[part]
+        yield number
+
+
+def run(
+    comparison: Comparison, directory: str | Path, processes: int = 1, modules: Sequence[str] = ()
+) -> Iterator[int]:
+    """Run the episodes that ``directory`` lacks and write each to its ``steps.csv`` when it ends.
+
+    When all are there, the file is put in the order of the comparison.
+
+    Args:
+        comparison: what to run.
+        directory: of the results.
+        processes: how many run episodes at once, each on a core of its own, if there are so many cores and at least
+            `FEWEST` episodes to run; otherwise, this process alone does.
+        modules: to import in other processes, for scenarios and models that they add.
+
+    Yields:
+        The number of episodes there: first of those that earlier runs have left, then after every episode.
+
+    Raises:
+        ValueError: if the directory holds results of other settings, or records that cannot be read.
+    """
+    steps = Steps.begin(comparison, ResultsDirectory(Path(directory)))
+    yield from run_parts(steps, partial(_drive, steps, min(processes, cores()), modules))
+    steps.whole()
+
+
+def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
+    """Return the records of a comparison that `run` has finished in a directory, in the comparison's order."""
+    return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(pd.read_csv(Path(directory) / STEPS_FILE))
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A file of records of steps, to which whole episodes are added.
+
+    Attributes:
+        comparison: what is wanted.
+        file: which has a row per step.
+        settings: of the results, see `ms_highway.experiments.directory.ResultsDirectory`.
+    """
+
+    comparison: Comparison
+    file: Path
+    settings: dict[str, Any]
+
+    @classmethod
+    def begin(cls, comparison: Comparison, results: ResultsDirectory) -> "Steps":
+        """Begin or take up a directory of results: write settings, and a file without anything unfinished.
+
+        T(M) that is to be measured is measured once and kept.
+
+        Raises:
+            ValueError: if the directory holds results of other settings, or records that cannot be read.
+        """
+        settings = results.take_up(comparison.common_config())
+        settings |= {key: settings.get(key, {}) for key in EXTENDED}
+        for scenario, controllers in comparison.controllers.items():
+            asked = settings["asked"].setdefault(scenario, {})
+            asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
+        steps = cls(comparison, results.path / STEPS_FILE, settings)
+        if steps.file.exists():
+            steps.whole()
+        for scenario in comparison.controllers:
+            measured = comparison.environment_config(scenario, "naive")["costs"] == "measured"
+            if measured and scenario not in settings["measured"]:
+                settings["measured"][scenario] = measured_seconds(scenario, comparison)
+        results.write_settings(settings)
+        if not steps.file.exists():
+            with replacing(steps.file) as path:
+                path.write_text(",".join(comparison.columns()) + "\n")
+        return steps
+
+    @property
+    def episodes(self) -> int:
+        """How many are wanted."""
+        return len(list(self.comparison.episodes()))
+
+    def missing(self) -> dict[Key, int]:
+        """Return the episodes that are not there yet."""
+        there = set(self.whole()[KEYS].itertuples(index=False, name=None))
+        return {key: 1 for key in self.comparison.episodes() if key not in there}
+
+    def write(self, _: Key, records: pd.DataFrame) -> None:
+        """Add an episode."""
+        append(self.file, records.to_csv(index=False, header=False))
+
+    def whole(self) -> pd.DataFrame:
+        """Return the records of whole episodes, by controller and seed; let the file hold these alone, in this order.
+
+        Raises:
+            ValueError: if it does not hold records of this version.
+        """
+        with reading(self.file, "choose another directory"):
+            text = self.file.read_text()
+            lines = text[: text.rfind("\n") + 1]
+            records = pd.read_csv(StringIO(lines))
+            if list(records) != self.comparison.columns():
+                raise ValueError(f"its columns are not {', '.join(self.comparison.columns())}")
+            check_records(records)
+        asked = [(scenario, name) for scenario, names in self.settings["asked"].items() for name in names]
+        places = {pair: place for place, pair in enumerate(asked)}
+        pairs = zip(records["scenario"], records["controller"], strict=True)
+        place = pd.Series([places.get(pair, len(places)) for pair in pairs], records.index, int)
+        kept = records.assign(place=place)[whole_episodes(records, self.comparison.config)]
+        kept = kept.sort_values(["place", "seed", "step"], kind="stable").drop(columns="place")
+        if lines != text or not kept.index.equals(records.index):
+            with replacing(self.file) as path:
+                head, *rows = lines.splitlines(keepends=True)  # as they are, as numbers would lose digits
+                path.write_text(head + "".join(rows[row] for row in kept.index))
+        return kept
+
+    def drive(self, key: Key) -> pd.DataFrame:
+        """Run one episode and return its records."""
+        scenario, controller, seed = key
+        config, seconds = dict(self.comparison.config), self.settings["measured"].get(scenario)
+        if seconds and controller_config(controller)["type"] != "budget":  # which needs a high quantile, not medians
+            config["costs"] = seconds
+        env = _environment(scenario, controller, json.dumps(config))
+        records = pd.DataFrame(episode(env, seed)).assign(scenario=scenario, controller=controller, seed=seed)
+        return records.reindex(columns=self.comparison.columns())
+
+
+@lru_cache(maxsize=1)
+def _environment(scenario: str, controller: str, config: str) -> gym.Env:
+    """Make an environment, or use that of the episode before again."""
+    return make_environment(scenario, controller, **json.loads(config))
+
+
+def _drive(
+    steps: Steps, processes: int, modules: Sequence[str], keys: Sequence[Key]
+) -> Iterator[tuple[Key, pd.DataFrame]]:
+    """Run episodes in this process, or many in several, each on a core; yield each with its records.
+
+    Every other process begins at the end, so that two rarely compile the same functions.
+    """
+    _environment.cache_clear()
+    if processes == 1 or len(keys) < FEWEST:
+        yield from ((key, steps.drive(key)) for key in keys)
+        return
+    remaining, running = deque(keys), dict[Future[pd.DataFrame], tuple[int, Key]]()
+    with ExitStack() as stack:
+        made = (own_process(partial(low_latency_on_core, core), modules) for core in range(processes))
+        workers = [stack.enter_context(process) for process in made]
+
+        def start(place: int) -> None:
+            if remaining:
+                key = remaining.pop() if place % 2 else remaining.popleft()
+                running[workers[place].submit(steps.drive, key)] = place, key
+
+        for place in range(processes):
+            start(place)
+        while running:
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                place, key = running.pop(done)
+                start(place)
+                yield key, done.result()
 
 
 def make_environment(scenario: str, controller: str, render: bool = False, **config: Any) -> gym.Env:
@@ -37,6 +241,15 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
     """
     whole = {**config, "controller": controller_config(controller)}
     return gym.make(environment_id(scenario), render_mode="rgb_array" if render else None, config=whole)
+
+
+def measured_seconds(scenario: str, comparison: Comparison) -> dict[str, float]:
+    """Measure T(M) of a scenario's ladder on this machine; return it by model [s]."""
+    env = make_environment(scenario, "naive", **comparison.config).unwrapped
+    assert isinstance(env, InteractionEnv)
+    costs = env.costs(env.car_states)
+    seconds = (costs.base + np.asarray(costs.each)).tolist()
+    return dict(zip([model.name for model in env.settings.models], seconds, strict=True))
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
@@ -56,85 +269,3 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
         yield record
         if terminated or truncated:
             return
-
-
-def run(comparison: Comparison, directory: str | Path) -> Iterator[int]:
-    """Run the episodes that ``directory`` lacks and write each to its ``steps.csv`` when it ends.
-
-    Yields:
-        The number of episodes there: first of those that earlier runs have left, then after every episode.
-
-    Raises:
-        ValueError: if the directory holds results of other settings, or records that cannot be read.
-    """
-    results = ResultsDirectory(Path(directory))
-    steps, wanted = results.path / STEPS_FILE, list(comparison.episodes())
-    settings = results.take_up(comparison.common_config())
-    done = _whole_episodes(steps, comparison) if steps.exists() else set()
-    _extend(settings, comparison)
-    results.write_settings(settings)
-    if not steps.exists():
-        with replacing(steps) as path:
-            path.write_text(",".join(comparison.columns()) + "\n")
-    lacking = [key for key in dict.fromkeys(wanted) if key not in done]
-    number = len(wanted) - len(lacking)
-    yield number
-    for (scenario, controller), keys in groupby(lacking, key=lambda key: key[:2]):
-        config = comparison.environment_config(scenario, controller)
-        own = config["controller"]["type"] == "budget"  # which needs a high quantile of measured times, not medians
-        costs = config["costs"] if own else settings["measured"].get(scenario, config["costs"])
-        env = make_environment(scenario, controller, **{**comparison.config, "costs": costs})
-        for _, _, seed in keys:
-            text = io.StringIO()
-            writer = csv.DictWriter(text, comparison.columns(), lineterminator="\n")
-            for record in episode(env, seed):
-                writer.writerow({"scenario": scenario, "controller": controller, "seed": seed, **record})
-            append(steps, text.getvalue())
-            number += 1
-            yield number
-        env.close()
-
-
-def _extend(settings: dict[str, Any], comparison: Comparison) -> None:
-    """Add the numbers of episodes that are asked for, and T(M) by scenario, which is measured once and kept."""
-    settings |= {key: settings.get(key, {}) for key in EXTENDED}
-    for scenario, controllers in comparison.controllers.items():
-        asked = settings["asked"].setdefault(scenario, {})
-        asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-        measured = comparison.environment_config(scenario, "naive")["costs"] == "measured"
-        if measured and scenario not in settings["measured"]:
-            env = make_environment(scenario, "naive", **comparison.config).unwrapped
-            assert isinstance(env, InteractionEnv)
-            costs = env.costs(env.car_states)
-            seconds = (costs.base + np.asarray(costs.each)).tolist()
-            settings["measured"][scenario] = dict(
-                zip([model.name for model in env.settings.models], seconds, strict=True)
-            )
-
-
-def _whole_episodes(steps: Path, comparison: Comparison) -> set[tuple[str, str, int]]:
-    """Return the episodes that a file of records holds whole; remove anything else, which a stopped run has left.
-
-    Raises:
-        ValueError: if the file does not hold records of this version.
-    """
-    with reading(steps, "choose another directory"):
-        text = steps.read_text()
-        whole_lines = text[: text.rfind("\n") + 1]
-        records = pd.read_csv(io.StringIO(whole_lines))
-        if list(records) != comparison.columns():
-            raise ValueError(f"its columns are not {', '.join(comparison.columns())}")
-        check_records(records)
-    lengths = {name: episode_steps(name, comparison.config) for name in records["scenario"].unique()}
-    done = {key for key, length in whole_steps(records).items() if length == lengths[key[0]]}
-    whole = [key in done for key in records[KEYS].itertuples(index=False, name=None)]
-    if whole_lines != text or not all(whole):
-        head, *lines = whole_lines.splitlines(keepends=True)
-        with replacing(steps) as path:
-            path.write_text(head + "".join(line for line, keep in zip(lines, whole, strict=True) if keep))
-    return done
-
-
-def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
-    """Return the records of a comparison that `run` has finished in a directory, in the comparison's order."""
-    return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(pd.read_csv(Path(directory) / STEPS_FILE))

@@ -6,23 +6,24 @@ written under another name and moved to its own when it is whole, so that every 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import pandas as pd
 from jax.sharding import Mesh
 
-from ms_highway.experiments.batch import Batch, make_batch
+from ms_highway.experiments.batch import Batch, Key, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import check_numbers
-from ms_highway.loop.records import Records
+from ms_highway.experiments.runner import run_parts
 from ms_highway.runtime.files import reading, replacing
 
 EPISODES, STEPS = "episodes", "steps"
 """Directories of a sweep's parts, with a row per episode and per step."""
 
 Tables: TypeAlias = list[pd.DataFrame]
-"""The rows of a part, in the order of `Sweep.files`."""
+"""The rows of a part, in the order of `Sweep.kinds`."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,6 @@ class Sweep:
         """The numbers of all parts."""
         return range(-(-self.episodes // self.part))
 
-    def places(self, part: int) -> tuple[int, int]:
-        """Return the first of a part's episodes among all, and the one after its last."""
-        return part * self.part, min((part + 1) * self.part, self.episodes)
-
     def settings(self) -> dict[str, Any]:
         """Return the settings that decide which numbers are in which part."""
         comparison = self.comparison
@@ -74,26 +71,59 @@ class Sweep:
             "steps": self.steps,
         }
 
-    def files(self, part: int) -> list[Path]:
-        """Return the files of a part, that of its episodes last: when it is there, the part is done."""
-        kinds = [STEPS, EPISODES] if self.steps else [EPISODES]
-        return [self.directory / kind / f"part-{part:06d}.parquet" for kind in kinds]
+    def file(self, part: int, kind: str = EPISODES) -> Path:
+        """Return the file of a part's rows of a kind."""
+        return self.directory / kind / f"part-{part:06d}.parquet"
 
-    def missing(self) -> list[int]:
-        """Return the parts that are not there yet.
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds of rows that are kept, those of episodes last: when their file is there, the part is done."""
+        return [STEPS, EPISODES] if self.steps else [EPISODES]
+
+    def missing(self) -> dict[int, int]:
+        """Return the parts that are not there yet, and how many episodes each has; check those that are there.
 
         Raises:
-            ValueError: for a file beside the parts that pandas would read with them.
+            ValueError: if the sweep is impossible, a part cannot be read or holds something else, or there is a file
+                beside the parts that pandas would read with them.
         """
         there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
-        parts = {part: self.files(part) for part in self.parts}
-        if strangers := sorted(there.difference(*parts.values())):
+        files = {part: {self.file(part, kind) for kind in self.kinds} for part in self.parts}
+        if strangers := sorted(there.difference(*files.values())):
             raise ValueError(f"{strangers[0]} is no part of this sweep, but would be read as one; move it away")
-        return [part for part, files in parts.items() if not there.issuperset(files)]
+        batch, columns = make_batch(self.comparison, self.scenario), dict[str, list[str]]()
+        for part in self.parts:
+            if files[part] <= there:
+                self._check(batch, part, columns)
+        missing = [part for part in self.parts if not files[part] <= there]
+        return {part: min(self.part, self.episodes - part * self.part) for part in missing}
+
+    def _check(self, batch: Batch, part: int, columns: dict[str, list[str]]) -> None:
+        """Check that the files of a part hold its episodes, in the same columns as other parts, by kind."""
+        for kind in self.kinds:
+            steps = batch.steps if kind == STEPS else 1
+            expected = [key for key in self.keys(batch, part) for _ in range(steps)]
+            with reading(self.file(part, kind), "remove it, to have it computed again"):
+                rows = pd.read_parquet(self.file(part, kind))
+                if [*rows[["controller", "seed"]].itertuples(index=False, name=None)] != expected:
+                    raise ValueError("it holds other episodes than its number says")
+                if list(rows) != columns.setdefault(kind, list(rows)):
+                    raise ValueError("its columns are not those of the parts before")
+                check_numbers(rows)
+
+    def keys(self, batch: Batch, part: int) -> list[Key]:
+        """Return the episodes of a part."""
+        return batch.keys(part * self.part, (part + 1) * self.part)
+
+    def write(self, part: int, tables: Tables) -> None:
+        """Write a part."""
+        for kind, table in zip(self.kinds, tables, strict=True):
+            with replacing(self.file(part, kind)) as path:
+                table.to_parquet(path, index=False)
 
     def read(self) -> pd.DataFrame:
         """Return a row per episode, seed by seed, once no part is missing."""
-        return pd.concat([pd.read_parquet(self.files(part)[-1]) for part in self.parts])
+        return pd.concat([pd.read_parquet(self.file(part)) for part in self.parts])
 
 
 Compute: TypeAlias = Callable[[Sweep, Sequence[int]], Iterator[tuple[int, Tables]]]
@@ -101,40 +131,8 @@ Compute: TypeAlias = Callable[[Sweep, Sequence[int]], Iterator[tuple[int, Tables
 
 
 def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
-    """Compute the parts that are missing and write each when it is done.
-
-    Yields:
-        The number of episodes there: first of those that earlier runs have left, then after every part.
-
-    Raises:
-        ValueError: if the sweep is impossible, or a part that is there cannot be read or holds something else.
-    """
-    batch, missing = make_batch(sweep.comparison, sweep.scenario), sweep.missing()
-    count, columns = 0, dict[str, list[str]]()
-    for part in sorted({*sweep.parts} - {*missing}):
-        _check(sweep, batch, part, columns)
-        count += len(batch.keys(*sweep.places(part)))
-    yield count
-    for part, tables in compute(sweep, missing):
-        for file, table in zip(sweep.files(part), tables, strict=True):
-            with replacing(file) as path:
-                table.to_parquet(path, index=False)
-        count += len(tables[-1])
-        yield count
-
-
-def _check(sweep: Sweep, batch: Batch, part: int, columns: dict[str, list[str]]) -> None:
-    """Check that the files of a part hold its episodes, in the same columns as other parts, by kind."""
-    for file in sweep.files(part):
-        steps = batch.steps if file.parent.name == STEPS else 1
-        expected = [key for key in batch.keys(*sweep.places(part)) for _ in range(steps)]
-        with reading(file, "remove it, to have it computed again"):
-            rows = pd.read_parquet(file)
-            if [*rows[["controller", "seed"]].itertuples(index=False, name=None)] != expected:
-                raise ValueError("it holds other episodes than its number says")
-            if list(rows) != columns.setdefault(file.parent.name, list(rows)):
-                raise ValueError("its columns are not those of the parts before")
-            check_numbers(rows)
+    """Compute the parts that are missing and write each when it is done, see `runner.run_parts`."""
+    return run_parts(sweep, partial(compute, sweep))
 
 
 def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -> Iterator[tuple[int, Tables]]:
@@ -147,12 +145,10 @@ def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -
     """
     batch, together = make_batch(sweep.comparison, sweep.scenario), 1 if mesh is None else mesh.size
     for place in range(0, len(parts), together):
-        now = parts[place : place + together]
-        shares = [batch.keys(*sweep.places(part)) for part in now]
-        records = batch.simulate([key for share in shares for key in share], mesh)
-        first = 0
-        for part, keys in zip(now, shares, strict=True):
-            own = Records(*(column[first : first + len(keys)] for column in records))
-            first += len(keys)
-            steps = [batch.steps_table(keys, own)] if sweep.steps else []
-            yield part, [*steps, batch.episodes_table(keys, own)]
+        shares = {part: sweep.keys(batch, part) for part in parts[place : place + together]}
+        keys = [key for share in shares.values() for key in share]
+        rows, first = batch.steps_table(keys, batch.simulate(keys, mesh)), 0
+        for part, share in shares.items():
+            steps = rows.iloc[first : first + len(share) * batch.steps]
+            first += len(steps)
+            yield part, [*([steps] if sweep.steps else []), batch.episodes_table(steps)]

@@ -7,8 +7,9 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from importlib import import_module
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import jax
@@ -133,10 +134,27 @@ def own_process(configure: Callable[[], None], modules: Sequence[str] = ()) -> P
     return ProcessPoolExecutor(1, get_context("spawn"), _prepare, (configure, cache, modules))
 
 
+def low_latency_on_core(number: int) -> None:
+    """Keep this process to one of its cores, where the system lets a process choose, and set `low_latency`."""
+    if hasattr(os, "sched_setaffinity"):
+        available = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {available[number % len(available)]})
+    low_latency()
+
+
 def _prepare(configure: Callable[[], None], cache: str | None, modules: Sequence[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
+    Thread(target=_end_with_parent, daemon=True).start()
     configure()
     if cache is not None:
         keep_compilations(Path(cache))
     for module in modules:
         import_module(module)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that has started it ends, however that is."""
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
