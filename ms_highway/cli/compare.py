@@ -30,7 +30,8 @@ what is worth most within this time of planning and deciding per step.
 Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted by
 naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.
 
-Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
+Episodes run on two cores where there are two. Results go to --out: steps.csv (a row per step; until all episodes have
+ended, they are in parts, a file each), summary.csv, and per scenario the figures
 SCENARIO_bars.png (of three lambdas or more _curve.png, reward against computation), _timeline.png and _decisions.png;
 settings.json and provenance.json say what they were made with. If stopped and started again with the same --out, it
 resumes; with more controllers or scenarios, it adds them. `ms-highway report` makes a page of them."""

@@ -31,8 +31,8 @@ byte for byte, however often the sweep is stopped and whatever computes it; only
 otherwise, so do not mix them. Whoever reaches a scheduler of Dask can run any program there: keep it inside your own
 network.
 
-Memory is bounded: about half a GB for every device, each of which compiles its own program, and 6 kB (with --steps 25)
-for every episode of --part, of which each device has one at a time. The summary at the end reads all rows per episode,
+Memory is bounded: about half a GB for every device, each of which compiles its own program, and 25 kB for
+every episode of --part, of which each device has one at a time. The summary at the end reads all rows per episode,
 of 0.1 kB. Needs the extra "sweep"."""
 
 EXAMPLES = """\

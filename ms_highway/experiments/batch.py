@@ -170,21 +170,20 @@ class Batch:
         Raises:
             ValueError: for a negative seed.
         """
-        drawn = [self._drawn(self.settings(name), seed) for name, seed in keys]
-        starts, prices, schedules, *others = (np.array(part) for part in zip(*drawn, strict=True))
-        return Episodes(starts.astype(np.float32), prices.astype(np.float32), schedules.astype(np.int32), *others)
-
-    def _drawn(self, settings: ControllerSettings, seed: int) -> tuple[Any, ...]:
-        if seed < 0:
-            raise ValueError(f"the seed is {seed}; it must not be negative")
-        random, shape = seeding.np_random(seed)[0], (self.steps, self.humans)
-        start, weights = self.environment.draw_episode(random)
-        yielding = [YIELDING[yields] for yields in self.environment.draw_yielding(random)]
-        rungs = np.full(shape, DECIDES)
-        if isinstance(settings, OrderSettings):
-            table = np.vectorize(self.models.index)(settings.table(*shape, random))
-            rungs = np.broadcast_to(table[np.minimum(np.arange(self.steps), len(table) - 1)], shape)
-        return start, np.nan_to_num(settings.price), rungs, self.loop.game.robot.weights, weights, yielding
+        columns: list[tuple[Any, ...]] = []
+        for name, seed in keys:
+            if seed < 0:
+                raise ValueError(f"the seed is {seed}; it must not be negative")
+            settings, random, shape = self.settings(name), seeding.np_random(seed)[0], (self.steps, self.humans)
+            start, weights = self.environment.draw_episode(random)
+            yielding = [YIELDING[yields] for yields in self.environment.draw_yielding(random)]
+            rungs = np.full(shape, DECIDES, np.int32)
+            if isinstance(settings, OrderSettings):
+                table = np.vectorize(self.models.index)(settings.table(*shape, random))
+                rungs[:] = table[np.minimum(np.arange(self.steps), len(table) - 1)]
+            price, own = np.float32(np.nan_to_num(settings.price)), self.loop.game.robot.weights
+            columns.append((np.float32(start), price, rungs, own, weights, yielding))
+        return Episodes(*map(np.array, zip(*columns, strict=True)))
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
         """Return a row per step, with the comparison's columns except measured times."""
@@ -248,7 +247,16 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
     configs = [comparison.environment_config(scenario, name) for name in names]
     settings = [read_own(Settings, config) for config in configs]
-    environment, costs = _environment(scenario, configs[0]), dict[str, float]()
+    for key, value in (("terminate_on_collision", True), ("beliefs", "true")):
+        if configs[0].get(key) == value:
+            reason = f"{scenario} is configured with {key} {value!r}, which a simulation does not do"
+            raise ValueError(f"{reason}; use `compare`")
+    kind, costs = ENVIRONMENTS[scenario], dict[str, float]()
+    if own := [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]:
+        reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
+        remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
+        raise ValueError(f"{reason}; {remedy}")
+    environment = kind(dict(configs[0]))
     for one in settings:
         if one.seconds is None:
             remedy = "say 'shipped', or give seconds by model" + (SEVERAL if one.humans > 1 else "")
@@ -267,27 +275,6 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         if each.chooses:
             batch.rule(each)
     return batch
-
-
-def _environment(scenario: str, config: Mapping[str, Any]) -> InteractionEnv:
-    """Return the environment of a scenario, which does nothing in a step that a simulation does not.
-
-    Raises:
-        ValueError: for environments that end early, know the true rewards, or do something of their own in a step.
-    """
-    for key, value in (("terminate_on_collision", True), ("beliefs", "true")):
-        if config.get(key) == value:
-            raise ValueError(
-                f"{scenario} is configured with {key} {value!r}, which a simulation does not do; use `compare`"
-            )
-    kind = ENVIRONMENTS[scenario]
-    own = [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]
-    if own:
-        reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
-        raise ValueError(
-            f"{reason}; change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
-        )
-    return kind(dict(config))
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:

@@ -5,12 +5,10 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any, TypeAlias
 
-import pandas as pd
-
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS
-from ms_highway.experiments.records import KEYS, NEVER_EMPTY, columns
+from ms_highway.experiments.records import columns
 from ms_highway.planning.human_models import rung_names
 
 Key: TypeAlias = tuple[str, str, int]
@@ -88,21 +86,6 @@ def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
     environment_id(scenario)
     whole = ENVIRONMENTS[scenario].checked_config({**config, "controller": controller_config("naive")})
     return round(whole["duration"] * whole["policy_frequency"])
-
-
-def whole_episodes(records: pd.DataFrame, config: Mapping[str, Any]) -> pd.Series:
-    """Return of each record whether it is of an episode that went on to its end, and of which no cell is empty.
-
-    Args:
-        records: a row per step, of any scenarios.
-        config: what their environments have in common.
-    """
-    lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
-    filled = records.assign(filled=records[NEVER_EMPTY].notna().all(axis=1)).groupby(KEYS, dropna=False)
-    ends = filled["step"].transform("size") == records["scenario"].map(lengths)
-    if config.get("terminate_on_collision"):
-        ends |= filled["collision"].transform("last").eq(True)
-    return ends & filled["filled"].transform("all")
 
 
 def paper_controllers(scenario: str) -> list[str]:

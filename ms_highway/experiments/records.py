@@ -108,7 +108,7 @@ def check_records(records: pd.DataFrame) -> None:
     absent = sorted({*NEVER_EMPTY, COUNTED} - set(records))
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
-    check_numbers(records, holes=True)
+    check_numbers(records)
     for column, known, names in (
         ("scenario", ENVIRONMENTS.__contains__, ", ".join(ENVIRONMENTS)),
         ("model", is_model, model_names()),
@@ -119,12 +119,10 @@ def check_records(records: pd.DataFrame) -> None:
                 raise ValueError(f"it holds {column} {name!r}, not one of {names}; {remedy}")
 
 
-def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
+def check_numbers(table: pd.DataFrame) -> None:
     """Check that a table of steps or episodes has numbers where they belong, within their possible ranges.
 
-    Args:
-        table: all of whose columns but `TEXTS` hold numbers.
-        holes: whether any cell may be empty, not only prices and gains, which may be unknown.
+    All columns but `TEXTS` hold numbers; cells may be empty in those that are not `NEVER_EMPTY`.
 
     Raises:
         ValueError: naming what is wrong, and where.
@@ -136,9 +134,7 @@ def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
         share = name.startswith("share_") or name in ("collision", "success", "late", "way_out")
         least, most = -LARGEST if signed else 0, 1 if share else 2**63 - 1 if name in ("seed", "step") else LARGEST
         numbers = table[name].astype(float)
-        right = numbers.between(least, most)
-        if holes or name == "price" or name.startswith("gain_"):
-            right |= numbers.isna()
+        right = numbers.between(least, most) | (numbers.isna() & (name not in NEVER_EMPTY))
         if not right.all():
             wrong = table[~right].iloc[0]
             where = f"{wrong['controller']} with seed {wrong['seed']}"

@@ -8,10 +8,8 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
-from ms_highway.experiments.comparison import whole_episodes
 from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
-from ms_highway.experiments.records import check_records
-from ms_highway.experiments.runner import STEPS_FILE
+from ms_highway.experiments.runner import STEPS_FILE, read_steps
 from ms_highway.runtime.files import reading
 
 PUBLISHED_WITH = {
@@ -114,23 +112,17 @@ def read_results(directory: Path) -> Results:
     """Read a directory of results.
 
     Raises:
-        ValueError: if there is none, it lacks a file, or a file cannot be read or was left unfinished.
+        ValueError: if there is none, or a file is missing or cannot be read.
     """
-    if not directory.is_dir():
-        raise ValueError(f"there is no directory {directory}; {REMEDY}")
-    for name in (STEPS_FILE, SETTINGS_FILE):
-        if not (directory / name).is_file():
-            raise ValueError(f"{directory} has no {name}; {REMEDY}")
-    results, file = ResultsDirectory(directory), directory / STEPS_FILE
+    if not (directory / SETTINGS_FILE).is_file():
+        raise ValueError(f"there is no {directory / SETTINGS_FILE}; {REMEDY}")
+    results = ResultsDirectory(directory)
     settings = results.settings()
     if "semantics" not in settings or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
-    with reading(file, REMEDY):
-        records = pd.read_csv(file)
-        check_records(records)
-        if records.empty:
-            raise ValueError("it holds no episodes yet; let `ms-highway compare` finish one")
+    records = read_steps(directory, settings.get("asked", {})).reset_index(drop=True)
+    if records.empty:
+        raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")
+    with reading(directory / STEPS_FILE, REMEDY):
         summaries = summary(records)
-    if not whole_episodes(records, comparison_config(settings)).all():
-        raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which resumes")
     return Results(directory, records, summaries, settings, results.runs())

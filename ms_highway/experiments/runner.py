@@ -6,13 +6,13 @@ the results or computed again.
 """
 
 import json
+import shutil
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
-from io import StringIO
 from itertools import count
 from pathlib import Path
 from typing import Any, Protocol
@@ -24,18 +24,18 @@ import pandas as pd
 from ms_highway.envs import environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.comparison import Comparison, Key, whole_episodes
+from ms_highway.experiments.comparison import Comparison, Key
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns
-from ms_highway.runtime.files import append, reading, replacing
+from ms_highway.runtime.files import reading, replacing
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
-STEPS_FILE = "steps.csv"
+STEPS_FILE, PARTS = "steps.csv", "parts"
 FEWEST = 60  # episodes that are worth the seconds in which further processes start
 
 
 class Parts(Protocol):
-    """Where the results of a run are kept, part by part."""
+    """Results that are computed and kept part by part."""
 
     @property
     def episodes(self) -> int:
@@ -52,7 +52,7 @@ def run_parts(parts: Parts, compute: Callable[[Sequence[Any]], Iterator[tuple[An
     """Compute the parts that are missing and write each when it is done.
 
     Args:
-        parts: where they are kept.
+        parts: what is wanted, and where it is kept.
         compute: computes parts and yields each with its rows, in any order.
 
     Yields:
@@ -73,9 +73,7 @@ def run_parts(parts: Parts, compute: Callable[[Sequence[Any]], Iterator[tuple[An
 def run(
     comparison: Comparison, directory: str | Path, processes: int = 1, modules: Sequence[str] = ()
 ) -> Iterator[int]:
-    """Run the episodes that ``directory`` lacks and write each to its ``steps.csv`` when it ends.
-
-    When all are there, the file is put in the order of the comparison.
+    """Run the episodes that ``directory`` lacks, write each when it ends, and all to ``steps.csv`` at the end.
 
     Args:
         comparison: what to run.
@@ -90,9 +88,21 @@ def run(
     Raises:
         ValueError: if the directory holds results of other settings, or records that cannot be read.
     """
-    steps = Steps.begin(comparison, ResultsDirectory(Path(directory)))
-    yield from run_parts(steps, partial(_drive, steps, min(processes, cores()), modules))
-    steps.whole()
+    results = ResultsDirectory(Path(directory))
+    settings = results.take_up(comparison.common_config())
+    settings |= {key: settings.get(key, {}) for key in EXTENDED}
+    for scenario, controllers in comparison.controllers.items():
+        asked = settings["asked"].setdefault(scenario, {})
+        asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
+    episodes = Episodes(comparison, results.path, settings)
+    episodes.collect()
+    for scenario in comparison.controllers:
+        measured = comparison.environment_config(scenario, "naive")["costs"] == "measured"
+        if measured and scenario not in settings["measured"]:
+            settings["measured"][scenario] = measured_seconds(scenario, comparison)
+    results.write_settings(settings)
+    yield from run_parts(episodes, partial(_drive, episodes, min(processes, cores()), modules))
+    episodes.collect()
 
 
 def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
@@ -100,85 +110,87 @@ def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(pd.read_csv(Path(directory) / STEPS_FILE))
 
 
+def step_files(directory: Path) -> list[Path]:
+    """Return the files of records of a directory: ``steps.csv``, and parts that have not been put into it yet."""
+    return [*directory.glob(STEPS_FILE), *sorted((directory / PARTS).glob("[!.]*.csv"))]
+
+
+def read_steps(directory: Path, asked: Mapping[str, Iterable[str]]) -> pd.DataFrame:
+    """Return the records of a directory, checked; their index is the row in all `step_files`.
+
+    Args:
+        directory: of a comparison.
+        asked: controllers by scenario; records are in their order, and by seed.
+
+    Raises:
+        ValueError: for a file that cannot be read.
+    """
+    tables = []
+    for file in step_files(directory):
+        with reading(file, "choose another directory"):
+            tables.append(pd.read_csv(file))
+            check_records(tables[-1])
+            if list(tables[-1]) != list(tables[0]):
+                raise ValueError(f"its columns are not {', '.join(tables[0])}")
+    if not tables:
+        return pd.DataFrame(columns=[*KEYS, "step"])
+    records = pd.concat(tables, ignore_index=True).drop_duplicates([*KEYS, "step"])
+    places = {pair: place for place, pair in enumerate((name, each) for name in asked for each in asked[name])}
+    place = [places.get(pair, len(places)) for pair in zip(records["scenario"], records["controller"], strict=True)]
+    return records.assign(place=place).sort_values(["place", "seed", "step"]).drop(columns="place")
+
+
 @dataclass(frozen=True)
-class Steps:
-    """A file of records of steps, to which whole episodes are added.
+class Episodes:
+    """Episodes of a comparison in the environments, each of them a part.
 
     Attributes:
         comparison: what is wanted.
-        file: which has a row per step.
+        directory: of the results.
         settings: of the results, see `ms_highway.experiments.directory.ResultsDirectory`.
     """
 
     comparison: Comparison
-    file: Path
+    directory: Path
     settings: dict[str, Any]
-
-    @classmethod
-    def begin(cls, comparison: Comparison, results: ResultsDirectory) -> "Steps":
-        """Begin or take up a directory of results: write settings, and a file without anything unfinished.
-
-        T(M) that is to be measured is measured once and kept.
-
-        Raises:
-            ValueError: if the directory holds results of other settings, or records that cannot be read.
-        """
-        settings = results.take_up(comparison.common_config())
-        settings |= {key: settings.get(key, {}) for key in EXTENDED}
-        for scenario, controllers in comparison.controllers.items():
-            asked = settings["asked"].setdefault(scenario, {})
-            asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-        steps = cls(comparison, results.path / STEPS_FILE, settings)
-        if steps.file.exists():
-            steps.whole()
-        for scenario in comparison.controllers:
-            measured = comparison.environment_config(scenario, "naive")["costs"] == "measured"
-            if measured and scenario not in settings["measured"]:
-                settings["measured"][scenario] = measured_seconds(scenario, comparison)
-        results.write_settings(settings)
-        if not steps.file.exists():
-            with replacing(steps.file) as path:
-                path.write_text(",".join(comparison.columns()) + "\n")
-        return steps
 
     @property
     def episodes(self) -> int:
         """How many are wanted."""
         return len(list(self.comparison.episodes()))
 
-    def missing(self) -> dict[Key, int]:
-        """Return the episodes that are not there yet."""
-        there = set(self.whole()[KEYS].itertuples(index=False, name=None))
-        return {key: 1 for key in self.comparison.episodes() if key not in there}
-
-    def write(self, _: Key, records: pd.DataFrame) -> None:
-        """Add an episode."""
-        append(self.file, records.to_csv(index=False, header=False))
-
-    def whole(self) -> pd.DataFrame:
-        """Return the records of whole episodes, by controller and seed; let the file hold these alone, in this order.
+    def records(self) -> pd.DataFrame:
+        """Return the records that are there.
 
         Raises:
-            ValueError: if it does not hold records of this version.
+            ValueError: if they cannot be read, or have other columns.
         """
-        with reading(self.file, "choose another directory"):
-            text = self.file.read_text()
-            lines = text[: text.rfind("\n") + 1]
-            records = pd.read_csv(StringIO(lines))
-            if list(records) != self.comparison.columns():
-                raise ValueError(f"its columns are not {', '.join(self.comparison.columns())}")
-            check_records(records)
-        asked = [(scenario, name) for scenario, names in self.settings["asked"].items() for name in names]
-        places = {pair: place for place, pair in enumerate(asked)}
-        pairs = zip(records["scenario"], records["controller"], strict=True)
-        place = pd.Series([places.get(pair, len(places)) for pair in pairs], records.index, int)
-        kept = records.assign(place=place)[whole_episodes(records, self.comparison.config)]
-        kept = kept.sort_values(["place", "seed", "step"], kind="stable").drop(columns="place")
-        if lines != text or not kept.index.equals(records.index):
-            with replacing(self.file) as path:
-                head, *rows = lines.splitlines(keepends=True)  # as they are, as numbers would lose digits
-                path.write_text(head + "".join(rows[row] for row in kept.index))
-        return kept
+        records, columns = read_steps(self.directory, self.settings["asked"]), self.comparison.columns()
+        if len(records) and list(records) != columns:
+            file = self.directory / STEPS_FILE
+            raise ValueError(f"{file}: its columns are not {', '.join(columns)}; choose another directory")
+        return records
+
+    def missing(self) -> dict[Key, int]:
+        """Return the episodes that are not there yet."""
+        there = {*self.records()[KEYS].itertuples(index=False, name=None)}
+        return {key: 1 for key in self.comparison.episodes() if key not in there}
+
+    def write(self, key: Key, records: pd.DataFrame) -> None:
+        """Write an episode."""
+        place = list(self.comparison.episodes()).index(key)
+        with replacing(self.directory / PARTS / f"{place}.csv") as path:
+            records.to_csv(path, index=False)
+
+    def collect(self) -> None:
+        """Put all parts into ``steps.csv``, line by line, as numbers that are read and written may lose digits."""
+        records, parts = self.records(), self.directory / PARTS
+        if parts.exists():
+            texts = [file.read_text().splitlines(keepends=True) for file in step_files(self.directory)]
+            lines = [line for _, *rows in texts for line in rows]
+            with replacing(self.directory / STEPS_FILE) as path:
+                path.write_text(texts[0][0] + "".join(lines[row] for row in records.index))
+            shutil.rmtree(parts)
 
     def drive(self, key: Key) -> pd.DataFrame:
         """Run one episode and return its records."""
@@ -198,7 +210,7 @@ def _environment(scenario: str, controller: str, config: str) -> gym.Env:
 
 
 def _drive(
-    steps: Steps, processes: int, modules: Sequence[str], keys: Sequence[Key]
+    episodes: Episodes, processes: int, modules: Sequence[str], keys: Sequence[Key]
 ) -> Iterator[tuple[Key, pd.DataFrame]]:
     """Run episodes in this process, or many in several, each on a core; yield each with its records.
 
@@ -206,7 +218,7 @@ def _drive(
     """
     _environment.cache_clear()
     if processes == 1 or len(keys) < FEWEST:
-        yield from ((key, steps.drive(key)) for key in keys)
+        yield from ((key, episodes.drive(key)) for key in keys)
         return
     remaining, running = deque(keys), dict[Future[pd.DataFrame], tuple[int, Key]]()
     with ExitStack() as stack:
@@ -216,7 +228,7 @@ def _drive(
         def start(place: int) -> None:
             if remaining:
                 key = remaining.pop() if place % 2 else remaining.popleft()
-                running[workers[place].submit(steps.drive, key)] = place, key
+                running[workers[place].submit(episodes.drive, key)] = place, key
 
         for place in range(processes):
             start(place)

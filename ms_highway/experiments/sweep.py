@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import pandas as pd
 from jax.sharding import Mesh
 
-from ms_highway.experiments.batch import Batch, Key, make_batch
+from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import check_numbers
 from ms_highway.experiments.runner import run_parts
@@ -22,8 +22,8 @@ from ms_highway.runtime.files import reading, replacing
 EPISODES, STEPS = "episodes", "steps"
 """Directories of a sweep's parts, with a row per episode and per step."""
 
-Tables: TypeAlias = list[pd.DataFrame]
-"""The rows of a part, in the order of `Sweep.kinds`."""
+Tables: TypeAlias = dict[str, pd.DataFrame]
+"""The rows of a part by directory, those of its episodes last: when they are there, the part is done."""
 
 
 @dataclass(frozen=True)
@@ -71,59 +71,60 @@ class Sweep:
             "steps": self.steps,
         }
 
-    def file(self, part: int, kind: str = EPISODES) -> Path:
-        """Return the file of a part's rows of a kind."""
-        return self.directory / kind / f"part-{part:06d}.parquet"
-
-    @property
-    def kinds(self) -> list[str]:
-        """The kinds of rows that are kept, those of episodes last: when their file is there, the part is done."""
-        return [STEPS, EPISODES] if self.steps else [EPISODES]
-
-    def missing(self) -> dict[int, int]:
-        """Return the parts that are not there yet, and how many episodes each has; check those that are there.
+    def batch(self) -> Batch:
+        """Return what is simulated.
 
         Raises:
-            ValueError: if the sweep is impossible, a part cannot be read or holds something else, or there is a file
-                beside the parts that pandas would read with them.
+            ValueError: if it cannot be.
         """
+        return make_batch(self.comparison, self.scenario)
+
+    def places(self, part: int) -> tuple[int, int]:
+        """Return the first of a part's episodes among all, and the one after its last."""
+        return part * self.part, min((part + 1) * self.part, self.episodes)
+
+    def file(self, part: int, kind: str = EPISODES) -> Path:
+        """Return the file of a part's rows."""
+        return self.directory / kind / f"part-{part:06d}.parquet"
+
+    def missing(self) -> dict[int, int]:
+        """Return the parts that are not there yet, and how many episodes each has.
+
+        Raises:
+            ValueError: if the sweep cannot be simulated, there is a file beside the parts that pandas would read with
+                them, or as `read`.
+        """
+        kinds = [STEPS, EPISODES] if self.steps else [EPISODES]
         there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
-        files = {part: {self.file(part, kind) for kind in self.kinds} for part in self.parts}
+        files = {part: {self.file(part, kind) for kind in kinds} for part in self.parts}
         if strangers := sorted(there.difference(*files.values())):
             raise ValueError(f"{strangers[0]} is no part of this sweep, but would be read as one; move it away")
-        batch, columns = make_batch(self.comparison, self.scenario), dict[str, list[str]]()
-        for part in self.parts:
-            if files[part] <= there:
-                self._check(batch, part, columns)
-        missing = [part for part in self.parts if not files[part] <= there]
-        return {part: min(self.part, self.episodes - part * self.part) for part in missing}
-
-    def _check(self, batch: Batch, part: int, columns: dict[str, list[str]]) -> None:
-        """Check that the files of a part hold its episodes, in the same columns as other parts, by kind."""
-        for kind in self.kinds:
-            steps = batch.steps if kind == STEPS else 1
-            expected = [key for key in self.keys(batch, part) for _ in range(steps)]
-            with reading(self.file(part, kind), "remove it, to have it computed again"):
-                rows = pd.read_parquet(self.file(part, kind))
-                if [*rows[["controller", "seed"]].itertuples(index=False, name=None)] != expected:
-                    raise ValueError("it holds other episodes than its number says")
-                if list(rows) != columns.setdefault(kind, list(rows)):
-                    raise ValueError("its columns are not those of the parts before")
-                check_numbers(rows)
-
-    def keys(self, batch: Batch, part: int) -> list[Key]:
-        """Return the episodes of a part."""
-        return batch.keys(part * self.part, (part + 1) * self.part)
+        self.read([part for part in self.parts if files[part] <= there])
+        places = {part: self.places(part) for part in self.parts if not files[part] <= there}
+        return {part: last - first for part, (first, last) in places.items()}
 
     def write(self, part: int, tables: Tables) -> None:
         """Write a part."""
-        for kind, table in zip(self.kinds, tables, strict=True):
+        for kind, table in tables.items():
             with replacing(self.file(part, kind)) as path:
                 table.to_parquet(path, index=False)
 
-    def read(self) -> pd.DataFrame:
-        """Return a row per episode, seed by seed, once no part is missing."""
-        return pd.concat([pd.read_parquet(self.file(part)) for part in self.parts])
+    def read(self, parts: Sequence[int] | None = None) -> pd.DataFrame:
+        """Return a row per episode of parts that are there, by default of all, seed by seed.
+
+        Raises:
+            ValueError: for a part that cannot be read, or holds something else.
+        """
+        batch, tables = self.batch(), [pd.DataFrame()]
+        for part in self.parts if parts is None else parts:
+            with reading(self.file(part), "remove it, to have it computed again"):
+                tables.append(rows := pd.read_parquet(self.file(part)))
+                if list(rows) != list(tables[1]):
+                    raise ValueError("its columns are not those of the parts before")
+                if [*zip(rows["controller"], rows["seed"], strict=True)] != batch.keys(*self.places(part)):
+                    raise ValueError("it holds other episodes than its number says")
+                check_numbers(rows)
+        return pd.concat(tables[1:] or tables)
 
 
 Compute: TypeAlias = Callable[[Sweep, Sequence[int]], Iterator[tuple[int, Tables]]]
@@ -131,7 +132,7 @@ Compute: TypeAlias = Callable[[Sweep, Sequence[int]], Iterator[tuple[int, Tables
 
 
 def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
-    """Compute the parts that are missing and write each when it is done, see `runner.run_parts`."""
+    """Compute the parts that are missing and write each when it is done, see `run_parts`."""
     return run_parts(sweep, partial(compute, sweep))
 
 
@@ -143,12 +144,11 @@ def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -
         parts: their numbers.
         mesh: devices, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
     """
-    batch, together = make_batch(sweep.comparison, sweep.scenario), 1 if mesh is None else mesh.size
+    batch, together = sweep.batch(), 1 if mesh is None else mesh.size
     for place in range(0, len(parts), together):
-        shares = {part: sweep.keys(batch, part) for part in parts[place : place + together]}
+        shares = {part: batch.keys(*sweep.places(part)) for part in parts[place : place + together]}
         keys = [key for share in shares.values() for key in share]
-        rows, first = batch.steps_table(keys, batch.simulate(keys, mesh)), 0
+        steps = batch.steps_table(keys, batch.simulate(keys, mesh))
         for part, share in shares.items():
-            steps = rows.iloc[first : first + len(share) * batch.steps]
-            first += len(steps)
-            yield part, [*([steps] if sweep.steps else []), batch.episodes_table(steps)]
+            own, steps = steps[: len(share) * batch.steps], steps[len(share) * batch.steps :]
+            yield part, {**({STEPS: own} if sweep.steps else {}), EPISODES: batch.episodes_table(own)}

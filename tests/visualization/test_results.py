@@ -33,7 +33,11 @@ def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
     [
         ("settings.json", lambda text: "{}", "holds no settings"),
         ("provenance.json", lambda text: "{}", "provenance.json cannot be read as a list of runs"),
-        ("steps.csv", lambda text: f"{text}stay_back,naive,2,0,naive,0.5\n", "holds an unfinished episode"),
+        (
+            "steps.csv",
+            lambda text: f"{text}stay_back,naive,2,0,naive,0.5\n",
+            "collision of naive with seed 2 is nan",
+        ),
         ("steps.csv", lambda text: text.replace(",naive,", ",telepathy,"), "holds model 'telepathy', not one of naive"),
     ],
 )
