@@ -133,12 +133,12 @@ def check_numbers(table: pd.DataFrame) -> None:
         signed = name == "reward" or name.startswith(("gain_", "robot_", "human_"))
         share = name.startswith("share_") or name in ("collision", "success", "late", "way_out")
         least, most = -LARGEST if signed else 0, 1 if share else 2**63 - 1 if name in ("seed", "step") else LARGEST
-        numbers = table[name].astype(float)
-        right = numbers.between(least, most) | (numbers.isna() & (name not in NEVER_EMPTY))
-        if not right.all():
-            wrong = table[~right].iloc[0]
-            where = f"{wrong['controller']} with seed {wrong['seed']}"
-            raise ValueError(f"{name} of {where} is {wrong[name]}; it must be from {least:g} to {most:g}")
+        wrong = table[~table[name].astype(float).between(least, most)]
+        if name not in NEVER_EMPTY:
+            wrong = wrong.dropna(subset=name)
+        for row in wrong[:1].to_dict("records"):
+            where = f"{row['controller']} with seed {row['seed']}"
+            raise ValueError(f"{name} of {where} is {row[name]}; it must be from {least:g} to {most:g}")
 
 
 def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:

@@ -110,13 +110,8 @@ def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(pd.read_csv(Path(directory) / STEPS_FILE))
 
 
-def step_files(directory: Path) -> list[Path]:
-    """Return the files of records of a directory: ``steps.csv``, and parts that have not been put into it yet."""
-    return [*directory.glob(STEPS_FILE), *sorted((directory / PARTS).glob("[!.]*.csv"))]
-
-
 def read_steps(directory: Path, asked: Mapping[str, Iterable[str]]) -> pd.DataFrame:
-    """Return the records of a directory, checked; their index is the row in all `step_files`.
+    """Return the records of a directory, also those of parts that have not been put into ``steps.csv`` yet; check them.
 
     Args:
         directory: of a comparison.
@@ -125,19 +120,17 @@ def read_steps(directory: Path, asked: Mapping[str, Iterable[str]]) -> pd.DataFr
     Raises:
         ValueError: for a file that cannot be read.
     """
-    tables = []
-    for file in step_files(directory):
-        with reading(file, "choose another directory"):
-            tables.append(pd.read_csv(file))
-            check_records(tables[-1])
-            if list(tables[-1]) != list(tables[0]):
-                raise ValueError(f"its columns are not {', '.join(tables[0])}")
-    if not tables:
-        return pd.DataFrame(columns=[*KEYS, "step"])
-    records = pd.concat(tables, ignore_index=True).drop_duplicates([*KEYS, "step"])
-    places = {pair: place for place, pair in enumerate((name, each) for name in asked for each in asked[name])}
-    place = [places.get(pair, len(places)) for pair in zip(records["scenario"], records["controller"], strict=True)]
-    return records.assign(place=place).sort_values(["place", "seed", "step"]).drop(columns="place")
+    file, tables = directory / STEPS_FILE, [pd.DataFrame(columns=[*KEYS, "step"])]
+    for each in (*directory.glob(STEPS_FILE), *(directory / PARTS).glob("[!.]*.csv")):
+        with reading(each, "choose another directory"):
+            tables.append(pd.read_csv(each))
+    if not tables[1:]:
+        return tables[0]
+    with reading(file, "choose another directory"):
+        records = pd.concat(tables[1:])
+        check_records(records)
+    order = pd.DataFrame([(name, each) for name in asked for each in asked[name]], columns=KEYS[:2])
+    return order.merge(records.drop_duplicates([*KEYS, "step"]).sort_values(["seed", "step"]))
 
 
 @dataclass(frozen=True)
@@ -159,21 +152,9 @@ class Episodes:
         """How many are wanted."""
         return len(list(self.comparison.episodes()))
 
-    def records(self) -> pd.DataFrame:
-        """Return the records that are there.
-
-        Raises:
-            ValueError: if they cannot be read, or have other columns.
-        """
-        records, columns = read_steps(self.directory, self.settings["asked"]), self.comparison.columns()
-        if len(records) and list(records) != columns:
-            file = self.directory / STEPS_FILE
-            raise ValueError(f"{file}: its columns are not {', '.join(columns)}; choose another directory")
-        return records
-
     def missing(self) -> dict[Key, int]:
         """Return the episodes that are not there yet."""
-        there = {*self.records()[KEYS].itertuples(index=False, name=None)}
+        there = {*self.collect()[KEYS].itertuples(index=False, name=None)}
         return {key: 1 for key in self.comparison.episodes() if key not in there}
 
     def write(self, key: Key, records: pd.DataFrame) -> None:
@@ -182,15 +163,21 @@ class Episodes:
         with replacing(self.directory / PARTS / f"{place}.csv") as path:
             records.to_csv(path, index=False)
 
-    def collect(self) -> None:
-        """Put all parts into ``steps.csv``, line by line, as numbers that are read and written may lose digits."""
-        records, parts = self.records(), self.directory / PARTS
+    def collect(self) -> pd.DataFrame:
+        """Put all parts into ``steps.csv`` and return its records.
+
+        Raises:
+            ValueError: if they cannot be read, or have other columns.
+        """
+        records, columns = read_steps(self.directory, self.settings["asked"]), self.comparison.columns()
+        file, parts = self.directory / STEPS_FILE, self.directory / PARTS
+        if len(records) and list(records) != columns:
+            raise ValueError(f"{file}: its columns are not {', '.join(columns)}; choose another directory")
         if parts.exists():
-            texts = [file.read_text().splitlines(keepends=True) for file in step_files(self.directory)]
-            lines = [line for _, *rows in texts for line in rows]
-            with replacing(self.directory / STEPS_FILE) as path:
-                path.write_text(texts[0][0] + "".join(lines[row] for row in records.index))
+            with replacing(file) as path:
+                records.to_csv(path, index=False)
             shutil.rmtree(parts)
+        return records
 
     def drive(self, key: Key) -> pd.DataFrame:
         """Run one episode and return its records."""

@@ -133,8 +133,8 @@ def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(s
     [
         (lambda part: part.write_bytes(part.read_bytes()[:100]), "remove it"),
         (lambda part: shutil.copy(part.with_stem("part-000001"), part), "holds other episodes than its number says"),
-        (lambda part: changed(part, reward=float("nan")), "reward of naive with seed 10 is nan"),
-        (lambda part: changed(part, share_naive=1.5), "share_naive of naive with seed 10 is 1.5"),
+        (lambda part: changed(part, reward=float("nan")), "with seed 10 is nan; it must be from"),
+        (lambda part: changed(part, share_naive=1.5), "with seed 10 is 1.5; it must be from 0 to 1"),
         (lambda part: changed(part, reward=None), "its columns are not those of the parts before"),
     ],
 )

@@ -32,33 +32,23 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
         ValueError: for an unknown controller.
     """
     table, by = per_episode(records) if "step" in records else records, ["scenario", "controller"]
-    means = [column(name) for column in (share_column, count_column) for name in models_of(table, column)]
-    means += [name for name in ("success", "late", "way_out") if name in table]
+    shares = [column(name) for column in (share_column, count_column) for name in models_of(table, column)]
+    shares += [name for name in ("success", "late", "way_out") if name in table]
     rows = []
     for (scenario, controller), some in table.groupby(by, sort=False):
         config, rewards = controller_config(controller), some["reward"]
         low, high = interval(rewards)
-        row = {
-            "scenario": scenario,
-            "controller": controller,
-            "kind": config["type"],
-            "price": config.get("lambda", np.nan),
-            "episodes": len(rewards),
-            "reward": rewards.mean(),
-            "reward_low": low,
-            "reward_high": high,
-            "reward_std": rewards.std(),
-            **{name: 1e3 * some[column].mean(skipna=False) for name, column in MILLISECONDS.items() if column in some},
-            "collision_episodes": int((some["collisions"] > 0).sum()),
-            "fallbacks": int(some["fallbacks"].sum()),
-            **some[means].mean(),
-        }
-        rows.append(row)
+        row = {"scenario": scenario, "controller": controller}
+        row |= {"kind": config["type"], "price": config.get("lambda", np.nan), "episodes": len(some)}
+        row |= {"reward": rewards.mean(), "reward_low": low, "reward_high": high, "reward_std": rewards.std()}
+        row |= {name: 1e3 * some[column].mean(skipna=False) for name, column in MILLISECONDS.items() if column in some}
+        row |= {"collision_episodes": (some["collisions"] > 0).sum(), "fallbacks": some["fallbacks"].sum()}
+        rows.append(row | dict(some[shares].mean()))
     summaries = pd.DataFrame(rows)
     if "planning_seconds" in records:
-        cycles = records.assign(cycle=records["planning_seconds"] + records["decision_seconds"]).groupby(by)["cycle"]
-        for name, share in (("cycle_ms_p50", 0.5), ("cycle_ms_p99", 0.99)):
-            summaries = summaries.merge((1e3 * cycles.quantile(share)).rename(name).reset_index(), "left", by)
+        cycles = records.assign(ms=1e3 * (records["planning_seconds"] + records["decision_seconds"])).groupby(by)["ms"]
+        quantiles = pd.DataFrame({"cycle_ms_p50": cycles.quantile(0.5), "cycle_ms_p99": cycles.quantile(0.99)})
+        summaries = summaries.join(quantiles, on=by)
     return summaries
 
 
