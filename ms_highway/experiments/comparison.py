@@ -11,7 +11,7 @@ from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.experiments.records import columns
 from ms_highway.planning.human_models import rung_names
 
-Key: TypeAlias = tuple[str, str, int]
+EpisodeKey: TypeAlias = tuple[str, str, int]
 """Which episode: its scenario, its controller's short name, and its seed."""
 
 USUAL = ("semantics", "solver", "human_reward", "costs")
@@ -34,7 +34,7 @@ class Comparison:
     first_seed: int = 0
     config: Mapping[str, Any] = field(default_factory=dict)
 
-    def episodes(self) -> Iterator[Key]:
+    def episodes(self) -> Iterator[EpisodeKey]:
         """Yield every (scenario, controller, seed)."""
         seeds = range(self.first_seed, self.first_seed + self.seeds)
         for scenario, controllers in self.controllers.items():

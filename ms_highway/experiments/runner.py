@@ -24,7 +24,7 @@ import pandas as pd
 from ms_highway.envs import environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.comparison import Comparison, Key
+from ms_highway.experiments.comparison import Comparison, EpisodeKey
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns
 from ms_highway.runtime.files import reading, replacing
@@ -152,12 +152,12 @@ class Episodes:
         """How many are wanted."""
         return len(list(self.comparison.episodes()))
 
-    def missing(self) -> dict[Key, int]:
+    def missing(self) -> dict[EpisodeKey, int]:
         """Return the episodes that are not there yet."""
         there = {*self.collect()[KEYS].itertuples(index=False, name=None)}
         return {key: 1 for key in self.comparison.episodes() if key not in there}
 
-    def write(self, key: Key, records: pd.DataFrame) -> None:
+    def write(self, key: EpisodeKey, records: pd.DataFrame) -> None:
         """Write an episode."""
         place = list(self.comparison.episodes()).index(key)
         with replacing(self.directory / PARTS / f"{place}.csv") as path:
@@ -179,7 +179,7 @@ class Episodes:
             shutil.rmtree(parts)
         return records
 
-    def drive(self, key: Key) -> pd.DataFrame:
+    def drive(self, key: EpisodeKey) -> pd.DataFrame:
         """Run one episode and return its records."""
         scenario, controller, seed = key
         config, seconds = dict(self.comparison.config), self.settings["measured"].get(scenario)
@@ -197,8 +197,8 @@ def _environment(scenario: str, controller: str, config: str) -> gym.Env:
 
 
 def _drive(
-    episodes: Episodes, processes: int, modules: Sequence[str], keys: Sequence[Key]
-) -> Iterator[tuple[Key, pd.DataFrame]]:
+    episodes: Episodes, processes: int, modules: Sequence[str], keys: Sequence[EpisodeKey]
+) -> Iterator[tuple[EpisodeKey, pd.DataFrame]]:
     """Run episodes in this process, or many in several, each on a core; yield each with its records.
 
     Every other process begins at the end, so that two rarely compile the same functions.
@@ -207,7 +207,7 @@ def _drive(
     if processes == 1 or len(keys) < FEWEST:
         yield from ((key, episodes.drive(key)) for key in keys)
         return
-    remaining, running = deque(keys), dict[Future[pd.DataFrame], tuple[int, Key]]()
+    remaining, running = deque(keys), dict[Future[pd.DataFrame], tuple[int, EpisodeKey]]()
     with ExitStack() as stack:
         made = (own_process(partial(low_latency_on_core, core), modules) for core in range(processes))
         workers = [stack.enter_context(process) for process in made]

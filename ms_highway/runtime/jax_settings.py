@@ -2,6 +2,7 @@
 
 import os
 import signal
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -144,6 +145,7 @@ def low_latency_on_core(number: int) -> None:
 
 def _prepare(configure: Callable[[], None], cache: str | None, modules: Sequence[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
+    warnings.simplefilter("ignore")  # it has warned of the configuration
     Thread(target=_end_with_parent, daemon=True).start()
     configure()
     if cache is not None:
