@@ -136,10 +136,16 @@ def own_process(configure: Callable[[], None], modules: Sequence[str] = ()) -> P
 
 
 def low_latency_on_core(number: int) -> None:
-    """Keep this process to one of its cores, where the system lets a process choose, and set `low_latency`."""
+    """Keep this process to one of its processors, where the system lets a process choose, and set `low_latency`.
+
+    The first numbers stand for processors that share no core with each other.
+    """
     if hasattr(os, "sched_setaffinity"):
         available = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {available[number % len(available)]})
+        files = [Path(f"/sys/devices/system/cpu/cpu{one}/topology/thread_siblings_list") for one in available]
+        cores = [file.read_text() if file.exists() else file.parts[-3] for file in files]
+        places = sorted(range(len(cores)), key=lambda place: cores[:place].count(cores[place]))
+        os.sched_setaffinity(0, {available[places[number % len(places)]]})
     low_latency()
 
 
