@@ -23,7 +23,7 @@ from recordings import (
     two_lanes,
 )
 
-from ms_highway.irl.recordings.commonroad import read_directory
+from ms_highway.irl.commonroad import read_directory
 
 ALONE = car(100, 20, 0)
 

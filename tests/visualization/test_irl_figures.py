@@ -8,9 +8,8 @@ from rich.console import Console
 
 from ms_highway.game.learned_reward import shipped
 from ms_highway.irl.evaluation import LEVELS, Evaluation
-from ms_highway.irl.predictors import PREDICTORS
-from ms_highway.visualization.irl.prediction import evaluation_figures, paths_figure
-from ms_highway.visualization.irl.tables import evaluation_tables, learned_tables
+from ms_highway.irl.prediction import PREDICTORS
+from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, learned_tables, paths_figure
 
 KINDS = ("fde", "ade", "rmse", "miss", "log_p", *(f"inside {level}" for level in LEVELS))
 
@@ -66,5 +65,5 @@ def test_tables_show_what_was_found():
     assert printed(evaluation_tables(evaluation())[1:2]).count("1.50") == len(PREDICTORS)
     assert "25.00" in printed([last])
     text = printed(learned_tables(shipped("us101"), {"headway": 0.5}))
-    for shown in ("learned from 6856 windows", "0.5 ", "expected", "patiences", "headway while changing lanes"):
+    for shown in ("learned from 6856 segments", "0.5 ", "expected", "patiences", "headway while changing lanes"):
         assert shown in text
