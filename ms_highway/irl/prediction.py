@@ -168,7 +168,10 @@ def roll_out(
 
 
 def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
-    """Return what `Intention` weighs of the lanes to the left and right [cars, 2, 6], and whether these exist."""
+    """Return the advantages of the lanes to the left and right [cars, 2, 6], and whether these lanes exist.
+
+    The advantages are those that `ms_highway.game.learned_drivers.Intention` weighs.
+    """
     states, centre = seen_states(snapshot.past[-1]), _lane_centre(snapshot, 0)
     _, y, heading, speed = states.T
     drift = speed * jnp.sin(heading)

@@ -91,30 +91,18 @@ class Recording:
         return np.isfinite(self.states).all(axis=-1)
 
 
-class NumberedRecording(NamedTuple):
-    """A recording among others.
+def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, int, Vector]]:
+    """Number the groups and the drivers of recordings, and pad their lanes to one length.
 
-    Attributes:
-        recording: that is numbered.
-        group: number of its group, in order of appearance.
-        first_track: number of its first driver's track among the tracks of all drivers.
-        lanes: its lanes, padded to the same length for all recordings by repeating the last, which changes no feature.
+    Yields every recording; the number of its group, in order of appearance; the number of its first driver among the
+    drivers of all recordings; and its lanes, of which the last is repeated, which changes no feature.
     """
-
-    recording: Recording
-    group: int
-    first_track: int
-    lanes: Vector
-
-
-def numbered(recordings: Sequence[Recording]) -> Iterator[NumberedRecording]:
-    """Number the groups and the drivers of recordings, and pad their lanes to one length."""
     most = max((LANES, *(len(item.lanes) for item in recordings)))
     groups: dict[str, int] = {}
     tracks = 0
     for item in recordings:
         lanes = np.pad(np.asarray(item.lanes, float), (0, most - len(item.lanes)), mode="edge")
-        yield NumberedRecording(item, groups.setdefault(item.group, len(groups)), tracks, lanes)
+        yield item, groups.setdefault(item.group, len(groups)), tracks, lanes
         tracks += len(item.drivers)
 
 

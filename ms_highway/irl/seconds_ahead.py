@@ -55,7 +55,7 @@ class _Labels(NamedTuple):
 
     def among(self, chosen: Flags) -> "_Labels":
         """Return the labels of the drivers of some snapshots only."""
-        return _Labels(self.counts & chosen[:, None], self.side * chosen[:, None])
+        return _Labels(*(part * chosen[:, None] for part in self))
 
 
 def learn_drivers(

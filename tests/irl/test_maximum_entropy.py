@@ -32,11 +32,10 @@ def recorded(states, name="a short one"):
     return Recording(name, name, states, np.array([0]), sizes, lanes, 10 / 3, 20.0, measured=False)
 
 
-@pytest.fixture(scope="module")
-def demonstrated():
-    """Segments that can be learned from, of 30 episodes of the maximum-entropy driver."""
+def demonstrate(episodes):
+    """Segments that can be learned from, of episodes of the maximum-entropy driver."""
     env, recordings = gym.make(DEMONSTRATION_ID), []
-    for seed in range(30):
+    for seed in range(episodes):
         env.reset(seed=seed, options={"config": {"density": DENSITIES[seed % 3]}})
         world = env.unwrapped
         states = [world.car_states]
@@ -49,8 +48,9 @@ def demonstrated():
     return cut_segments(recordings, 5)
 
 
-def some(segments, every):
-    return segments.of(np.arange(len(segments)) % every == 0)
+@pytest.fixture(scope="module")
+def demonstrated():
+    return demonstrate(6)
 
 
 def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a_student_distribution():
@@ -64,7 +64,8 @@ def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a
 
 
 @pytest.mark.slow
-def test_the_weights_of_a_demonstrator_are_recovered(demonstrated):
+def test_the_weights_of_a_demonstrator_are_recovered():
+    demonstrated = demonstrate(30)
     derivatives = differentiate(demonstrated, SIMULATED.names)
     found = fit_weights(derivatives, SIMULATED)
     assert found.temperature == pytest.approx(TEMPERATURE, rel=0.15)
@@ -79,9 +80,8 @@ def test_the_weights_of_a_demonstrator_are_recovered(demonstrated):
 
 
 def test_drivers_that_tell_nothing_about_a_weight_leave_its_prior(demonstrated):
-    few = some(demonstrated, 6)
     model = RewardModel((*SIMULATED.learned, "gap"), SIMULATED.given)  # there is no leader to keep a gap to
-    found = fit_weights(differentiate(few, model.names), model)
+    found = fit_weights(differentiate(demonstrated, model.names), model)
     assert np.sqrt(found.covariance[3, 3]) == pytest.approx(4.0, rel=1e-3)
     assert found.weights["gap"] == pytest.approx(1.0, rel=1e-2)
 
@@ -106,7 +106,7 @@ def test_an_impossible_model_is_refused(learned, given, message):
 
 
 def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demonstrated):
-    broken = some(demonstrated, 100)
+    broken = demonstrated.of(np.arange(len(demonstrated)) < 3)
     derivatives = differentiate(broken, SIMULATED.names)
     with pytest.raises(ValueError, match="the weights diverge"):
         fit_weights(derivatives._replace(gradients=derivatives.gradients * np.nan), SIMULATED)

@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from ms_highway.game.learned_reward import shipped
+from ms_highway.irl.commonroad import read_directory
 from ms_highway.irl.evaluation import LEVELS, Evaluation
 from ms_highway.irl.prediction import PREDICTORS
 from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, learned_tables, paths_figure
@@ -47,11 +48,13 @@ def test_measures_are_drawn_against_the_horizon_for_all_predictors():
     assert list(predictors[1].get_ydata()) == pytest.approx([0.89] * 4)
 
 
-def test_recorded_and_predicted_paths_of_a_moment_are_drawn(us101):
-    (axes,) = paths_figure(us101[:1], shipped("us101").drivers).axes
+@pytest.mark.slow
+def test_recorded_and_predicted_paths_of_a_snapshot_are_drawn(us101_directory):
+    (recording,) = read_directory(us101_directory, 1)
+    (axes,) = paths_figure([recording], shipped("us101").drivers).axes
     drawn = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 51]
     assert len(drawn) % 4 == 0
-    tracks = us101[0].states[..., :2]
+    tracks = recording.states[..., :2]
     for path in drawn[: len(drawn) // 4]:
         starts = np.argwhere((tracks == path[0]).all(axis=-1)).tolist()  # several, of a car that stands
         assert any(np.array_equal(path, tracks[step : step + 51, car]) for step, car in starts)
