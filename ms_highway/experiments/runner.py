@@ -9,11 +9,10 @@ import json
 import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from itertools import count
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -28,7 +27,7 @@ from ms_highway.experiments.comparison import Comparison, EpisodeKey
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns
 from ms_highway.runtime.files import reading, replacing
-from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
+from ms_highway.runtime.jax_settings import cores, low_latency_on_core, start_worker
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
 FEWEST = 60  # episodes that are worth the seconds in which further processes start
@@ -207,23 +206,29 @@ def _drive(
     if processes == 1 or len(keys) < FEWEST:
         yield from ((key, episodes.drive(key)) for key in keys)
         return
-    remaining, running = deque(keys), dict[Future[pd.DataFrame], tuple[int, EpisodeKey]]()
-    with ExitStack() as stack:
-        made = (own_process(partial(low_latency_on_core, core), modules) for core in range(processes))
-        workers = [stack.enter_context(process) for process in made]
+    workers = [start_worker(episodes.drive, partial(low_latency_on_core, core), modules) for core in range(processes)]
+    remaining, driven = deque(keys), dict[int, EpisodeKey]()
 
-        def start(place: int) -> None:
-            if remaining:
-                key = remaining.pop() if place % 2 else remaining.popleft()
-                running[workers[place].submit(episodes.drive, key)] = place, key
+    def start(place: int) -> None:
+        if remaining:
+            driven[place] = remaining.pop() if place % 2 else remaining.popleft()
+            workers[place].send(driven[place])
 
-        for place in range(processes):
+    for place in range(processes):
+        start(place)
+    while driven:
+        ready = wait([workers[place] for place in driven])
+        for place in [place for place in driven if workers[place] in ready]:
+            key = driven.pop(place)
+            try:
+                records = workers[place].recv()
+            except EOFError as error:
+                lost = "the process that drove {}, {}, seed {} has ended".format(*key)
+                raise OSError(f"{lost}; start the same comparison again, which resumes") from error
+            if isinstance(records, Exception):
+                raise records
             start(place)
-        while running:
-            for done in wait(running, return_when=FIRST_COMPLETED).done:
-                place, key = running.pop(done)
-                start(place)
-                yield key, done.result()
+            yield key, records
 
 
 def make_environment(scenario: str, controller: str, render: bool = False, **config: Any) -> gym.Env:
