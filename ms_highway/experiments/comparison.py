@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import chain, product
 from typing import Any, TypeAlias
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
@@ -72,9 +72,9 @@ class Comparison:
     def columns(self) -> list[str]:
         """Return the columns of the records, see `ms_highway.experiments.records.columns`."""
         scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
-        ladders = [(rung_names(self.config.get("ladder", one.ladder)), bool(one.streams)) for one in scenarios]
-        above = [name for names, several in ladders if several for name in names[1:]]
-        return columns([name for names, _ in ladders for name in names], above)
+        ladders = [rung_names(self.config.get("ladder", scenario.ladder)) for scenario in scenarios]
+        several = [names[1:] for scenario, names in zip(scenarios, ladders, strict=True) if scenario.streams]
+        return columns(chain(*ladders), chain(*several) if several else None)
 
 
 def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:

@@ -22,7 +22,7 @@ FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
 LARGEST = 1e38  # number, in single precision
 
 
-def columns(rungs: Iterable[str] = (), above: Iterable[str] = ()) -> list[str]:
+def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> list[str]:
     """Return the columns of a record of steps.
 
     ``counted_seconds`` is T of the step's plan as decisions count it; a gain, of which every known human model and
@@ -33,14 +33,14 @@ def columns(rungs: Iterable[str] = (), above: Iterable[str] = ()) -> list[str]:
 
     Args:
         rungs: names of the models on ladders, which may have efforts.
-        above: of those above the first, where there are several humans.
+        above: of those above the first, where there are several humans; otherwise None.
     """
     planning, decision, compiling = MEASURED
     gains = [gain_column(name) for name in known_models(rungs)]
     states = [name for car in CARS for name in state_columns(car)]
     steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
-    counts = list(dict.fromkeys(map(count_column, above)))
-    return [*KEYS, *steps, *gains, *states, *counts, *(["success"] if counts else [])]
+    several = [] if above is None else [*dict.fromkeys(map(count_column, above)), "success"]
+    return [*KEYS, *steps, *gains, *states, *several]
 
 
 def gain_column(model: str) -> str:

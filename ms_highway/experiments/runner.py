@@ -262,7 +262,7 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
     rungs = [model.name for model in inner.settings.models]
-    wanted = columns(rungs, rungs[1:] if inner.scenario.streams else ())
+    wanted = columns(rungs, rungs[1:] if inner.scenario.streams else None)
     for step in count():
         _, reward, terminated, truncated, info = env.step(0)
         values = {**info, **asdict(info["timing"])}
