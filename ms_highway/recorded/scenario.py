@@ -124,7 +124,7 @@ class Problem(msgspec.Struct, frozen=True):
     goals: tuple[GoalRegion, ...]
 
 
-class TrafficRecording(msgspec.Struct, frozen=True):
+class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
     """A recording of traffic.
 
     Attributes:
@@ -144,6 +144,9 @@ class TrafficRecording(msgspec.Struct, frozen=True):
     tracks: tuple[RecordedTrack, ...]
     obstacles: tuple[Obstacle, ...] = ()
     problems: tuple[Problem, ...] = ()
+
+    def __deepcopy__(self, memo: object) -> "TrafficRecording":
+        return self  # what never changes is shared by copies of environments
 
     def track(self, number: int) -> RecordedTrack | None:
         """Return the track with a number, None without one."""
