@@ -168,7 +168,7 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
         shown += limits[sign]
     sides = [element.find(tag) for tag in ("adjacentLeft", "adjacentRight")]
     beside = [None if side is None else attribute(side, "ref") for side in sides]
-    same_way = [None if side is None else side.get("drivingDir") == "same" for side in sides]
+    opposite = [side for side in sides if side is not None and side.get("drivingDir") != "same"]
     lanelet = Lanelet(
         number=identity,
         left=left,
@@ -176,7 +176,7 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
         before=references(element, "predecessor"),
         after=references(element, "successor"),
         beside=(beside[0], beside[1]),
-        same_way=(same_way[0], same_way[1]),
+        opposite=tuple(attribute(side, "ref") for side in opposite),
         limit=min(shown, default=None),
     )
     return lanelet, {(kind.text or "").strip() for kind in element.iterfind("laneletType")}

@@ -115,7 +115,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         vehicle = sized(self.action_type.vehicle_class(road, position, heading=heading, speed=speed), task.size)
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
-        self.scenario, self.task, self.road, self.axes, self._straight = scenario, task, road, axes, straight
+        self.scenario, self.task, self.road, self.axes = scenario, task, road, axes
         self.goal, self.desired_speed = task.appointment(network, axes), max(speed, SLOWEST)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
         self._along = straight.along(vehicle)
@@ -128,9 +128,10 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     def _simulate(self, action: Any = None) -> None:
         """Let everybody act and move for a step, and judge where that has led the ego."""
         super()._simulate(action)
-        ego, along = self.vehicle, self._straight.along(self.vehicle)
+        ego, straight = self.vehicle, map_of(self.scenario).straight
+        along = straight.along(ego)
         self.progress, self._along = along - self._along, along
-        self.off_road |= not self._straight.covers(ego.polygon()[:-1])
+        self.off_road |= not straight.covers(ego.polygon()[:-1])
         orientation, point = float(self.axes.orientations(ego.heading)), self.axes.points(ego.position)
         reached = self.task.is_reached(self.road.now, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
@@ -153,6 +154,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         return self.road.now >= self.task.last
 
     def _info(self, obs: Any, action: Any = None) -> Config:
+        waiting = {track.number for track in self.road.waiting}
         return super()._info(obs, action) | {
             "is_success": self.success,
             "recorded": {
@@ -160,6 +162,6 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
                 "success": self.success,
                 "collision": bool(self.vehicle.crashed),
                 "off_road": self.off_road,
-                "waiting": np.array([track in self.road.waiting for track in self.scenario.tracks]),
+                "waiting": np.array([track.number in waiting for track in self.scenario.tracks]),
             },
         }

@@ -93,8 +93,10 @@ class LearnedRoad(DrivenRoad):
         """Let all vehicles decide what to do in the next step."""
         super().act()
         straight, traits, cars = map_of(self.recording).straight, traits_of(self.recording), self.vehicles
-        states, around = _empty(len(traits)), _surroundings(self.recording)
-        wishes, logarithms = Wishes(*np.zeros((3, len(states)))), np.zeros((len(states), 3))
+        around = _surroundings(self.recording)
+        count = len(around.sizes)
+        states, logarithms = np.full((count, 4), np.nan, np.float32), np.zeros((count, 3))
+        wishes = Wishes(*np.zeros((3, count)))
         poses = straight.poses_of(cars)
         states[: len(cars)] = straight.states(poses, np.array([car.speed for car in cars]))
         wishes.lane[: len(cars)] = straight.numbers[poses.lane]
@@ -136,7 +138,7 @@ def traits_of(recording: TrafficRecording) -> dict[int, Float[np.ndarray, "3"]]:
     """
     tracks, around, traits = recording.tracks, _surroundings(recording), dict[int, np.ndarray]()
     last = max(track.last for track in tracks)
-    states = _empty(len(tracks), PAST + last + 1)  # from 2 s before the first step on
+    states = np.full((PAST + last + 1, len(around.sizes), 4), np.nan, np.float32)  # from 2 s before the first step on
     for place, track in enumerate(tracks):
         around.sizes[place] = track.size
         states[PAST - SECOND + track.samples[:, 0].astype(int), place] = ways_of(recording)[track.number].states
@@ -156,15 +158,10 @@ def learned_drivers() -> Drivers:
     return drivers.bare
 
 
-def _empty(tracks: int, *times: int) -> Float[np.ndarray, "*times cars 4"]:
-    """Return states in which nobody is there, for all tracks and an ego."""
-    cars = tracks + 1
-    return np.full((*times, cars + -cars % ROOM, 4), np.nan, np.float32)
-
-
 def _surroundings(recording: TrafficRecording) -> Surroundings:
-    sizes = np.ones((len(_empty(len(recording.tracks))), 2))
-    return Surroundings(sizes, map_of(recording).straight.lane_width, SPEED_LIMIT)
+    """Return surroundings for all tracks and an ego, who have no sizes yet."""
+    cars = len(recording.tracks) + 1
+    return Surroundings(np.ones((cars + -cars % ROOM, 2)), map_of(recording).straight.lane_width, SPEED_LIMIT)
 
 
 def _drive(drivers: Drivers, around: Surroundings, traits: Any, wishes: Wishes, states: States) -> States:

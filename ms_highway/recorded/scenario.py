@@ -33,7 +33,7 @@ class Lanelet(msgspec.Struct, frozen=True):
         before: lanelets that lead to it.
         after: lanelets that it leads to.
         beside: the lanelets to its left and right, None without one.
-        same_way: whether traffic goes the same way on these, None without one.
+        opposite: those of them on which traffic goes the other way.
         limit: of speed [m/s], None without one.
     """
 
@@ -43,7 +43,7 @@ class Lanelet(msgspec.Struct, frozen=True):
     before: tuple[int, ...] = ()
     after: tuple[int, ...] = ()
     beside: tuple[int | None, int | None] = (None, None)
-    same_way: tuple[bool | None, bool | None] = (None, None)
+    opposite: tuple[int, ...] = ()
     limit: float | None = None
 
     @property

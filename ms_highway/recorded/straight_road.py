@@ -95,9 +95,9 @@ class StraightRoad:
         inside = np.zeros(len(points), bool)
         for lane in self.lanes:
             along, aside, _ = _poses(lane, points, np.zeros(len(points)))
-            before, after = (0.0 if more else ONWARD for more in (lane.preceding, lane.following()))
+            first, last = 0.0 if lane.preceding else -ONWARD, lane.length + (0.0 if lane.following() else ONWARD)
             widths = np.array([lane.shape.width_at(place) for place in along])
-            inside |= (-before <= along) & (along <= lane.length + after) & (np.abs(aside) <= widths / 2 + SEAM)
+            inside |= (first <= along) & (along <= last) & (np.abs(aside) <= widths / 2 + SEAM)
         return bool(inside.all())
 
     def moved(self, poses: LanePoses, car: int, step: Points, heading: float) -> tuple[Points, float]:

@@ -98,8 +98,9 @@ class RecordedRoad(Road):
 
     def recorded_state(self, track: RecordedTrack, step: int) -> tuple[np.ndarray, float, float]:
         """Return position, heading and speed at a step of a track, interpolated where it was not seen."""
-        *pose, speed = sampled(track, step)
-        return *self.axes.pose(*pose), float(speed)
+        times, x, y, orientation, speed = track.samples.T
+        *pose, now = (float(np.interp(step, times, part)) for part in (x, y, np.unwrap(orientation), speed))
+        return *self.axes.pose(*pose), now
 
     def make(self, track: RecordedTrack) -> Vehicle:
         """Return the vehicle of a track where it enters."""
@@ -159,12 +160,6 @@ def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
     item.LENGTH, item.WIDTH = map(float, size)
     item.diagonal = float(np.hypot(*size))
     return item
-
-
-def sampled(track: RecordedTrack, step: float) -> np.ndarray:
-    """Return x, y, orientation and speed of a track at a step, interpolated where it was not seen."""
-    times, x, y, orientation, speed = track.samples.T
-    return np.array([np.interp(step, times, part) for part in (x, y, np.unwrap(orientation), speed)])
 
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:

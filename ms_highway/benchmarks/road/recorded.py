@@ -12,7 +12,7 @@ from ms_highway.recorded.environment import RecordedEnv
 from ms_highway.recorded.learned_traffic import ways_of
 from ms_highway.recorded.scenario import SHIPPED, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import map_of
-from ms_highway.recorded.traffic import GuidedVehicle, sampled
+from ms_highway.recorded.traffic import GuidedVehicle
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
@@ -101,10 +101,8 @@ class Human(Peer):
 
     def choose(self) -> Any:
         """Give the ego the recorded state at the end of the step."""
-        env, last = self.inner, int(self._track.samples[-1, 0])
-        step = env.road.now + 1
-        x, y, orientation, speed = sampled(self._track, step)
-        beyond = TIME_STEP * max(step - last, 0) * speed
-        x, y = x + beyond * np.cos(orientation), y + beyond * np.sin(orientation)
-        self._ego.coming = *env.axes.pose(x, y, orientation), float(speed)
+        road, last = self.inner.road, int(self._track.samples[-1, 0])
+        position, heading, speed = road.recorded_state(self._track, road.now + 1)
+        beyond = TIME_STEP * max(road.now + 1 - last, 0) * speed
+        self._ego.coming = position + beyond * np.array([np.cos(heading), np.sin(heading)]), heading, speed
         return super().choose()
