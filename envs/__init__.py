@@ -9,7 +9,8 @@ stands below it.
 import sys
 from typing import cast
 
-from gymnasium.envs.registration import EnvCreator, register, registry
+import gymnasium
+from gymnasium.envs.registration import EnvCreator
 
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
@@ -81,8 +82,8 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         raise ValueError(f"a scenario cannot be called {name!r}; choose one word in lower case other than {others}")
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
-    registry.pop(bare_id, None)
+    gymnasium.registry.pop(bare_id, None)
     module, word = environment.__module__, environment.__qualname__
     stands = getattr(sys.modules.get(module), word, None) is environment
-    register(bare_id, entry_point=f"{module}:{word}" if stands else cast(EnvCreator, environment))
+    gymnasium.register(bare_id, entry_point=f"{module}:{word}" if stands else cast(EnvCreator, environment))
     return environment_id(name)

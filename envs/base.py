@@ -10,11 +10,11 @@ from highway_env.road.road import Road
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
+from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
+from ms_highway.envs.registry import controller_config, controller_settings
 from ms_highway.envs.settings import Settings
-from ms_highway.envs.short_names import controller_config, named_controller
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
-from ms_highway.envs.stage import Cone, StageEnv, Timing, straight_road
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
@@ -26,7 +26,7 @@ from ms_highway.runtime.arrays import HumansWeights, State
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
 
-class InteractionEnv(StageEnv):
+class InteractionEnv(GameEnv):
     """A robot among human drivers, on the stage of a `ms_highway.game.scenario.Scenario`.
 
     Every human plans for its own reward and believes that all others keep their velocity, the robot too. In scenarios
@@ -52,7 +52,7 @@ class InteractionEnv(StageEnv):
       "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
       repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
       them have short names, such as ``"tom"`` or ``"learned:1"``, which may be given instead, see
-      `ms_highway.envs.short_names.controller_config`; `ms_highway.add_rule` adds more.
+      `ms_highway.envs.registry.controller_config`; `ms_highway.add_rule` adds more.
       Any of them with ``"belief": True`` infers from what a human does which model predicts it
       (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm``, or ``"best"``, see
@@ -154,7 +154,7 @@ class InteractionEnv(StageEnv):
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
-        """See `StageEnv.checked_config`; ladder and controller are spelt out, and an autopilot's fit each other."""
+        """See `GameEnv.checked_config`; ladder and controller are spelt out, and an autopilot's fit each other."""
         config = super().checked_config(changes, config)
         if isinstance(config["controller"], str):
             config["controller"] = controller_config(config["controller"])
@@ -223,7 +223,7 @@ class InteractionEnv(StageEnv):
 
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs if they are yet to be measured."""
-        settings, controller = self.settings, named_controller(self.config["controller"])
+        settings, controller = self.settings, controller_settings(self.config["controller"])
         start = settings.start(self._costs or settings.known_costs, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)

@@ -14,7 +14,6 @@ from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction,
 from highway_env.envs.common.observation import observation_factory
 
 from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
-from ms_highway.envs.graphics import Viewer, enable_pictures
 from ms_highway.envs.spaces import (
     SPEED_RANGE,
     Autopilot,
@@ -25,6 +24,7 @@ from ms_highway.envs.spaces import (
     finite,
     limit_speed,
 )
+from ms_highway.envs.viewer import Viewer, enable_pictures
 
 OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, TupleObservation)
 OWN_TYPES = {kind.__name__: kind for kind in OWN}

@@ -1,35 +1,31 @@
-"""The controllers of a robot: their configurations by type; for short names see `ms_highway.envs.short_names`."""
+"""Define what the configuration of a controller says, and read that of orders, whose models are known beforehand.
 
-from collections.abc import Mapping
-from dataclasses import replace
+`ms_highway.envs.rules` has the controllers that choose online, `ms_highway.envs.registry` all by type and short name.
+"""
+
+from contextlib import suppress
 from math import nan
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, get_args, get_origin
 
 import numpy as np
-from msgspec import Meta, Struct, field
+from msgspec import Meta, Struct, ValidationError, convert
+from msgspec.structs import FieldInfo, fields
 
-from ms_highway.choice.budget import Budget, OneStepGains
-from ms_highway.choice.nearest import Nearest
-from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
-from ms_highway.choice.rule import NEVER, Order
-from ms_highway.choice.values import SHIPPED_VALUES, load_values
-from ms_highway.envs.configuration import NotNegative, Positive, read
+from ms_highway.choice.rule import Order
+from ms_highway.envs.configuration import Config, NotNegative
 from ms_highway.game.scenario import Semantics
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
-from ms_highway.runtime import retired
 
 PLACE = "config['controller']"
-ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
+MOST_DIGITS = 5  # of a number of steps in a short name
 
 Models = Annotated[tuple[str, ...], Meta(min_length=1, description="give a list of human models")]
 Shares = Annotated[
     dict[str, NotNegative],
     Meta(min_length=1, description="give the share of each model, such as {'naive': 0.7, 'tom': 0.3}"),
 ]
-Cooldown = Annotated[int, Meta(ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}")]
-File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
 
 
 class Start(NamedTuple):
@@ -59,11 +55,55 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         belief: whether it infers which model predicts each human, see `ms_highway.choice.belief`.
         quantile: of planning times, by which costs are measured.
         chooses: whether a rule chooses from the ladder.
+        example: of the second part of its short name, such as ``0.1``; empty where it follows from the fields, see
+            `short_name`.
     """
 
     quantile: ClassVar[float] = 0.5
     chooses: ClassVar[bool] = True
+    example: ClassVar[str] = ""
     belief: bool = False
+
+    @classmethod
+    def own_fields(cls) -> list[FieldInfo]:
+        """Return the fields that not all controllers have."""
+        return [each for each in fields(cls) if each.name != "belief"]
+
+    @classmethod
+    def short_name(cls) -> str:
+        """Return an example of its short name, empty where it has none.
+
+        It is ``near:6`` where the first field is a number or a text and no other one is required, and ``near`` where no
+        field is.
+        """
+        tag, own = str(cls.__struct_config__.tag), cls.own_fields()
+        if cls.example:
+            return f"{tag}:{cls.example}"
+        if own and not any(each.required for each in own[1:]):
+            with suppress(ValidationError):
+                _parsed("1", own[0])
+                return f"{tag}:1"
+        return "" if any(each.required for each in own) else tag
+
+    @classmethod
+    def has_price(cls) -> bool:
+        """Return whether its short name ends in a lambda, at which its rule chooses."""
+        return ":" in cls.short_name() and cls.own_fields()[0].encode_name == "lambda"
+
+    @classmethod
+    def parse(cls, text: str) -> Config:
+        """Return the configuration that the second part of a short name says, such as ``0.1`` of ``learned:0.1``.
+
+        Raises:
+            ValueError: if it cannot be read.
+        """
+        own = cls.own_fields()
+        if not text and not any(each.required for each in own):
+            return {}
+        value, _, values = text.partition(":")
+        if ":" not in cls.short_name() or not value or value != value.strip():
+            raise ValueError  # the name would have spaces or line breaks, in files too
+        return {own[0].encode_name: _parsed(value, own[0])} | ({"values": values} if values else {})
 
     @property
     def price(self) -> float:
@@ -84,10 +124,20 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         raise NotImplementedError
 
 
+def _parsed(text: str, of: FieldInfo) -> Any:
+    """Return a text as a field's type says, whatever its limits."""
+    return convert(text, get_args(of.type)[0] if get_origin(of.type) is Annotated else of.type, strict=False)
+
+
 class OrderSettings(ControllerSettings, frozen=True):
-    """Plans each step with models that are known when the episode starts."""
+    """Plans each step with models that are known when the episode starts.
+
+    Attributes:
+        fixed: whether they are the same in every episode, step by step.
+    """
 
     chooses: ClassVar[bool] = False
+    fixed: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for name in self.names():
@@ -110,6 +160,11 @@ class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
 
     model: str
 
+    @classmethod
+    def short_name(cls) -> str:
+        """Return none: its short names are those of the models."""
+        return ""
+
     def names(self) -> tuple[str, ...]:
         """See `ControllerSettings.names`."""
         return (self.model,)
@@ -118,7 +173,13 @@ class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
 class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
     """A model per step, the last one is kept; ``tom/naive`` stands for a model of each human."""
 
+    example = "tom=6,naive"
     models: Models
+
+    @classmethod
+    def parse(cls, text: str) -> Config:
+        """See `ControllerSettings.parse`; the last model has no number of steps."""
+        return {"models": _repeated(text + "=1")}
 
     def names(self) -> tuple[str, ...]:
         """See `ControllerSettings.names`."""
@@ -137,8 +198,27 @@ class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
         return np.array([row * (humans // len(row)) for row in rows])
 
 
+def _repeated(text: str) -> list[str]:
+    """Return a model per step of a text such as ``tom=6,naive=1``.
+
+    Raises:
+        ValueError: if it is none.
+    """
+    pairs = [part.split("=") for part in text.split(",")]
+    if any(len(steps) > MOST_DIGITS for _, steps in pairs):
+        raise ValueError
+    return [name for name, steps in pairs for _ in range(int(steps))]
+
+
 class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
     """A model per step, repeated to the end of the episode."""
+
+    example = "tom=1,naive=3"
+
+    @classmethod
+    def parse(cls, text: str) -> Config:
+        """See `ControllerSettings.parse`."""
+        return {"models": _repeated(text)}
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
         """See `OrderSettings.table`."""
@@ -148,7 +228,15 @@ class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
 class RandomSettings(OrderSettings, frozen=True, tag="random"):
     """A model for every human and step, drawn when the episode starts."""
 
+    example = "naive=0.7,tom=0.3"
+    fixed = False
     shares: Shares
+
+    @classmethod
+    def parse(cls, text: str) -> Config:
+        """See `ControllerSettings.parse`."""
+        pairs = [part.split("=") for part in text.split(",")]
+        return {"shares": {name: float(share) for name, share in pairs}}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -164,122 +252,3 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
         """See `OrderSettings.table`."""
         shares = np.array([self.shares[name] for name in self.names()])
         return random.choice(self.names(), size=(steps, humans), p=shares / shares.sum())
-
-
-class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
-    """Algorithm 1 chooses from the ladder, at a price per second of planning; see `Quadratic` for its numbers."""
-
-    price: NotNegative = field(name="lambda")
-    cooldown: Cooldown = Quadratic.cooldown
-    trust_radius: Positive = Quadratic.trust_radius
-    horizon_steps: ClassVar[int | None] = 1
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
-        numbers = self.trust_radius, tolerance, self.cooldown, self.horizon_steps
-        return Quadratic(start.costs, self.price, start.ladder, *numbers)
-
-
-class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):
-    """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
-
-    horizon_steps = None
-
-
-class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
-    """A learned value of computation chooses, at a price per second of planning.
-
-    Attributes:
-        values: ``"shipped"`` or a file of `ms_highway.choice.values`; ``""`` and None mean shipped.
-    """
-
-    price: NotNegative = field(name="lambda")
-    values: File = None
-
-    def __post_init__(self) -> None:
-        load_values(self.values or SHIPPED_VALUES)
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        return _learned(self.values, start, self.price)
-
-
-def _learned(values: str | None, start: Start, price: float) -> Any:
-    return load_values(values or SHIPPED_VALUES, start.humans).rule(start.ladder, start.costs, price)
-
-
-class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
-    """What gains most within the time of a cycle.
-
-    Attributes:
-        milliseconds: of a cycle, decision and plan.
-        values: that tell the gains: ``"one_step"`` for those of Algorithm 1, or what `LearnedSettings` takes.
-    """
-
-    quantile: ClassVar[float] = 0.99
-    milliseconds: Positive
-    values: File = None
-
-    def __post_init__(self) -> None:
-        if self.values != ONE_STEP:
-            load_values(self.values or SHIPPED_VALUES)
-
-    @property
-    def budget(self) -> float:
-        """See `ControllerSettings`."""
-        return self.milliseconds * 1e-3
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        if self.values == ONE_STEP:
-            gains: Any = OneStepGains(Quadratic(start.costs, 0.0, start.ladder))
-        else:
-            gains = replace(_learned(self.values, start, 0.0), cautious=False)
-        return Budget(gains, start.costs, self.budget)
-
-
-class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
-    """The top rung for the nearest humans, and the first for all others."""
-
-    count: Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        return Nearest(self.count, start.ladder)
-
-
-CONTROLLERS: dict[Any, type[ControllerSettings]] = {
-    kind.__struct_config__.tag: kind
-    for kind in (
-        SwitchingSettings,
-        HorizonSettings,
-        LearnedSettings,
-        BudgetSettings,
-        NearestSettings,
-        FixedSettings,
-        ScheduleSettings,
-        PeriodSettings,
-        RandomSettings,
-    )
-}
-"""The controllers by type."""
-
-CHOOSING = ["switching", "horizon", "learned"]
-"""Types of the controllers that choose models online, by a rule at a lambda."""
-
-FIXED_ORDERS = ("fixed", "schedule", "period")
-"""Types of the controllers whose models are the same in every episode, step by step."""
-
-
-def controller_settings(config: Any) -> Any:
-    """Return the `ControllerSettings` of a controller's configuration.
-
-    Raises:
-        ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
-    """
-    kind = config.get("type") if isinstance(config, Mapping) else None
-    if kind not in list(CONTROLLERS):
-        gone = retired.replacement(retired.CONTROLLERS, str(kind))
-        raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
-    return read(CONTROLLERS[kind], PLACE, config)

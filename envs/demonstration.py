@@ -9,7 +9,7 @@ from highway_env.road.road import Road
 from msgspec import Struct
 
 from ms_highway.envs.configuration import RANGES, Config, Positive
-from ms_highway.envs.stage import StageEnv, straight_road
+from ms_highway.envs.game_env import GameEnv, straight_road
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import (
     CAR_SIZE,
@@ -69,7 +69,7 @@ class DemonstrationSettings(Struct, frozen=True):
     duration: Positive
 
 
-class DemonstrationEnv(StageEnv):
+class DemonstrationEnv(GameEnv):
     """A car to drive along a road of three lanes, among cars on routes that nothing changes.
 
     Configuration, beside highway-env's own, of which changes act from the next reset on:

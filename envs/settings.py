@@ -10,7 +10,7 @@ from msgspec.structs import force_setattr
 from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
 from ms_highway.envs.controllers import ControllerSettings, Start
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
@@ -65,7 +65,7 @@ class Settings(Struct, frozen=True):
 
     def __post_init__(self) -> None:
         if not isinstance(self.controller, ControllerSettings):  # as it is in copies
-            force_setattr(self, "controller", named_controller(self.controller))
+            force_setattr(self, "controller", controller_settings(self.controller))
         horizon, time_step, chosen = self.horizon, self.time_step, gradient_steps(self.planning)[0]
         if chosen > MOST_ITERATIONS:
             why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"

@@ -29,7 +29,7 @@ from .envs import SCENARIOS as SCENARIOS
 from .envs import add_scenario as add_scenario
 from .envs.base import InteractionEnv as InteractionEnv
 from .envs.controllers import ControllerSettings as ControllerSettings
-from .envs.short_names import add_rule as add_rule
+from .envs.registry import add_rule as add_rule
 from .envs.spaces import Autopilot as Autopilot
 from .game.game import Game as Game
 from .game.reward import add_feature as add_feature

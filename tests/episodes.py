@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 
 from ms_highway.envs import environment_id
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config
 
 TWO = {"humans": 2, "horizon": 5, "costs": "published"}  # a small scene with several humans
 

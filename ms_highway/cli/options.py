@@ -220,7 +220,7 @@ def comparison(
         ValueError: naming what cannot be compared.
     """
     from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
-    from ms_highway.envs.controllers import CHOOSING
+    from ms_highway.envs.registry import priced_types
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.planning.human_models import rung_names
 
@@ -232,7 +232,7 @@ def comparison(
         if always or not options.controllers:
             given = [*rung_names(config.get("ladder", scenario.ladder)), *given, *always]
         several = list(chain(*(options.lambdas or [scenario.prices])))
-        kinds = {kind: prices if kind == "learned" and prices else several for kind in CHOOSING}
+        kinds = {kind: prices if kind == "learned" and prices else several for kind in priced_types()}
         named = ([f"{kind}:{price:g}" for price in kinds[kind]] if kind in kinds else [kind] for kind in given)
         controllers[name] = list(dict.fromkeys(chain(*named)))
     asked = Comparison(controllers, options.seeds, options.first_seed, config)

@@ -22,8 +22,8 @@ from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings
+from ms_highway.envs.registry import controller_settings
 from ms_highway.envs.settings import Settings
-from ms_highway.envs.short_names import named_controller
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import (
     CARS,
@@ -135,7 +135,7 @@ class Batch:
 
     def settings(self, controller: str) -> ControllerSettings:
         """Return the settings of a controller of the comparison, or of an order of its models by any short name."""
-        return self.controllers.get(controller) or named_controller(controller)
+        return self.controllers.get(controller) or controller_settings(controller)
 
     def _kind(self, controller: str) -> tuple[ControllerSettings | None, bool]:
         """Return what controllers have in common that are simulated together: no rule, or one at any lambda."""

@@ -6,8 +6,8 @@ from itertools import product
 from typing import Any
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS
-from ms_highway.envs.short_names import controller_config
 from ms_highway.experiments.records import columns
 from ms_highway.planning.human_models import rung_names
 

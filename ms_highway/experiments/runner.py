@@ -14,7 +14,7 @@ import pandas as pd
 
 from ms_highway.envs import environment_id
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.comparison import Comparison, episode_steps
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns, whole_steps
@@ -28,7 +28,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 
     Args:
         scenario: its name.
-        controller: short name of the controller, see `ms_highway.envs.short_names.controller_config`.
+        controller: short name of the controller, see `ms_highway.envs.registry.controller_config`.
         render: whether to render ``rgb_array`` frames.
         config: further configuration of the environment.
 

@@ -32,7 +32,7 @@ from ms_highway.loop.step import (
 )
 from ms_highway.loop.yielding import unmoved_control
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.plans import Plan, cold_start, may_continue
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import (
@@ -184,7 +184,7 @@ def _plan(loop: Loop, own: _Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
     def planned(models: tuple[HumanModel, ...], own: _Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
         game, used = own.robots(loop.game), rungs if len(models) > 1 else jnp.zeros_like(rungs)
         start = cold_start(game, seen)
-        if game.planner.persistent or any(model.warm for model in models):
+        if may_continue(models, game):
             left = continues_plan(models, game, used, rest)
             start = jax.tree.map(lambda new, cold: jnp.where(left, new, cold), remaining_plan(rest), start)
         return plan_for(models, game, seen, rungs, start)

@@ -73,7 +73,8 @@ class Driver:
         if rule.ladder != last.ladder:
             new, old = (" ".join(model.name for model in each.ladder) for each in (rule, last))
             raise ValueError(f"the rule is on the ladder {new}, and the driver on {old}; make a new driver")
-        self._rule, self._unresponsive, self._placed = rule, unresponsive, Placed((rule, single(self.game)))
+        self._rule, self._unresponsive = rule, unresponsive
+        self._place()
         if last.estimates or rule.estimates:
             self._warm = False
 
@@ -89,8 +90,12 @@ class Driver:
 
     def _prepare(self) -> None:
         self._plans = CompiledPlans(self.game, self.rule.ladder)
-        self._placed = Placed((self.rule, single(self.game)))
+        self._place()
         self._warm = False
+
+    def _place(self) -> None:
+        """Hold the numbers that decisions take."""
+        self._placed = Placed((self.rule, single(self.game)))
 
     @property
     def looks_back(self) -> bool:
@@ -161,7 +166,8 @@ class Driver:
             seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
             rule, measuring = timed(self.rule.deciding_in, lambda: self._deciding_seconds(state))
             if rule is not self._rule:
-                self._rule, self._placed, seconds = rule, Placed((rule, single(self.game))), seconds + measuring
+                self._rule, seconds = rule, seconds + measuring
+                self._place()
         return seconds
 
     def _deciding_seconds(self, state: State) -> float:

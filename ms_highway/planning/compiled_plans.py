@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ms_highway.game.game import Game
 from ms_highway.planning.human_models import HumanModel, human_model
-from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.plans import Plan, cold_start, may_continue
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import Escape, keep_way_out
 from ms_highway.runtime.arrays import Array, Control, Rungs, Scalar, State
@@ -49,7 +49,7 @@ class CompiledPlans:
     def __init__(self, game: Game, ladder: Sequence[HumanModel]) -> None:
         self.game, self.ladder = game, tuple(ladder)
         self._placed = Placed(single(game))
-        self._goes_on = game.planner.persistent or any(model.warm for model in self.ladder)
+        self._continues = may_continue(self.ladder, game)
 
     def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Plan, float]:
         """Return the scaled plan in a `checked_state`, in NumPy arrays, and the seconds that it took.
@@ -65,7 +65,7 @@ class CompiledPlans:
 
     def call(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple:
         """Return the compiled function of a plan, see `plan_function`, and its arguments."""
-        if start is None and self._goes_on:  # compiled once, with a start
+        if start is None and self._continues:  # compiled once, with a start
             start = cold_start(self.game, np.asarray(state))
         several = self.game.number > 1
         models = self.ladder if several else (self.ladder[int(rungs[0])],)

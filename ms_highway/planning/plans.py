@@ -1,7 +1,8 @@
 """Make plans: where they start from, against predicted humans, within limits."""
 
+from collections.abc import Iterable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -60,6 +61,11 @@ def cold_start(game: Game, state: State) -> Plan:
     else:
         controls = np.zeros((cars, game.planner.horizon, 2), np.float32)
     return Plan(controls[0], controls[1:])
+
+
+def may_continue(models: Iterable[Any], game: Game) -> bool:
+    """Return whether plans under these human models may start from what is left of the last plan."""
+    return game.planner.persistent or any(model.warm for model in models)
 
 
 def driving(game: Game, car: Car, others: Trajectories) -> Objective:

@@ -19,8 +19,8 @@ from highway_env.envs.common.action import (
 )
 
 from ms_highway.envs.configuration import as_json
-from ms_highway.envs.graphics import enable_pictures
-from ms_highway.envs.stage import StageEnv
+from ms_highway.envs.game_env import GameEnv
+from ms_highway.envs.viewer import enable_pictures
 from ms_highway.road.appointment import destination_for
 from ms_highway.road.constants import MODELS, RoadWeights
 from ms_highway.road.driver import RoadDriver
@@ -85,7 +85,7 @@ def check_drivable(env: Any) -> None:
         reason = "has no road to follow"
     elif isinstance(base, LaneKeepingEnv):
         reason = "observes the inner state of its own vehicle"
-    elif not isinstance(base, AbstractEnv) or isinstance(base, StageEnv):
+    elif not isinstance(base, AbstractEnv) or isinstance(base, GameEnv):
         reason = "is none of highway-env's own environments"
     if reason:
         raise ValueError(f"{name} {reason}; the robot drives {WORKS}")

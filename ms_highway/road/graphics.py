@@ -8,7 +8,7 @@ import numpy as np
 import pygame
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.envs.graphics import INK, PAPER, Viewer, model_color, words
+from ms_highway.envs.viewer import INK, PAPER, Viewer, model_color, words
 from ms_highway.road.constants import MODELS
 from ms_highway.road.driver import RoadStep
 

@@ -6,9 +6,8 @@ from typing import Literal
 
 from matplotlib.axes import Axes
 
-from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.graphics import model_color
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config, priced_types
+from ms_highway.envs.viewer import model_color
 from ms_highway.planning.human_models import is_model
 
 SHADES = {
@@ -33,7 +32,7 @@ def controller_colors(controllers: Iterable[str]) -> list[str]:
     colors, left = [], dict[str, Iterator[str]]()
     for name in controllers:
         kind = controller_config(name)["type"]
-        shades = left.setdefault(kind, cycle(choosing_shades(kind if kind in CHOOSING else "switching")))
+        shades = left.setdefault(kind, cycle(choosing_shades(kind if kind in priced_types() else "switching")))
         colors.append(color_of(name) if is_model(name) else next(shades))
     return colors
 

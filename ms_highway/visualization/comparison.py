@@ -7,9 +7,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from rich.table import Table
 
-from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.graphics import model_color
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config, priced_types
+from ms_highway.envs.viewer import model_color
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
@@ -118,7 +117,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     rows = records.query("scenario == @scenario")
     rows = rows.assign(ms=1e3 * (rows["planning_seconds"] + rows["decision_seconds"]))
     episodes = dict(iter(rows.groupby("controller", sort=False)))
-    choosing = [name for name in episodes if controller_config(name)["type"] in CHOOSING]
+    choosing = [name for name in episodes if controller_config(name)["type"] in priced_types()]
     heights = [2.5] + [1] * len(choosing)
     figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
     above, *panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]

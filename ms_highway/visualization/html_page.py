@@ -8,7 +8,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from ms_highway.envs.graphics import model_meaning
+from ms_highway.envs.viewer import model_meaning
 from ms_highway.experiments.analysis.findings import answer
 from ms_highway.experiments.analysis.selection import most_informative_pair
 from ms_highway.experiments.records import common_seeds, models_of, share_column

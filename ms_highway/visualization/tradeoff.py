@@ -5,8 +5,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.registry import controller_settings, fixed_order_types, priced_types
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import choosing_shades, color_of, light_grid
 from ms_highway.visualization.comparison import episode_count, whiskers
@@ -32,7 +31,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     figure = Figure(figsize=(4 + 3 * len(measures), 4.4), layout="constrained")
     panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
     for axes, (measure, label) in zip(panels, measures.items(), strict=True):
-        orders = rows[rows["kind"].isin(FIXED_ORDERS)].sort_values(measure)
+        orders = rows[rows["kind"].isin(fixed_order_types())].sort_values(measure)
         if (orders["kind"] != "fixed").any():
             best = {"linestyle": "--", "drawstyle": "steps-post", "label": "best fixed schedules"}
             axes.plot(orders[measure], orders["reward"], ".", color=SCHEDULE_COLOR, markersize=5)
@@ -64,7 +63,7 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     axes, label = figure.subplots(), "best order of each start"
     axes.plot(orders["counted_ms"], orders["reward"], ".", color=SCHEDULE_COLOR, label="orders for all starts")
     axes.plot(found["counted_ms"], found["reward"], "D-", color=FRONTIER_COLOR, label=label)
-    prices = [named_controller(name).price for name in others["controller"]]
+    prices = [controller_settings(name).price for name in others["controller"]]
     _draw(axes, others.assign(price=prices), "counted_ms")
     axes.set(xlabel=COUNTED, ylabel="reward per step")
     figure.suptitle(f"{title(scenario)}: the best orders of models, {starts} starts")
@@ -81,7 +80,7 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
         reward, errors = own["reward"], whiskers(own)
         axes.errorbar(own[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)
 
-    online = rows[rows["kind"].isin(CHOOSING)].sort_values("price")
+    online = rows[rows["kind"].isin(priced_types())].sort_values("price")
     names = online["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)  # with the file of values, if any
     for name, own in online.groupby(names):
         points(own, "o-", choosing_shades(own["kind"].iloc[0])[-1], f"{name}, by lambda")

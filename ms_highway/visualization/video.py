@@ -12,7 +12,8 @@ import pygame
 from jaxtyping import UInt8
 from PIL import Image
 
-from ms_highway.envs.graphics import INK, MARGIN, PAPER, model_color, words
+from ms_highway.envs.graphics import MARGIN
+from ms_highway.envs.viewer import INK, PAPER, model_color, words
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing

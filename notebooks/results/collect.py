@@ -14,7 +14,7 @@ from pathlib import Path
 import pandas as pd
 
 from ms_highway.benchmarks.road import DRIVERS, OTHER_SCENES, SCENES
-from ms_highway.envs.controllers import FIXED_ORDERS
+from ms_highway.envs.registry import fixed_order_types
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.visualization.html_page import results_table
@@ -150,7 +150,7 @@ def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
             {"scenario": scenario, "price": f"{price:g}"}
             | {"best found": f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}"}
             | {model: regret.get(model, "") for model in ("naive", "turn", "tom")}
-            | {"best order for all starts": regret[own.loc[own["kind"].isin(FIXED_ORDERS), "regret"].idxmin()]}
+            | {"best order for all starts": regret[own.loc[own["kind"].isin(fixed_order_types()), "regret"].idxmin()]}
             | {
                 f"{kind}, best lambda": f"{regret[best]} ({best.removeprefix(f'{kind}:')})"
                 for kind in ("switching", "horizon")

@@ -12,8 +12,7 @@ from commands import run
 
 from ms_highway.cli.main import main
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
-from ms_highway.envs.controllers import CONTROLLERS
-from ms_highway.envs.short_names import SHORT_NAMES
+from ms_highway.envs.registry import CONTROLLERS
 from ms_highway.planning.human_models import MODELS
 
 NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
@@ -129,7 +128,7 @@ def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(tmp_path
     try:
         run(f"--import notebooks.examples.rule sweep {asked} --seeds 2 --out {tmp_path}")
     finally:
-        del MODELS["coasting"], CONTROLLERS["near"], SHORT_NAMES["near"]
+        del MODELS["coasting"], CONTROLLERS["near"]
     summary = pd.read_csv(tmp_path / "summary.csv").set_index("controller")
     assert summary["kind"]["near:6"] == "near"
     assert 0 < summary["share_tom"]["near:6"] < 1

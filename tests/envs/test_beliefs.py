@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from episodes import TWO, drive, make
 
-from ms_highway.envs.graphics import TEXT_WIDTH, model_color
+from ms_highway.envs.graphics import TEXT_WIDTH
+from ms_highway.envs.viewer import model_color
 
 NAIVE, IDM, TURN, TOM = range(4)
 SEED = 3

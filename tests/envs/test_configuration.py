@@ -17,13 +17,13 @@ from ms_highway.envs import (
     DemonstrationEnv,
     MergerEnv,
     add_scenario,
-    controllers,
     environment_id,
-    short_names,
+    registry,
 )
 from ms_highway.envs.configuration import as_json
-from ms_highway.envs.controllers import ControllerSettings, SwitchingSettings
-from ms_highway.envs.short_names import add_rule, controller_config, named_controller
+from ms_highway.envs.controllers import ControllerSettings
+from ms_highway.envs.registry import add_rule, controller_config, controller_settings
+from ms_highway.envs.rules import SwitchingSettings
 
 PAIR, SEVERAL = "merger", "dense_merge"
 NAN_MODEL = {"type": "fixed", "model": "naive"}
@@ -231,7 +231,7 @@ def test_cooldown_and_trust_radius_are_those_of_the_rule():
 )
 def test_a_short_name_stands_for_a_configuration(text, config):
     assert controller_config(text) == config
-    assert named_controller(text).belief == ("belief" in config)
+    assert controller_settings(text).belief == ("belief" in config)
 
 
 @pytest.mark.parametrize(
@@ -330,10 +330,8 @@ class Dear(SwitchingSettings, tag="dear"):
 
 @pytest.fixture
 def rules(monkeypatch):
-    """Tables of rules to which some may be added."""
-    for name in ("CONTROLLERS", "SHORT_NAMES", "CHOOSING"):
-        monkeypatch.setattr(short_names, name, getattr(short_names, name).copy())
-    monkeypatch.setattr(controllers, "CONTROLLERS", short_names.CONTROLLERS)
+    """A table of rules to which some may be added."""
+    monkeypatch.setattr(registry, "CONTROLLERS", registry.CONTROLLERS.copy())
 
 
 @pytest.mark.usefixtures("rules")
@@ -342,12 +340,12 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
         add_rule(rule)
     assert controller_config("plain+belief") == {"type": "plain", "belief": True}
     assert controller_config("dear:0.3") == {"type": "dear", "lambda": 0.3}
-    assert [*controllers.CHOOSING, "dear"] == short_names.CHOOSING
-    for wrong, example in (("plain:1", "plain"), ("dear", "dear:1")):
+    assert registry.priced_types() == ["switching", "horizon", "learned", "dear"]
+    for wrong, example in (("plain:1", "plain"), ("dear", "dear:0.1")):
         with pytest.raises(ValueError, match=f"cannot be read; write it like {example}$"):
             controller_config(wrong)
     add_rule(type("Rule", (Plain,), {}, tag="dear"))
-    assert controllers.CHOOSING == short_names.CHOOSING
+    assert registry.priced_types() == ["switching", "horizon", "learned"]
 
 
 @pytest.mark.usefixtures("rules")

@@ -11,7 +11,8 @@ from episodes import make
 
 from ms_highway import drive
 from ms_highway.cli.main import main
-from ms_highway.envs.graphics import ASPHALT, CONE, GROUND, INK, MEDIUM, MODEL_COLORS, PAPER, TEXT_WIDTH, words
+from ms_highway.envs.graphics import MEDIUM, TEXT_WIDTH
+from ms_highway.envs.viewer import ASPHALT, CONE, GROUND, INK, MODEL_COLORS, PAPER, words
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.visualization.video import HEADING_HEIGHT, film_together, scaled, side_by_side, write
 

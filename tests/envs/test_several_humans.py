@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from episodes import drive, make
 
-from ms_highway.envs.graphics import model_color
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.registry import controller_settings
+from ms_highway.envs.viewer import model_color
 
 AGENT = {"type": "ContinuousAction"}
 STRAIGHT = np.zeros(2, np.float32)
@@ -39,7 +39,7 @@ def test_the_same_seed_gives_the_same_humans_and_another_one_others():
 
 
 def test_random_models_are_drawn_for_each_of_the_humans():
-    models = named_controller("random:naive=0.5,tom=0.5").table(80, 2, np.random.default_rng(0))
+    models = controller_settings("random:naive=0.5,tom=0.5").table(80, 2, np.random.default_rng(0))
     assert {*map(tuple, models)} == {("naive", "naive"), ("naive", "tom"), ("tom", "naive"), ("tom", "tom")}
 
 

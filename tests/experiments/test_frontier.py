@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from commands import run
 
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.frontier import Outcomes, controller_name, search
 from ms_highway.experiments.runner import episode, make_environment

@@ -11,7 +11,7 @@ from gymnasium.envs.registration import registry
 from highway_env.vehicle.behavior import IDMVehicle
 
 import ms_highway
-from ms_highway.envs.graphics import PAPER, model_color
+from ms_highway.envs.viewer import PAPER, model_color
 from ms_highway.road.graphics import PANEL
 from ms_highway.road.scene import TRAFFIC
 

@@ -6,7 +6,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
 from highway_env.vehicle.objects import Landmark
 
-from ms_highway.envs.stage import Cone
+from ms_highway.envs.game_env import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import driving_game

@@ -11,7 +11,7 @@ import pytest
 from commands import run
 from comparisons import COMPARE
 
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers, most_informative_pair
 from ms_highway.experiments.results import read_results
 from ms_highway.visualization.comparison import timeline

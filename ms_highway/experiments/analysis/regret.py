@@ -6,8 +6,7 @@ from math import isclose
 import numpy as np
 import pandas as pd
 
-from ms_highway.envs.controllers import CHOOSING, FIXED_ORDERS
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config, fixed_order_types, priced_types
 from ms_highway.experiments.analysis.summary import interval
 
 BEST_PER_START = "best order of each start"
@@ -54,7 +53,7 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
     """
     found = best(table, seeds, price)
     earned = _meta_reward(table, price).unstack("seed")[list(seeds)].dropna()
-    orders = [name for name in earned.index if controller_config(name)["type"] in FIXED_ORDERS]
+    orders = [name for name in earned.index if controller_config(name)["type"] in fixed_order_types()]
     names = dict.fromkeys([*controllers, str(earned.loc[orders].mean(axis=1).idxmax())])
     rows = []
     for name in (*names, BEST_PER_START):
@@ -91,10 +90,10 @@ def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]
     """
     own = behind.query("scenario == @scenario").set_index("controller")["kind"]
     regret = behind.pivot(index="controller", columns="scenario", values="regret")
-    fixed = own.index[own.isin(FIXED_ORDERS)]
-    said = [(name, "") for name in own.index[~own.isin([*CHOOSING, "search"])]]
+    fixed = own.index[own.isin(fixed_order_types())]
+    said = [(name, "") for name in own.index[~own.isin([*priced_types(), "search"])]]
     said.append((regret.loc[fixed, scenario].idxmin(), "best for all starts"))
-    for kind in CHOOSING:
+    for kind in priced_types():
         names = own.index[own == kind]
         if len(names):
             said += [(name, "lambda = price") for name in names if isclose(controller_config(name)["lambda"], price)]

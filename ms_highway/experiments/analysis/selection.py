@@ -2,8 +2,7 @@
 
 import pandas as pd
 
-from ms_highway.envs.controllers import CHOOSING
-from ms_highway.envs.short_names import named_controller
+from ms_highway.envs.registry import controller_settings, priced_types
 from ms_highway.experiments.comparison import paper_controllers
 
 MOST_CONTROLLERS = 8  # in bars and timelines
@@ -36,8 +35,8 @@ def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
 
     It is the one at the paper's conservative lambda or else at the smallest.
     """
-    usual = named_controller(paper_controllers(scenario)[-1]).price
-    rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(CHOOSING)]
+    usual = controller_settings(paper_controllers(scenario)[-1]).price
+    rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(priced_types())]
     rows = rows.assign(unusual=rows["price"] != usual, late=rows["kind"] != PREFERRED)
     rows = rows.sort_values(["late", "kind", "unusual", "price"], kind="stable")
     return rows.drop_duplicates("kind")["controller"].to_list()

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.records import KEYS, count_column, models_of, share_column
 from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.planning.human_models import known_models

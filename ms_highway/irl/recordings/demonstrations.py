@@ -12,7 +12,7 @@ import numpy as np
 
 from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
 from ms_highway.envs.demonstration import DENSITIES, KEYBOARD_ACTION, demonstration_game
-from ms_highway.envs.graphics import check_display
+from ms_highway.envs.viewer import check_display
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.recordings import DRIVERS, TEMPERATURE, Driver
 from ms_highway.irl.recordings.datasets import FORMAT, add_episode, count_episodes

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.envs.short_names import controller_config
+from ms_highway.envs.registry import controller_config
 from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tradeoff import curve
 

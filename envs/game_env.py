@@ -63,7 +63,7 @@ class Cone(Obstacle):
     LENGTH, WIDTH = (size * PAPER_UNIT for size in CONE_SIZE)  # m
 
 
-class StageEnv(ConfiguredEnv):
+class GameEnv(ConfiguredEnv):
     """An environment of a fixed duration, whose reward is that of car 0 after the step, feature by feature.
 
     Cars are not solid: a collision only costs reward, as in the paper, and ``info["collision_effect"]`` says so.

@@ -1,0 +1,142 @@
+"""Draw environments off the screen and on it; texts, and the colours of human models."""
+
+import os
+from contextlib import suppress
+from typing import Any
+
+import matplotlib
+import pygame
+import pygame.freetype
+from highway_env.envs.common.graphics import EnvViewer
+from highway_env.envs.common.observation import GrayscaleObservation
+from highway_env.road.graphics import WorldSurface
+
+from ms_highway.planning.human_models import MODELS, human_model, is_model
+
+Color = tuple[int, ...]
+
+MODEL_COLORS: dict[str, Color] = {
+    "naive": (112, 178, 214),
+    "idm": (120, 170, 90),
+    "turn": (240, 180, 50),
+    "tom": (214, 68, 140),
+}
+OTHER_COLORS = ((150, 110, 200), (160, 120, 90), (90, 150, 150))
+PALEST, DARKER = 0.6, 0.8  # shares: of white in the shade of the fewest steps, and of light from the last plan
+FULL = 20  # steps, from which on a shade is the model's own colour
+MODEL_MEANINGS = {
+    "naive": "the human keeps its velocity",
+    "idm": "the human minds the car ahead",
+    "turn": "the human minds only itself",
+    "tom": "the human responds to the robot",
+}
+INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
+GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
+FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
+
+
+def words(text: str, size: int, color: Color, ground: Color | None = None) -> pygame.Surface:
+    """Draw a line of text in a kerned font of ``size`` px, on a surface of the same height for every text.
+
+    The font is Matplotlib's, so that pictures are the same on every machine. It is opened anew each time, since closing
+    any of highway-env's viewers ends the font module.
+    """
+    pygame.freetype.init()
+    font = pygame.freetype.Font(FONT, size)
+    font.kerning = font.pad = True
+    return font.render(text, color, ground)[0]
+
+
+def model_color(name: str | None) -> Color:
+    """Return the colour of a human model, grey without one; registered models have colours in their order.
+
+    A model with an effort has a shade of its own: the fewer steps, the lighter, and darker from the last plan.
+    """
+    if name is None or not is_model(name):
+        return FAINT
+    model = human_model(name)
+    base = type(model).name
+    registered = [known for known in MODELS if known not in MODEL_COLORS]
+    color = MODEL_COLORS.get(base) or OTHER_COLORS[registered.index(base) % len(OTHER_COLORS)]
+    paler = PALEST * max(0.0, 1 - (model.steps or FULL) / FULL)
+    return tuple(round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
+
+
+def model_meaning(name: str) -> str:
+    """Return what a human model takes the human to do, in a few words; nothing for registered models."""
+    return MODEL_MEANINGS.get(type(human_model(name)).name, "") if is_model(name) else ""
+
+
+class PictureViewer(EnvViewer):
+    """highway-env's viewer of image observations; it can be copied and also draws under a dummy video driver."""
+
+    def __init__(self, env: Any, config: Any) -> None:
+        super().__init__(env, config)
+        self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
+
+    def __reduce__(self) -> Any:
+        """Copy and pickle as a new viewer of the same environment."""
+        return type(self), (self.env, self.config)
+
+
+def enable_pictures(env: Any) -> bool:
+    """Give each image observation of an environment a `PictureViewer`; return whether one could not draw before."""
+    kind, black = env.observation_type, False
+    parts = getattr(kind, "observation_types", None) or getattr(kind, "agents_observation_types", [kind])
+    for part in parts:
+        if isinstance(part, GrayscaleObservation) and not isinstance(part.viewer, PictureViewer):
+            black |= not part.viewer.enabled
+            part.viewer = PictureViewer(env, part.viewer.config)
+    return black
+
+
+class Viewer(EnvViewer):
+    """highway-env's viewer, which here draws also without a display, beside others of its kind."""
+
+    # all else that `EnvViewer.__init__` sets
+    observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = None, None, None, None, 0
+
+    def __init__(self, env: Any) -> None:
+        self.env, self.config, self.offscreen = env, env.config, env.config["offscreen_rendering"]
+        if not self.offscreen:
+            super().__init__(env)
+        else:  # without `pygame.display`, which surfaces do not need, and which may complain that there is no screen
+            pygame.font.init()  # for labels
+            size = self.config["screen_width"], self.config["screen_height"]
+            self.sim_surface = WorldSurface(size, 0, pygame.Surface(size))
+            self.sim_surface.scaling = self.config["scaling"]
+            self.sim_surface.centering_position = self.config["centering_position"]
+            if self.agent_display:
+                self.extend_display()
+        self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
+
+    def show(self, picture: pygame.Surface) -> None:
+        """Show a picture in the window, if there is one, at the environment's pace."""
+        if not self.offscreen:
+            self.screen.blit(picture, (0, 0))
+            if self.env.config["real_time_rendering"]:
+                self.clock.tick(self.env.config["simulation_frequency"])
+            pygame.display.flip()
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        """Copy and pickle as None; the copied environment makes its own viewer when it renders."""
+        return type(None), ()
+
+    def close(self) -> None:
+        """Close the window, if there is one; other environments of the process may still be drawing."""
+        if not self.offscreen:
+            pygame.display.quit()
+
+
+def check_display() -> None:
+    """Make sure that a window would be seen, unless the environment asks for a certain video driver.
+
+    Raises:
+        OSError: without a display.
+    """
+    driver = "dummy"
+    with suppress(pygame.error):
+        pygame.display.init()
+        driver = pygame.display.get_driver()
+    if driver in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ:
+        raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
