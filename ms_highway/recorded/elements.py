@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from ms_highway.geometry.lane_paths import from_heading
+from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import Points
 
 CIRCLE = 64  # corners of the polygon that a circle is read as
@@ -150,4 +150,4 @@ def box(corners: Points, turn: float = 0.0) -> tuple[tuple[float, float], Points
 
 def turned(vectors: Points, angle: Any) -> Points:
     """Return vectors turned to the left."""
-    return np.stack(from_heading(-angle, *vectors.T), axis=-1)
+    return np.stack(rotated(*vectors.T, -angle), axis=-1)

@@ -9,8 +9,7 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Float, Int
 
-from ms_highway.geometry.lane_paths import from_heading
-from ms_highway.geometry.path import wrapped
+from ms_highway.geometry.curve import wrapped
 from ms_highway.geometry.road_map import Lane, road_map
 from ms_highway.recorded.lane_coordinates import Values
 from ms_highway.recorded.network import Axes, network_of
@@ -66,7 +65,7 @@ class StraightRoad:
 
     def poses(self, positions: Points, headings: Values) -> LanePoses:
         """Return poses in highway-env's axes in the coordinates of lanes."""
-        every = np.array([_poses(lane, positions, headings) for lane in self.lanes])  # [lanes, 3, n]
+        every = np.array([lane.shape.curve.project(*positions.T, headings) for lane in self.lanes])  # [lanes, 3, n]
         along, aside, heading = every.swapaxes(0, 1)
         beyond = np.maximum(along - [[lane.length] for lane in self.lanes], 0.0) + np.maximum(-along, 0.0)
         nearest = (np.abs(aside) + beyond + np.abs(heading)).argmin(axis=0)  # as highway-env measures distances
@@ -94,9 +93,9 @@ class StraightRoad:
         """Return whether all points are on lanes, or straight on beyond the ends of the road."""
         inside = np.zeros(len(points), bool)
         for lane in self.lanes:
-            along, aside, _ = _poses(lane, points, np.zeros(len(points)))
+            along, aside = lane.shape.curve.locate(points)
             first, last = 0.0 if lane.preceding else -ONWARD, lane.length + (0.0 if lane.following() else ONWARD)
-            widths = np.array([lane.shape.width_at(place) for place in along])
+            widths = lane.shape.curve.interpolate(lane.shape.widths, along)
             inside |= (first <= along) & (along <= last) & (np.abs(aside) <= widths / 2 + SEAM)
         return bool(inside.all())
 
@@ -155,17 +154,3 @@ def _number(first: Lane, number: int, lanes: list[Lane], found: dict[Lane, tuple
             queue += [(beside, number + beside.number - lane.number, start) for beside in lane.siblings]
             queue += [(after, number, start + _length(lane)) for after in lane.following()]
             queue += [(before, number, start - _length(before)) for before in lanes if lane in before.following()]
-
-
-def _poses(lane: Lane, positions: Points, headings: Values) -> np.ndarray:
-    shape = lane.shape
-    delta = positions[:, None] - shape.centres
-    nearest = (delta**2).sum(axis=-1).argmin(axis=-1)
-    ahead, aside = from_heading(shape.headings[nearest], *delta[np.arange(len(positions)), nearest].T)
-    place = shape.places[nearest] + ahead
-    bend = np.where((place >= 0) & (place <= shape.length), shape.bends[nearest], 0.0)
-    step = ahead / np.maximum(1 - bend * aside, 0.2)
-    along = shape.places[nearest] + step
-    return np.stack(
-        [along, aside - bend * ahead * step / 2, wrapped(headings - np.interp(along, shape.places, shape.headings))]
-    )

@@ -8,7 +8,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
-from ms_highway.geometry.lane_paths import from_heading
+from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import map_of
 
@@ -119,7 +119,7 @@ class RecordedRoad(Road):
     def _is_free_for(self, vehicle: Vehicle) -> bool:
         """Return whether no other vehicle is where a vehicle enters, nor right ahead of or behind it."""
         for other in self.vehicles:
-            ahead, aside = from_heading(vehicle.heading, *(other.position - vehicle.position))
+            ahead, aside = rotated(*(other.position - vehicle.position), vehicle.heading)
             gap = abs(ahead) - (other.LENGTH + vehicle.LENGTH) / 2
             if gap < CLEAR and abs(aside) < (other.WIDTH + vehicle.WIDTH) / 2:
                 return False
