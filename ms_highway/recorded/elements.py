@@ -150,4 +150,4 @@ def box(corners: Points, turn: float = 0.0) -> tuple[tuple[float, float], Points
 
 def turned(vectors: Points, angle: Any) -> Points:
     """Return vectors turned to the left."""
-    return np.stack(rotated(*vectors.T, -angle), axis=-1)
+    return np.stack(rotated(vectors[..., 0], vectors[..., 1], -angle), axis=-1)

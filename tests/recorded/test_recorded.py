@@ -549,25 +549,17 @@ def test_lanes_and_networks_are_the_same_after_json(exits):
         np.testing.assert_array_equal(copy.position(17.3, 0.4), lane.position(17.3, 0.4))
 
 
-def test_on_the_straight_road_cars_move_where_they_head(us):
-    recording = open_recording(str(us("17_1")))
-    axes, _, straight = map_of(recording)
-    for track in recording.tracks:
-        poses = straight.poses(axes.positions(track.samples[:, 1:3]), axes.headings(track.samples[:, 3]))
-        states = straight.states(poses, track.samples[:, 4])
-        np.testing.assert_array_equal(states[:, 3], track.samples[:, 4])
-        moves = np.diff(states[:, :2], axis=0)
-        went = np.hypot(*moves.T) > 0.3
-        courses = np.arctan2(moves[:, 1], moves[:, 0])
-        assert np.abs(courses - states[:-1, 2])[went].max(initial=0.0) < 0.15
-
-
-def test_a_step_along_the_lanes_leads_to_where_the_car_was_recorded_next(us):
+def test_on_the_straight_road_cars_move_where_they_head_and_steps_along_lanes_lead_to_where_they_were_next(us):
     recording = open_recording(str(us("17_1")))
     axes, _, straight = map_of(recording)
     for track in recording.tracks:
         positions, headings = axes.positions(track.samples[:, 1:3]), axes.headings(track.samples[:, 3])
         poses = straight.poses(positions, headings)
+        states = straight.states(poses, track.samples[:, 4])
+        moves = np.diff(states[:, :2], axis=0)
+        went = np.hypot(*moves.T) > 0.3
+        courses = np.arctan2(moves[:, 1], moves[:, 0])
+        assert np.abs(courses - states[:-1, 2])[went].max(initial=0.0) < 0.15
         steps = np.diff([poses.along, poses.aside], axis=1).T
         for moment in np.flatnonzero(np.diff(poses.lane) == 0):
             position, heading = straight.moved(poses, moment, steps[moment], poses.heading[moment + 1])
