@@ -82,7 +82,8 @@ class SampledLane(AbstractLane):
         """
         self.centres, self.widths = np.asarray(centres, dtype=float), np.asarray(widths, dtype=float)  # JSON has lists
         spacing = np.hypot(*np.diff(self.centres, axis=0).T).mean()
-        self.curve = Curve.through(*self.centres.T, spacing=float(spacing))
+        x, y = self.centres.T
+        self.curve = Curve.through(x, y, spacing=float(spacing))
         self.length, self.speed_limit = float(self.curve.end), speed_limit
         self.line_types, self.forbidden, self.priority = list(line_types), False, 0
 

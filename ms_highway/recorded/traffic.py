@@ -119,7 +119,8 @@ class RecordedRoad(Road):
     def _is_free_for(self, vehicle: Vehicle) -> bool:
         """Return whether no other vehicle is where a vehicle enters, nor right ahead of or behind it."""
         for other in self.vehicles:
-            ahead, aside = rotated(*(other.position - vehicle.position), vehicle.heading)
+            x, y = other.position - vehicle.position
+            ahead, aside = rotated(x, y, vehicle.heading)
             gap = abs(ahead) - (other.LENGTH + vehicle.LENGTH) / 2
             if gap < CLEAR and abs(aside) < (other.WIDTH + vehicle.WIDTH) / 2:
                 return False
