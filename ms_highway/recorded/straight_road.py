@@ -25,7 +25,7 @@ class LanePoses(NamedTuple):
     """Poses of n vehicles, each in the coordinates of the lane that is nearest in position and heading.
 
     Attributes:
-        lane: number of the lane in `StraightRoad.lanes`.
+        lane: number of the lane in ``StraightRoad.lanes``.
         along: distance from the beginning of the lane [m].
         aside: distance to the right of its centre [m].
         heading: relative to the lane, to the right [rad].
