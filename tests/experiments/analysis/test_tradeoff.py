@@ -66,7 +66,11 @@ def test_a_title_says_that_controllers_have_several_numbers_of_episodes(summarie
 
 
 def test_the_frontier_of_a_scenario_is_drawn_from_the_regrets_of_several():
-    rows = [("naive", "fixed", 0.09, 1.0), ("tom", "fixed", 0.37, 6.0), ("best order of each start", "search", 0.2, 6.5)]
+    rows = [
+        ("naive", "fixed", 0.09, 1.0),
+        ("tom", "fixed", 0.37, 6.0),
+        ("best order of each start", "search", 0.2, 6.5),
+    ]
     table = pd.DataFrame(rows, columns=["controller", "kind", "counted_seconds", "reward"]).assign(
         price=1.0, reward_low=0.0, reward_high=7.0
     )
