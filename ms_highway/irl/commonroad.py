@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ms_highway.geometry.curve import wrapped
-from ms_highway.irl.recordings.recording import Recording
+from ms_highway.irl.recording import Recording
 from ms_highway.recorded.commonroad import read_scenario, scenario_files
 from ms_highway.recorded.lane_coordinates import measure_road
 from ms_highway.recorded.scenario import SPEED_LIMIT, TrafficRecording
