@@ -114,8 +114,10 @@ def read_results(directory: Path) -> Results:
     Raises:
         ValueError: if there is none, or a file is missing or cannot be read.
     """
+    if not directory.is_dir():
+        raise ValueError(f"there is no directory {directory}; {REMEDY}")
     if not (directory / SETTINGS_FILE).is_file():
-        raise ValueError(f"there is no {directory / SETTINGS_FILE}; {REMEDY}")
+        raise ValueError(f"{directory} has no {SETTINGS_FILE}; {REMEDY}")
     results = ResultsDirectory(directory)
     settings = results.settings()
     if "semantics" not in settings or not isinstance(settings.get("measured", {}), dict):

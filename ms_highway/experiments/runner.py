@@ -114,7 +114,7 @@ def read_steps(directory: Path, asked: Mapping[str, Iterable[str]]) -> pd.DataFr
 
     Args:
         directory: of a comparison.
-        asked: controllers by scenario; records are in their order, and by seed.
+        asked: controllers by scenario; records are in their order, any others last, and by seed.
 
     Raises:
         ValueError: for a file that cannot be read.
@@ -129,6 +129,7 @@ def read_steps(directory: Path, asked: Mapping[str, Iterable[str]]) -> pd.DataFr
         records = pd.concat(tables[1:])
         check_records(records)
     order = pd.DataFrame([(name, each) for name in asked for each in asked[name]], columns=KEYS[:2])
+    order = pd.concat([order, records[KEYS[:2]]]).drop_duplicates()
     return order.merge(records.drop_duplicates([*KEYS, "step"]).sort_values(["seed", "step"]))
 
 

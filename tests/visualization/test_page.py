@@ -143,7 +143,7 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
     [
         ("", "a page shows one comparison, not 0; name one directory, such as results/compare"),
         ("elsewhere", "there is no directory elsewhere; name a directory that `ms-highway compare` wrote"),
-        (".", "has no steps.csv; name a directory that `ms-highway compare` wrote"),
+        (".", "has no settings.json; name a directory that `ms-highway compare` wrote"),
         ("{} --out page.pdf", "--out is page.pdf; name an .html file"),
     ],
 )
