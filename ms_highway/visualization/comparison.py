@@ -1,7 +1,5 @@
 """Tables and figures of a comparison, from its records of steps and their summary."""
 
-from string import Formatter
-
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -13,7 +11,7 @@ from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
 from ms_highway.visualization.colors import color_of, controller_colors
-from ms_highway.visualization.tables import grid, two_digits
+from ms_highway.visualization.tables import grid, texts
 
 LEGEND_COLUMNS = 5
 PERCENT = "success", "late"  # columns that are shares
@@ -22,18 +20,18 @@ FORMS = {
     "reward/step": "{reward:.2f}",
     "90 % interval": "{reward_low:.2f}, {reward_high:.2f}",
     "reward less T": "{reward_less_t:.2f}",
-    "counted ms": "{counted_ms}",
+    "counted ms": "{counted_ms:two}",
     "plan ms": "{planning_ms:.2f}",
     "decide ms": "{decision_ms:.2f}",
-    "shares": "",
+    "": "",  # shares of models
     "collisions": "{collision_episodes} of {episodes}",
     "success": "{success:.0f} %",
     "humans under tom": "{humans_tom:.1f}",
-    "cycle ms p50, p99": "{cycle_ms_p50:.1f}, {cycle_ms_p99:.1f}",
-    "late %": "{late:.1f}",
-    "fallback steps": "{fallbacks}",
 }
-"""Headings of a summary's texts, and how they are made of its columns, without which a heading is left out."""
+"""Headings of a summary's texts, and how they are made of its columns."""
+
+SLOW_FORMS = {"cycle ms p50, p99": "{cycle_ms_p50:.1f}, {cycle_ms_p99:.1f}", "late %": "{late:.1f}"}
+"""Those of scenarios with several humans, where planning takes long."""
 
 
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
@@ -46,30 +44,21 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     rows = summaries.query("scenario == @scenario")
     models = models_of(summaries, share_column)
     models = [name for name in models if name in PAPER_MODELS or summaries[share_column(name)].any()]
-    percent = [name for name in (*PERCENT, *map(share_column, models)) if name in rows]
-    rows = rows.assign(**{name: 100 * rows[name] for name in percent})
-    rows["reward_less_t"] = rows["reward"] - 1e-3 * rows["counted_ms"]  # at a price of 1 per second
-    filled = {str(name) for name in rows if rows[name].notna().any()} | {"reward_low", "reward_high"}
-    if "success" not in filled:
-        filled -= {"late", "cycle_ms_p50"}  # of interest where plans take long
-    if not rows.get("fallbacks", rows["episodes"]).any():
-        filled.discard("fallbacks")
-    rows["counted_ms"] = rows["counted_ms"].map(two_digits)
-    shares = " / ".join(models) + " %"
-    forms = {shares if name == "shares" else name: form for name, form in FORMS.items()}
-    forms[shares] = " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
-    texts = {
-        heading: [form.format(**row) for row in rows.to_dict("records")]
-        for heading, form in forms.items()
-        if {part[1] for part in Formatter().parse(form)} - {None} <= filled
-    }
-    return pd.DataFrame(texts).replace({"nan": "", "nan, nan": "one episode"})
+    shares = rows.columns.intersection([*PERCENT, *map(share_column, models)])
+    rows = rows.assign(reward_less_t=rows["reward"] - 1e-3 * rows["counted_ms"], **100 * rows[shares])
+    forms = dict(FORMS)
+    if "success" in rows and rows["success"].notna().any():
+        forms |= SLOW_FORMS
+    if rows.get("fallbacks", rows["episodes"]).any():
+        forms["fallback steps"] = "{fallbacks}"
+    used = " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
+    forms = {name or f"{' / '.join(models)} %": form or used for name, form in forms.items()}
+    return pd.DataFrame(texts(forms, rows.to_dict("records")))
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """Return the summary of one scenario, to be printed; it says which controllers' T(M) is not known."""
-    texts = cells(summaries, scenario).replace(" / ", "/", regex=True)
-    shown = grid(scenario, texts.to_dict("records"))
+    shown = grid(scenario, cells(summaries, scenario).replace(" / ", "/", regex=True).to_dict("records"))
     unknown = summaries.query("scenario == @scenario and counted_ms.isna()")["controller"]
     if len(unknown):
         remedy = "put its model on the ladder, or give its seconds by costs"
