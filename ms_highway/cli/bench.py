@@ -9,7 +9,7 @@ from ms_highway.cli.console import print_tables, telling
 from ms_highway.cli.options import DEVICES, KEYS, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from ms_highway.visualization.tables import Table
 
 LATENCY = {
     "plan us": "{plan_us[p50]:.0f}",
@@ -33,6 +33,7 @@ STEADY = {
     "reward /step": "{reward[mean]:+.3f} ({reward[low]:+.3f}, {reward[high]:+.3f})",
     "|reward|": "{reward[absolute]:.2g}",
     "collisions": "{collisions[0]} -> {collisions[1]}",
+    "success changed": "{success_changes:.0%}",
 }
 """Headings of tables, and how their texts are made of what was measured."""
 
@@ -148,14 +149,13 @@ def _crowd_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
 
 def _table(title: str, measured: Mapping[str, Any], forms: Mapping[str, str]) -> "Table":
     """Return a table of what was measured, a row for each name, in columns of these forms."""
-    from ms_highway.visualization.tables import grid
+    from ms_highway.visualization.tables import Table, texts
 
-    rows = [{"": name, **{key: form.format(**one) for key, form in forms.items()}} for name, one in measured.items()]
-    return grid(title, rows)
+    return Table(title, texts({"": "{name}", **forms}, [{"name": name, **one} for name, one in measured.items()]))
 
 
 def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    from ms_highway.visualization.tables import grid
+    from ms_highway.visualization.tables import Table
 
     first, *_ = results = list(measured.values())
     rows = [{"": "environment", **{name: f"{one['environment']:,.0f}" for name, one in measured.items()}, "MiB": ""}]
@@ -164,22 +164,20 @@ def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
         for name, one in measured.items():
             row[name] = f"{one['batch'][size]:,.0f} ({one['batch'][size] / one['environment']:.1f}x)"
         rows.append({**row, "MiB": f"{max(one['memory_mib'][size] for one in results):,.0f}"})
-    return grid(f"{scenario}: steps of the closed loop per second; batches on {first['devices']}", rows)
+    return Table(f"{scenario}: steps of the closed loop per second; batches on {first['devices']}", rows)
 
 
 def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    from ms_highway.visualization.tables import grid, two_digits
+    from ms_highway.visualization.tables import Table, texts, two_digits
 
     first, rows = next(iter(measured.values())), []
     for name, one in measured.items():
         for noise, figures in one["noise"].items():
-            row = {"": name, "noise": noise}
-            for step, change in figures["change_m"].items():
-                row[step] = f"{two_digits(1e3 * change['p50'])} ({two_digits(1e3 * change['p95'])})"
-            row |= {heading: form.format(**figures) for heading, form in STEADY.items()}
-            if figures["success_changes"] is not None:
-                row["success changed"] = f"{figures['success_changes']:.0%}"
-            rows.append(row)
+            moved = {
+                step: f"{two_digits(1e3 * change['p50'])} ({two_digits(1e3 * change['p95'])})"
+                for step, change in figures["change_m"].items()
+            }
+            rows.append({"": name, "noise": noise, **moved, **texts(STEADY, [figures])[0]})
     what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
     what += ", by noise in what the robot sees" if first["seen"] else ""
-    return grid(f"{scenario}: {what}", rows, left=2)
+    return Table(f"{scenario}: {what}", rows, 2)

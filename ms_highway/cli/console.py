@@ -4,13 +4,13 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from rich.progress import Progress
-    from rich.table import Table
 
-TABLE_WIDTH = 120  # characters, where there is no terminal
+    from ms_highway.visualization.tables import Table
 
 
 @contextmanager
@@ -43,18 +43,12 @@ def warn(message: object) -> None:
 
 
 def print_tables(*tables: "Table") -> None:
-    """Print to standard output, no wider than the terminal or COLUMNS, and where there is neither, than a page."""
-    from rich.console import Console
+    """Print tables, no wider than the terminal or COLUMNS, and where there is neither, than a page."""
+    from ms_highway.visualization.tables import PAGE_WIDTH
 
-    from ms_highway.visualization.tables import fitting
-
-    known = sys.stdout.isatty() or "COLUMNS" in os.environ
-    console = Console(width=None if known else TABLE_WIDTH, color_system=colors())
-    with console.capture() as printed:  # or else rich would end the process where nobody reads
-        for table in tables:
-            for part in fitting(table, console):
-                console.print(part)
-    say(printed.get().removesuffix("\n"))
+    width = get_terminal_size((PAGE_WIDTH, 0)).columns
+    bold = "\033[1m{}\033[0m" if sys.stdout.isatty() and colors() else "{}"
+    say("\n".join(line for table in tables for line in table.lines(width, bold)))
 
 
 def colors() -> Literal["auto"] | None:

@@ -3,7 +3,6 @@
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from rich.table import Table
 
 from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.envs.viewer import model_color
@@ -11,7 +10,7 @@ from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
 from ms_highway.visualization.colors import color_of, controller_colors
-from ms_highway.visualization.tables import grid, texts
+from ms_highway.visualization.tables import Table, texts
 
 LEGEND_COLUMNS = 5
 PERCENT = "success", "late"  # columns that are shares
@@ -58,12 +57,11 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """Return the summary of one scenario, to be printed; it says which controllers' T(M) is not known."""
-    shown = grid(scenario, cells(summaries, scenario).replace(" / ", "/", regex=True).to_dict("records"))
+    rows = cells(summaries, scenario).replace(" / ", "/", regex=True).to_dict("records")
     unknown = summaries.query("scenario == @scenario and counted_ms.isna()")["controller"]
-    if len(unknown):
-        remedy = "put its model on the ladder, or give its seconds by costs"
-        shown.caption = f"counted ms: T(M) is not known of {', '.join(unknown)}; {remedy}"
-    return shown
+    remedy = "put its model on the ladder, or give its seconds by costs"
+    missing = f"counted ms: T(M) is not known of {', '.join(unknown)}; {remedy}"
+    return Table(scenario, rows, caption=missing if len(unknown) else "")
 
 
 def episode_count(rows: pd.DataFrame) -> str:
@@ -119,7 +117,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
         models = episodes[name].pivot(index="seed", columns="step", values="model")
         panel.imshow(models.map(model_color).to_numpy().tolist(), aspect="auto", interpolation="nearest")
         panel.set_title(name, loc="left", fontsize="medium")
-        panel.set_ylabel("episode")
+        panel.set(ylabel="episode", yticks=[0, len(models) - 1] if len(models) > 1 else [0])
     figure.axes[-1].set_xlabel("step (0.1 s)")
     in_use = rows.loc[rows["controller"].isin(choosing), "model"]
     used = [Patch(color=color_of(model), label=f"{model} in use") for model in cheapest_first(in_use)]

@@ -67,8 +67,9 @@ def test_compare_goes_on_where_it_was_stopped(compared, begun):
     run(f"{COMPARE} {begun}")
     pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
     before = steps.read_text()
-    run(f"{COMPARE} {begun}")
+    run(f"{COMPARE} {begun} --format pdf")
     assert steps.read_text() == before
+    assert (begun / "stay_back_bars.pdf").read_bytes().startswith(b"%PDF")
 
 
 @pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
