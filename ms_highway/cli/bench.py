@@ -9,7 +9,7 @@ from ms_highway.cli.console import print_tables, telling
 from ms_highway.cli.options import DEVICES, KEYS, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
 
 if TYPE_CHECKING:
-    from ms_highway.visualization.tables import Table
+    from rich.table import Table
 
 LATENCY = {
     "plan us": "{plan_us[p50]:.0f}",
@@ -149,13 +149,13 @@ def _crowd_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
 
 def _table(title: str, measured: Mapping[str, Any], forms: Mapping[str, str]) -> "Table":
     """Return a table of what was measured, a row for each name, in columns of these forms."""
-    from ms_highway.visualization.tables import Table, texts
+    from ms_highway.visualization.tables import grid, texts
 
-    return Table(title, texts({"": "{name}", **forms}, [{"name": name, **one} for name, one in measured.items()]))
+    return grid(title, texts({"": "{name}", **forms}, [{"name": name, **one} for name, one in measured.items()]))
 
 
 def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    from ms_highway.visualization.tables import Table
+    from ms_highway.visualization.tables import grid
 
     first, *_ = results = list(measured.values())
     rows = [{"": "environment", **{name: f"{one['environment']:,.0f}" for name, one in measured.items()}, "MiB": ""}]
@@ -164,11 +164,11 @@ def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
         for name, one in measured.items():
             row[name] = f"{one['batch'][size]:,.0f} ({one['batch'][size] / one['environment']:.1f}x)"
         rows.append({**row, "MiB": f"{max(one['memory_mib'][size] for one in results):,.0f}"})
-    return Table(f"{scenario}: steps of the closed loop per second; batches on {first['devices']}", rows)
+    return grid(f"{scenario}: steps of the closed loop per second; batches on {first['devices']}", rows)
 
 
 def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    from ms_highway.visualization.tables import Table, texts, two_digits
+    from ms_highway.visualization.tables import grid, texts, two_digits
 
     first, rows = next(iter(measured.values())), []
     for name, one in measured.items():
@@ -180,4 +180,4 @@ def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
             rows.append({"": name, "noise": noise, **moved, **texts(STEADY, [figures])[0]})
     what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
     what += ", by noise in what the robot sees" if first["seen"] else ""
-    return Table(f"{scenario}: {what}", rows, 2)
+    return grid(f"{scenario}: {what}", rows, 2)

@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Any, Literal
 
+from ms_highway.cli.command import PAGE_WIDTH
+
 if TYPE_CHECKING:
     from rich.progress import Progress
-
-    from ms_highway.visualization.tables import Table
+    from rich.table import Table
 
 
 @contextmanager
@@ -44,11 +45,14 @@ def warn(message: object) -> None:
 
 def print_tables(*tables: "Table") -> None:
     """Print tables, no wider than the terminal or COLUMNS, and where there is neither, than a page."""
-    from ms_highway.visualization.tables import PAGE_WIDTH
+    from rich.console import Console
 
-    width = get_terminal_size((PAGE_WIDTH, 0)).columns
-    bold = "\033[1m{}\033[0m" if sys.stdout.isatty() and colors() else "{}"
-    say("\n".join(line for table in tables for line in table.lines(width, bold)))
+    from ms_highway.visualization.tables import fitting
+
+    console = Console(width=get_terminal_size((PAGE_WIDTH, 0)).columns, color_system=colors())
+    with console.capture() as printed:  # or else rich would end the process where nobody reads
+        console.print(*(part for table in tables for part in fitting(table, console.width)), sep="\n")
+    say(printed.get())
 
 
 def colors() -> Literal["auto"] | None:

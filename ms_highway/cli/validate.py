@@ -24,7 +24,7 @@ def validate(options: argparse.Namespace) -> None:
       ms-highway validate reference/episodes --json
     """
     from ms_highway.experiments.validation import validate
-    from ms_highway.visualization.tables import Table
+    from ms_highway.visualization.tables import grid
 
     result = validate(options.directory)
     if options.json:
@@ -37,4 +37,4 @@ def validate(options: argparse.Namespace) -> None:
             row[heading] = " ".join(f"{value:.0e}" for value in errors[kind].values())
         row["decisions"] = "{agree} of {all}".format(**errors["decisions"]) if "decisions" in errors else ""
         rows.append(row)
-    print_tables(Table("errors against the logs: median, 90 %, 99 %, largest", rows))
+    print_tables(grid("errors against the logs: median, 90 %, 99 %, largest", rows))

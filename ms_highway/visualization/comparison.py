@@ -3,6 +3,7 @@
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from rich.table import Table
 
 from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.envs.viewer import model_color
@@ -10,7 +11,7 @@ from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
 from ms_highway.visualization.colors import color_of, controller_colors
-from ms_highway.visualization.tables import Table, texts
+from ms_highway.visualization.tables import grid, texts
 
 LEGEND_COLUMNS = 5
 PERCENT = "success", "late"  # columns that are shares
@@ -57,11 +58,12 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """Return the summary of one scenario, to be printed; it says which controllers' T(M) is not known."""
-    rows = cells(summaries, scenario).replace(" / ", "/", regex=True).to_dict("records")
+    shown = grid(scenario, cells(summaries, scenario).replace(" / ", "/", regex=True).to_dict("records"))
     unknown = summaries.query("scenario == @scenario and counted_ms.isna()")["controller"]
-    remedy = "put its model on the ladder, or give its seconds by costs"
-    missing = f"counted ms: T(M) is not known of {', '.join(unknown)}; {remedy}"
-    return Table(scenario, rows, caption=missing if len(unknown) else "")
+    if len(unknown):
+        remedy = "put its model on the ladder, or give its seconds by costs"
+        shown.caption = f"counted ms: T(M) is not known of {', '.join(unknown)}; {remedy}"
+    return shown
 
 
 def episode_count(rows: pd.DataFrame) -> str:

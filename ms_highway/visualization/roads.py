@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from rich.table import Table
 from scipy.stats import binomtest
 
 from ms_highway.experiments.analysis.summary import CONFIDENCE
 from ms_highway.planning.human_models import cheapest_first
 from ms_highway.road.constants import MODELS
-from ms_highway.visualization.tables import Table, texts
+from ms_highway.visualization.tables import grid, texts
 
 Drivers = Mapping[str, Mapping[str, Any]]
 """Figures in a scene, by driver."""
@@ -50,7 +51,7 @@ def driver_table(title: str, drivers: Drivers) -> Table:
         {heading: text for heading, text in row.items() if heading not in ("traffic", "episodes")}
         for row in driver_rows(drivers)
     ]
-    return Table(title, rows, 1 + ("label" in rows[0]))
+    return grid(title, rows, left=1 + ("label" in rows[0]))
 
 
 def driver_rows(drivers: Drivers) -> list[dict[str, str]]:

@@ -1,21 +1,21 @@
 """Tables of texts, to be printed or written."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import chain, zip_longest
+from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
 from re import search
 from string import Formatter
 from textwrap import wrap
 from typing import Any
 
 import pandas as pd
+from rich.box import SIMPLE
+from rich.table import Table
 
 from ms_highway.experiments.analysis.regret import remarks
 
 HEADING_WIDTH, NAME_WIDTH = 6, 32  # characters, after which headings of narrow columns and long names are wrapped
 SHORT_NAME_WIDTH = 13  # characters, to which names are wrapped where there is no room
-PAGE_WIDTH = 120  # characters
-GAP = "  "  # between columns
+GAP = 2  # characters between columns
 
 REGRETS = {
     "controller": "{controller}",
@@ -56,78 +56,49 @@ def texts(forms: Mapping[str, str], rows: Iterable[Mapping[str, Any]]) -> list[d
     return [{heading: row[heading] for heading in forms if any(each[heading] for each in found)} for row in found]
 
 
-@dataclass(frozen=True, repr=False)
-class Table:
-    """A table to be printed.
+def grid(title: str, rows: Iterable[Mapping[Any, str]], left: int = 1) -> Table:
+    """Return a table to be printed.
 
-    Attributes:
+    Args:
         title: above it.
         rows: texts by heading, the same headings in each.
-        names: how many of the first columns are names, which may be wrapped; all others are numbers, flush right.
-        caption: below it.
+        left: how many of the first columns are names; all others are numbers, flush right.
     """
-
-    title: str
-    rows: Sequence[Mapping[str, str]]
-    names: int = 1
-    caption: str = ""
-
-    def __repr__(self) -> str:
-        """Return the table as it is on a page."""
-        return "\n".join(self.lines(PAGE_WIDTH))
-
-    def lines(self, width: int, bold: str = "{}") -> list[str]:
-        """Return the lines of the table, which fit a terminal of this width [characters].
-
-        Where that is too narrow, names are wrapped, and numbers stand in several tables, each beside the names.
-
-        Args:
-            width: of the terminal.
-            bold: the form of titles and headings.
-        """
-        headings = {heading: heading.replace("/step", " /step") for heading in self.rows[0]}
-        names, numbers = list(headings)[: self.names], list(headings)[self.names :]
-        widths = {name: _width(heading, [row[name] for row in self.rows]) for name, heading in headings.items()}
-        widths |= {name: min(NAME_WIDTH, max(len(row[name]) for row in [*self.rows, {name: name}])) for name in names}
-        least = sum(min(SHORT_NAME_WIDTH, widths[name]) + len(GAP) for name in names)
-        parts: list[list[str]] = [[]]
-        for number in numbers:
-            if parts[-1] and least + sum(widths[each] + len(GAP) for each in [*parts[-1], number]) > width:
-                parts.append([])
-            parts[-1].append(number)
-        lines = [bold.format(self.title), ""]
-        for part in parts:
-            excess = sum(widths[each] + len(GAP) for each in (*names, *part)) - width
-            shown = {heading: widths[heading] for heading in (*names, *part)}
-            for name in reversed(names):
-                cut = max(0, min(excess, shown[name] - SHORT_NAME_WIDTH))
-                shown[name], excess = shown[name] - cut, excess - cut
-            head = [bold.format(line) for line in self._lines_of(headings, shown)]
-            rule = "-" * (sum(shown.values()) + len(GAP) * (len(shown) - 1))
-            lines += [*head, rule, *chain(*(self._lines_of(row, shown) for row in self.rows)), ""]
-        return [*lines, self.caption, ""] if self.caption else lines
-
-    def _lines_of(self, row: Mapping[str, str], widths: Mapping[str, int]) -> list[str]:
-        """Return the lines of a row in columns of these widths, the first of which are names."""
-        cells = [_wrapped(row[heading], width) for heading, width in widths.items()]
-        return [
-            GAP.join(
-                text.ljust(width) if place < self.names else text.rjust(width)
-                for place, (text, width) in enumerate(zip(line, widths.values(), strict=True))
-            ).rstrip()
-            for line in zip_longest(*cells, fillvalue="")
-        ]
+    cells = list(rows)
+    table = Table(title=title, box=SIMPLE, title_style="bold", collapse_padding=True, pad_edge=False)
+    table.title_justify = table.caption_justify = "left"
+    for place, heading in enumerate(cells[0]):
+        width = max(HEADING_WIDTH, *(len(row[heading]) for row in cells))
+        lines = wrap(heading.replace("/step", " /step"), width, break_long_words=False)
+        if place < left:
+            least = min(width, SHORT_NAME_WIDTH)
+            table.add_column("\n".join(lines), overflow="fold", min_width=least, max_width=NAME_WIDTH)
+        else:
+            least = max(len(text) for text in (*lines, *(row[heading] for row in cells)))
+            table.add_column("\n".join(lines), justify="right", no_wrap=True, min_width=least)
+    for row in cells:
+        table.add_row(*row.values())
+    return table
 
 
-def _wrapped(text: str, width: int) -> list[str]:
-    return wrap(text, width) or [""]
-
-
-def _width(heading: str, texts: Sequence[str]) -> int:
-    """Return the width of a column whose heading is wrapped between words and whose texts are not."""
-    longest = max(map(len, texts))
-    lines = wrap(heading, max(longest, HEADING_WIDTH), break_long_words=False)
-    return max([longest, *map(len, lines)])
+def fitting(table: Table, width: int) -> Iterator[Table]:
+    """Yield a table, or where a terminal is too narrow, its columns in several tables, each with those of the names."""
+    names = [column for column in table.columns if column.justify == "left"]
+    parts, room = [names.copy()], 0
+    for column in table.columns[len(names) :]:
+        need = (column.min_width or 0) + GAP
+        if need > room and len(parts[-1]) > len(names):
+            parts.append(names.copy())
+        if len(parts[-1]) == len(names):
+            room = width - sum((name.min_width or 0) + GAP for name in names)
+        parts[-1].append(column)
+        room -= need
+    for place, part in enumerate(parts):
+        own = copy(table)
+        own.columns = part
+        own.title = table.title if place == 0 else None
+        own.caption = table.caption if part is parts[-1] else None
+        yield own
 
 
 def two_digits(value: float) -> str:
@@ -148,5 +119,5 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
         own = rows.query("scenario == @scenario").assign(counted_ms=1e3 * rows["counted_seconds"])
         shown = own.assign(remark=own["controller"].map(said)).set_index("controller", drop=False).loc[list(said)]
         title = f"{scenario}, a second of planning costs {price:g}"
-        tables.append(Table(title, texts(REGRETS, shown.to_dict("records")), 2))
+        tables.append(grid(title, texts(REGRETS, shown.to_dict("records")), 2))
     return tables

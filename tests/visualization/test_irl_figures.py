@@ -1,7 +1,10 @@
 """Tables and figures of what was learned."""
 
+import io
+
 import numpy as np
 import pytest
+from rich.console import Console
 
 from ms_highway.game.learned_reward import shipped
 from ms_highway.irl.evaluation import LEVELS, Evaluation
@@ -26,7 +29,10 @@ def evaluation():
 
 
 def printed(tables):
-    return "\n".join(line for table in tables for line in table.lines(200))
+    console = Console(file=io.StringIO(), width=200)
+    for table in tables:
+        console.print(table)
+    return console.file.getvalue()
 
 
 def test_measures_are_drawn_against_the_horizon_for_all_predictors():

@@ -3,13 +3,14 @@
 from collections.abc import Mapping
 
 import numpy as np
+from rich.table import Table
 
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.irl.evaluation import LEVELS, Evaluation
 from ms_highway.irl.moments import HORIZONS
 from ms_highway.irl.predictors import PREDICTORS
-from ms_highway.visualization.tables import Table
+from ms_highway.visualization.tables import grid
 
 MEASURES = {
     "fde": ("FDE", "{:.2f}"),
@@ -41,7 +42,7 @@ def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = No
             counts = learned.feature_counts[side]
             row[heading] = f"{counts[name]:.3g}" if name in counts else ""
         rows.append(row)
-    found = [Table(f"learned from {learned.windows} windows", rows)]
+    found = [grid(f"learned from {learned.windows} windows", rows)]
     return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
 
 
@@ -60,7 +61,7 @@ def _drivers_table(drivers: LearnedDrivers) -> Table:
         ends = value * np.exp(1.645 * drivers.deviations.get(name, np.nan) * np.array([-1, 1]))
         text = "{:.3g}, {:.3g}".format(*ends) if np.isfinite(ends[0]) else "given"
         rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": text})
-    return Table("learned seconds ahead; factors while changing lanes", rows)
+    return grid("learned seconds ahead; factors while changing lanes", rows)
 
 
 def evaluation_tables(evaluation: Evaluation) -> list[Table]:
@@ -73,7 +74,7 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
         if horizon in (row := evaluation.predictors[name])["fde"]
     ]
     title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers, others {evaluation.others}"
-    tables = [Table(title, rows)]
+    tables = [grid(title, rows)]
     for kind, label in (("distance", "mean error, m"), ("log_p", "mean log density")):
         for horizon in ("3", "5"):
             rows = []
@@ -81,8 +82,8 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
                 values = {label: row[name].get(horizon) for name, label in PREDICTORS.items()}
                 texts = {label: "" if value is None else f"{value:.2f}" for label, value in values.items()}
                 rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
-            tables += [Table(f"{label}, after {horizon} s", rows)] if rows else []
+            tables += [grid(f"{label}, after {horizon} s", rows)] if rows else []
     likely = evaluation.likelihood
     names = {"model": "learned reward", "constant_velocity": PREDICTORS["constant_velocity"]}
     rows = [{"predicted by": label, "log p per window": f"{likely[name]:.2f}"} for name, label in names.items()]
-    return [*tables, Table(f"controls of {likely['windows']:g} windows", rows)]
+    return [*tables, grid(f"controls of {likely['windows']:g} windows", rows)]

@@ -9,7 +9,7 @@ from ms_highway.experiments.analysis.findings import answer
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.visualization.comparison import cells
 from ms_highway.visualization.comparison import table as printed
-from ms_highway.visualization.tables import Table
+from ms_highway.visualization.tables import grid
 
 COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}
 
@@ -79,14 +79,14 @@ def test_counted_milliseconds_have_two_digits_and_a_table_names_the_controllers_
     table = records(naive=[1], tom=[2], idm=[3]).replace({"counted_seconds": {0.09: 0.000432}})
     assert cells(summary(table), "merger")["counted ms"].tolist() == ["0.43", "370", ""]
     assert printed(summary(table), "merger").caption.startswith("counted ms: T(M) is not known of idm; put")
-    assert printed(summary(table[:2]), "merger").caption == ""
+    assert printed(summary(table[:2]), "merger").caption is None
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_a_printed_table_is_no_wider_than_the_terminal_and_shows_every_cell(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
     cells = {f"column {place}": "-1.89, 2.33" for place in range(12)}
-    print_tables(Table("crowded", [{"controller": f"schedule:tom={steps},naive", **cells} for steps in (4, 30)]))
+    print_tables(grid("crowded", [{"controller": f"schedule:tom={steps},naive", **cells} for steps in (4, 30)]))
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
     assert sum(line.count("-1.89, 2.33") for line in lines) == 2 * 12
