@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.geometry.path import BEHIND, SPACING, Path, place
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
 from ms_highway.road.motion import advance, within_tyres
 from ms_highway.road.plan import Judged, proposals
@@ -29,7 +29,7 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
     x, y = (np.sin(heading) / bend, (1 - np.cos(heading)) / bend) if bend else (along, np.zeros(knots))
     own = bend / (1 - d * bend)
     arrays = (x - d * np.sin(heading), y + d * np.cos(heading), heading, np.full(knots, own))
-    return Path(*(np.asarray(array, np.float32) for array in arrays))
+    return Curve(*(np.asarray(array, np.float32) for array in arrays))
 
 
 def winding(curvature):
@@ -40,7 +40,7 @@ def winding(curvature):
     x, y = (np.concatenate([[0.0], np.cumsum(along(middle)) * SPACING]) for along in (np.cos, np.sin))
     zero = round(BEHIND / SPACING)
     arrays = (x - x[zero], y - y[zero], heading - heading[zero], curvature)
-    return Path(*(np.asarray(array, np.float32) for array in arrays))
+    return Curve(*(np.asarray(array, np.float32) for array in arrays))
 
 
 def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied=(0.0, 0.0)):
@@ -70,7 +70,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         robot=np.asarray(robot, np.float32),
         size=np.array([5.0, 2.0], np.float32),
         applied=np.asarray(applied, np.float32),
-        paths=Path(
+        paths=Curve(
             *(np.stack(field) for field in zip(*((p.x, p.y, p.heading, p.curvature) for p in paths), strict=True))
         ),
         states=states,
@@ -147,7 +147,7 @@ def keeping_velocity(scene):
 
     def one(path, state):
         s = state[0] + state[3] * PLANNING.times
-        return jnp.stack([*place(path, s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
+        return jnp.stack([*path.place(s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
 
     return jax.vmap(one)(scene.paths, scene.states)
 

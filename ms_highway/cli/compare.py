@@ -39,10 +39,9 @@ def compare(options: argparse.Namespace) -> None:
     by naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.
 
     Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
-    SCENARIO_bars (of three lambdas or more _curve, reward against computation), _timeline and
-    _decisions; settings.json and provenance.json say what they were made with. If stopped and started again with
-    the same --out, it resumes; with more controllers or scenarios, it adds them. `ms-highway report` makes a page of
-    them.
+    SCENARIO_bars (of three lambdas or more _curve, reward against computation), _timeline and _decisions; settings.json
+    and provenance.json say what they were made with. If stopped and started again with the same --out, it resumes; with
+    more controllers or scenarios, it adds them. `ms-highway report` makes a page of them.
 
     Examples:
       ms-highway compare

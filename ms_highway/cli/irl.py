@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, get_args
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import count_episodes, print_tables, say, telling
 from ms_highway.cli.options import FORMAT
-from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS, Others
-from ms_highway.irl.recordings import DRIVERS, TEMPERATURE
+from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE, Others
 
 if TYPE_CHECKING:
     from ms_highway.game.reward import RewardModel
-    from ms_highway.irl.recordings.recording import Recording
+    from ms_highway.irl.recording import Recording
 
 MINARI = "minari:"
 """Prefix of a Minari data set's name on the command line."""
@@ -21,7 +20,7 @@ DENSITY_NAMES = ("sparse", "medium", "dense")
 """Keys of `ms_highway.envs.demonstration.DENSITIES`; repeated here so that help needs no JAX."""
 
 HORIZON = 5  # steps, as the paper plans
-MOST_STEPS = 1000  # in a window
+MOST_STEPS = 1000  # in a segment
 MOST_SEED = 2**32 - 1  # that JAX's random numbers take
 
 DATA = "a directory of CommonRoad scenarios (*.xml, *.xml.gz), or a Minari data set of `ms-highway irl record`"
@@ -29,12 +28,12 @@ LEARNED = (
     f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; of those, from a Minari data set, "
     f"{', '.join(SIMULATED_WEIGHTS)}); comfort weights that are not learned are 0.1 and set the scale"
 )
-WINDOWS = (
+SEGMENTS = (
     option("--data", DATA, required=True, metavar="DIR|minari:NAME"),
     option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
-    number("--horizon", None, f"length of windows, in steps (default: {HORIZON})", most=MOST_STEPS, metavar="K"),
+    number("--horizon", None, f"length of segments, in steps (default: {HORIZON})", most=MOST_STEPS, metavar="K"),
 )
-"""What is learned from, see `read` and `model`."""
+"""What is learned from, see `read_recordings` and `chosen_model`."""
 
 OTHERS = (
     "what predicted drivers meet: the others as they are predicted, all together, so that nothing of the future is "
@@ -42,18 +41,18 @@ OTHERS = (
 )
 
 
-def read(data: str) -> "list[Recording]":
+def read_recordings(data: str) -> "list[Recording]":
     """Read the recordings that ``--data`` names."""
     if data.startswith(MINARI):
-        from ms_highway.irl.recordings.datasets import load_demonstrations
+        from ms_highway.irl.demonstrations import load_demonstrations
 
         return load_demonstrations(data.removeprefix(MINARI))
-    from ms_highway.irl.recordings.commonroad import read_directory
+    from ms_highway.irl.commonroad import read_directory
 
     return read_directory(Path(data))
 
 
-def model(options: argparse.Namespace, recordings: "list[Recording]") -> "tuple[RewardModel, int]":
+def chosen_model(options: argparse.Namespace, recordings: "list[Recording]") -> "tuple[RewardModel, int]":
     """Return the reward that ``--learn`` selects, by default REAL or SIMULATED, and the steps of ``--horizon``.
 
     Raises:
@@ -73,7 +72,7 @@ def model(options: argparse.Namespace, recordings: "list[Recording]") -> "tuple[
 @command(
     "irl evaluate",
     "predict recorded drivers",
-    *WINDOWS,
+    *SEGMENTS,
     option(
         "--theta", "a reward learned from real recordings: a file of `ms-highway irl fit`, or us101", metavar="FILE"
     ),
@@ -90,7 +89,7 @@ def evaluate(options: argparse.Namespace) -> None:
     With --folds instead of --theta, everything is learned from the other recordings, fold after fold. FDE, the distance
     at the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded
     position in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability.
-    Windows are --horizon steps of controls, see irl fit.
+    Segments are --horizon steps of controls, see irl fit.
 
     With --figures, errors.png, likelihood.png and calibration.png are written to a directory; with --theta also
     paths.png, predicted and recorded paths of all drivers at one moment.
@@ -105,9 +104,8 @@ def evaluate(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import save_figures
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
-    from ms_highway.irl.predictors import check_drivers
-    from ms_highway.visualization.irl.prediction import evaluation_figures, paths_figure
-    from ms_highway.visualization.irl.tables import evaluation_tables
+    from ms_highway.irl.prediction import check_drivers
+    from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
 
     if bool(options.theta) == bool(options.folds):
         raise ValueError("predictions are by --theta FILE, or learned in --folds N; give one of them")
@@ -116,11 +114,11 @@ def evaluate(options: argparse.Namespace) -> None:
         raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
     drivers = check_drivers(learned.drivers, f"--theta {options.theta}") if learned else None
     with telling() as tell:
-        recordings = read(options.data)
+        recordings = read_recordings(options.data)
         if learned:
             found = evaluate(recordings, learned, options.others, progress=tell)
         else:
-            chosen, steps = model(options, recordings)
+            chosen, steps = chosen_model(options, recordings)
             found = evaluate(recordings, chosen, options.others, horizon=steps, parts=options.folds, progress=tell)
         if options.figures:
             figures = evaluation_figures(found)
@@ -133,11 +131,11 @@ def evaluate(options: argparse.Namespace) -> None:
         print_tables(*evaluation_tables(found))
 
 
-@command("irl fit", "learn a reward", *WINDOWS, output("--out", "a .json file for the learned reward", required=True))
+@command("irl fit", "learn a reward", *SEGMENTS, output("--out", "a .json file for the learned reward", required=True))
 def fit(options: argparse.Namespace) -> None:
     """Learn the weights of a reward by maximum entropy: the reward that makes it most likely that drivers did what they
-    did, window after window of --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts as
-    at least half the smallest comfort weight. The indicator of a collision has no gradient and is left out.
+    did, segment after segment of --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts
+    as at least half the smallest comfort weight. The indicator of a collision has no gradient and is left out.
 
     From real recordings, a second set of weights is learned from where drivers are 1 to 5 s later, and with it how
     drivers differ, when they change lanes and how far off predictions are; irl evaluate predicts with these.
@@ -150,17 +148,17 @@ def fit(options: argparse.Namespace) -> None:
     """
     from ms_highway.game.learned_reward import save
     from ms_highway.irl.learning import learn_reward
-    from ms_highway.visualization.irl.tables import learned_tables
+    from ms_highway.visualization.irl import learned_tables
 
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
-        recordings = read(options.data)
-        learned = learn_reward(recordings, *model(options, recordings), source, progress=tell)
+        recordings = read_recordings(options.data)
+        learned = learn_reward(recordings, *chosen_model(options, recordings), source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
     train, held_out = (learned.log_likelihood[part] for part in ("train", "held_out"))
     rest = "" if held_out is None else f", {held_out:.3f} on those held out"
-    say(f"log-likelihood per window: {train:.3f}{rest}")
+    say(f"log-likelihood per segment: {train:.3f}{rest}")
     say(f"the learned reward is in {options.out}")
 
 
@@ -190,7 +188,7 @@ def record(options: argparse.Namespace) -> None:
       ms-highway irl record --driver maxent --episodes 200 --dataset ms-highway/maxent-v0
       ms-highway irl record --driver keyboard --episodes 10 --dataset ms-highway/me-v0 --density sparse
     """
-    from ms_highway.irl.recordings.demonstrations import record
+    from ms_highway.irl.demonstrations import record
 
     asked = options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
     counts = record(*asked)

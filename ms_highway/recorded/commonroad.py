@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, fromstring
 import numpy as np
 
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.geometry.lane_paths import from_heading
+from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import (
     GoalRegion,
     Lanelet,
@@ -306,7 +306,7 @@ def _box(corners: Points, turn: float = 0.0) -> tuple[tuple[float, float], Point
 
 def _turned(points: Points, angle: Any) -> Points:
     """Return points turned to the left around the origin."""
-    return np.stack(from_heading(-angle, *points.T), axis=-1)
+    return np.stack(rotated(points[..., 0], points[..., 1], -angle), axis=-1)
 
 
 def _problem(number: int, element: Element, areas: dict[int, Points]) -> Problem:

@@ -8,8 +8,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Bool, Float
 from scipy.interpolate import BSpline, make_interp_spline
 
-from ms_highway.geometry.path import wrapped
-from ms_highway.recorded.lane_coordinates import LaneCoordinates, Values, measure_road, side_by_side
+from ms_highway.geometry.curve import Curve, wrapped
+from ms_highway.recorded.lane_coordinates import Values, measure_road, side_by_side
 from ms_highway.recorded.network import Axes
 from ms_highway.recorded.scenario import Lanelet, Points, RecordedTrack
 
@@ -30,14 +30,14 @@ class StraightRoad:
 
     Attributes:
         axes: of highway-env.
-        coordinates: along the road and across it, in the map.
-        centres: lateral positions of all lanes in these coordinates, from the way along the road [places, lanes].
+        curve: along the road, in the map.
+        centres: how far all lanes are to the right of it, from the way along the road [places, lanes].
         there: whether each lane exists, every `STEP` metres [lanes, places].
         lane_width: [m].
     """
 
     axes: Axes
-    coordinates: LaneCoordinates
+    curve: Curve
     centres: BSpline
     there: Bool[np.ndarray, "lanes places"]
     lane_width: float
@@ -50,19 +50,20 @@ class StraightRoad:
             ValueError: if it is none, or goes in two directions.
         """
         road, numbers = measure_road(lanelets), _lane_numbers(side_by_side(lanelets))
-        places = STEP * np.arange(int(road.coordinates.length / STEP) + 2)
+        places = STEP * np.arange(int(road.curve.end / STEP) + 2)
         centres = np.full((1 + max(numbers.values()), len(places)), np.nan)
         for lanelet in lanelets:
-            located, lane = road.coordinates.locate(lanelet.centre), numbers[lanelet.number]
-            if located.x[-1] < located.x[0]:
+            x, left = road.curve.locate(lanelet.centre)
+            lane = numbers[lanelet.number]
+            if x[-1] < x[0]:
                 raise ValueError(
                     f"lanelet {lanelet.number} goes against the others; only roads of one direction can be driven here"
                 )
-            inside = (places >= located.x.min() - STEP) & (places <= located.x.max() + STEP)
-            order = np.argsort(located.x, kind="stable")
-            centres[lane, inside] = np.interp(places[inside], located.x[order], located.y[order])
+            inside = (places >= x.min() - STEP) & (places <= x.max() + STEP)
+            order = np.argsort(x, kind="stable")
+            centres[lane, inside] = np.interp(places[inside], x[order], -left[order])
         middles = make_interp_spline(places, _spread(centres).T, k=1)
-        return cls(Axes.of(lanelets), road.coordinates, middles, np.isfinite(centres), road.lane_width)
+        return cls(Axes.of(lanelets), road.curve, middles, np.isfinite(centres), road.lane_width)
 
     @property
     def lanes(self) -> Values:
@@ -76,9 +77,9 @@ class StraightRoad:
 
     def straighten(self, points: Points, orientations: Values, speeds: Values) -> States:
         """Return states x, y, heading and speed on the straight road of poses in the map."""
-        x, across, along = self.coordinates.locate(points)
-        y = _mapped(across, self._middles(x), self.lanes[:, None])
-        return np.stack([x, y, wrapped(along - orientations - self._slope(x, y)), speeds], axis=-1)
+        x, left, turned = self.curve.project(points[:, 0], points[:, 1], orientations)
+        y = _mapped(-left, self._middles(x), self.lanes[:, None])
+        return np.stack([x, y, wrapped(-turned - self._slope(x, y)), speeds], axis=-1)
 
     def path(self, track: RecordedTrack) -> States:
         """Return the states of a track on the straight road."""
@@ -94,12 +95,12 @@ class StraightRoad:
     def bend(self, states: States) -> tuple[Points, Values]:
         """Return positions and headings in highway-env of states on the straight road."""
         x, y, heading, _ = states.T
-        points, along = self.coordinates.place(x, self._bent(x, y))
-        return self.axes.positions(points), self.axes.headings(along - heading - self._slope(x, y))
+        *points, along = self.curve.place(x, -self._bent(x, y))
+        return self.axes.positions(np.stack(points, axis=-1)), self.axes.headings(along - heading - self._slope(x, y))
 
     def along(self, vehicle: Vehicle) -> float:
         """Return the place along the road of a vehicle of highway-env [m]."""
-        return float(self.coordinates.locate(self.axes.points([vehicle.position])).x[0])
+        return float(self.curve.locate(self.axes.points(vehicle.position))[0])
 
     def _middles(self, x: Values) -> np.ndarray:
         """Return the lateral positions of all lanes at some places [lanes, places]."""

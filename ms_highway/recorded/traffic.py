@@ -10,7 +10,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.geometry.lane_paths import from_heading
+from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import StraightRoad
 
@@ -83,7 +83,7 @@ class Traffic(ABC):
     @property
     def end(self) -> float:
         """Where cars leave the road, along it [m]."""
-        return self.straight.coordinates.length + BEYOND
+        return self.straight.curve.end + BEYOND
 
     @abstractmethod
     def move(self) -> None:
@@ -116,7 +116,8 @@ class Traffic(ABC):
         """Return whether nobody is in the place where a track begins, nor right before or behind it."""
         position, heading = self.axes.pose(*track.samples[0, 1:4])
         for other in self.road.vehicles:
-            ahead, aside = from_heading(heading, *(other.position - position))
+            x, y = other.position - position
+            ahead, aside = rotated(x, y, heading)
             length, width = (other.LENGTH + track.size[0]) / 2, (other.WIDTH + track.size[1]) / 2
             if abs(ahead) - length < CLEAR and abs(aside) < width:
                 return False

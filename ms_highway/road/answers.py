@@ -17,7 +17,7 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
-from ms_highway.geometry.path import Path, locate
+from ms_highway.geometry.curve import Curve
 from ms_highway.numerics.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.numerics.objective import best_of
 from ms_highway.numerics.second_derivatives import along_fields
@@ -56,7 +56,7 @@ class Commuter:
     """
 
     planning: RoadPlanning
-    path: Path
+    path: Curve
     state: Car
     size: Sizes
     reward: Reward
@@ -115,7 +115,7 @@ class Commuter:
     def see(self, trajectories: World) -> Steps:
         """Return the motions [5, cars, steps] of trajectories [4, cars, steps] in the coordinates of the path."""
         x, y, heading, speed = trajectories
-        s, d, relative = locate(self.path, x, y, heading)
+        s, d, relative = self.path.project(x, y, heading)
         cosine, sine = jnp.cos(relative), jnp.sin(relative)
         return jnp.stack([s, d, cosine, sine, speed * cosine])
 

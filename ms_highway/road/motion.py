@@ -3,7 +3,7 @@
 import jax
 from jax import numpy as jnp
 
-from ms_highway.geometry.path import SPACING, Knots, Pose, interpolate, place
+from ms_highway.geometry.curve import SPACING, Knots, Pose, interpolate
 from ms_highway.road.arrays import States, Steps, World
 from ms_highway.road.constants import CORNERING, RoadPlanning
 from ms_highway.road.scene import RoadScene
@@ -48,7 +48,7 @@ def advance(scene: RoadScene, planning: RoadPlanning, state: Car, control: Contr
 
 def bodies(scene: RoadScene, states: States) -> Pose:
     """Return x, y and heading of the robot's centre in world coordinates, half a length ahead of its rear axle."""
-    x, y, along = place(scene.route, states[..., 0], states[..., 1])
+    x, y, along = scene.route.place(states[..., 0], states[..., 1])
     heading, half = along + states[..., 2], scene.size[0] / 2
     return x + half * jnp.cos(heading), y + half * jnp.sin(heading), heading
 

@@ -6,7 +6,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.game.collision_risk import CORNERS
-from ms_highway.geometry.path import BEHIND, SPACING, interpolate, locate, place, rotated
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve, interpolate, rotated
 from ms_highway.planning.car_following import highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.scene import Flags, RoadScene
@@ -41,12 +41,12 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     """
     along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
     slid = speed * jnp.array([0.0, 1.0])
-    x, y, path = jax.vmap(place)(scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading))
+    x, y, path = jax.vmap(Curve.place)(scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading))
     ahead, aside = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)  # [traffic, 1, corners]
     turned = path[..., None]
     forth, sideways = rotated(ahead, aside, -turned - scene.askew[..., None])
     in_sight = jax.tree.map(lambda knots: knots[:KNOTS_IN_SIGHT], scene.route)
-    s, d, _ = locate(in_sight, x[..., None] + forth, y[..., None] + sideways, turned)
+    s, d, _ = in_sight.project(x[..., None] + forth, y[..., None] + sideways, turned)
     first, last, left, right = (bound(each, axis=(1, 2)) for each in (s, d) for bound in (jnp.min, jnp.max))
     needed = scene.size[1] + 2 * weights.comfortable
     own = interpolate(scene.lanes[1], first)

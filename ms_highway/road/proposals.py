@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.geometry.path import Pose, bend, interpolate, locate, place
+from ms_highway.geometry.curve import Curve, Pose, interpolate
 from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration, lowest
 from ms_highway.road.arrays import EachStep, Lane, PlanFlags, Plans, States, World
 from ms_highway.road.constants import STOPPING
@@ -152,7 +152,7 @@ def profiles(last: Controls, last_lane: Index | int, last_side: Index | int) -> 
 
 def nearest_lane(scene: RoadScene, x: Scalar, y: Scalar) -> Index:
     """Return the lane whose centre is nearest to a place; the robot's own if that is NaN."""
-    s, d, _ = locate(scene.route, x, y, jnp.zeros(()))
+    s, d, _ = scene.route.project(x, y, jnp.zeros(()))
     return jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(interpolate(scene.lanes, s) - d)), 1)
 
 
@@ -187,7 +187,7 @@ def simulate_plans(now: Situation, manners: Manners, plans: Profiles) -> DrivenP
 
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)
     along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
-    x, y, heading = jax.vmap(place, (0, -2, 0), -2)(scene.paths, along, across)
+    x, y, heading = jax.vmap(Curve.place, (0, -2, 0), -2)(scene.paths, along, across)
     world = jnp.stack([x, y, heading + scene.askew - _slip(scene, along), speeds], axis=-2)
     return DrivenPlans(states, controls, world, along, s, d, speeds, cosine)
 
@@ -202,7 +202,7 @@ def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
 
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
     """Return the angles from the headings of others to their paths: centres that turn move aside of where cars head."""
-    bends = jnp.where(scene.moving[:, None], jax.vmap(bend, (0, -2), -2)(scene.paths, along), 0.0)
+    bends = jnp.where(scene.moving[:, None], jax.vmap(Curve.bend, (0, -2), -2)(scene.paths, along), 0.0)
     return jnp.arcsin(jnp.clip(bends * scene.sizes[:, :1] / 2, -SLIP, SLIP))
 
 

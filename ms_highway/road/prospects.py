@@ -6,7 +6,7 @@ import jax
 from jax import numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 
-from ms_highway.geometry.path import Knots, interpolate
+from ms_highway.geometry.curve import Knots, interpolate
 from ms_highway.planning.car_following import FAR
 from ms_highway.road.arrays import EachCar, EachFlag, Lane, Plans, Values
 from ms_highway.road.constants import LANE, STOPPING

@@ -11,7 +11,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.geometry.path import Knots, Path
+from ms_highway.geometry.curve import Curve, Knots
 from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
 
 KNOTS, TRAFFIC_KNOTS = 96, 64
@@ -58,7 +58,7 @@ class RoadScene:
         accelerations: of others since the last look, 0 of new ones [m/s^2].
     """
 
-    route: Path
+    route: Curve
     lanes: Knots
     open: Knots
     edges: Knots
@@ -68,7 +68,7 @@ class RoadScene:
     robot: Car
     size: Sizes
     applied: Sizes
-    paths: Path
+    paths: Curve
     states: State
     sizes: Sizes
     present: Flags

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.geometry.path import Knots, Pose, interpolate, rotated
+from ms_highway.geometry.curve import Knots, Pose, interpolate, rotated
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.road.constants import LANE, STOPPING

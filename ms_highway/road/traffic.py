@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.geometry.path import BEHIND, SPACING, Knots, Pose, interpolate, locate
+from ms_highway.geometry.curve import BEHIND, SPACING, Knots, Pose, interpolate
 from ms_highway.planning.car_following import FAR, highest, idm_acceleration, lowest
 from ms_highway.road.arrays import EachStep, Steps
 from ms_highway.road.constants import RoadPlanning, RoadWeights
@@ -104,7 +104,7 @@ def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights)
 
 def ways_of(scene: RoadScene) -> Ways:
     """Project the paths of traffic on the robot's route."""
-    s, d, turn = locate(scene.route, scene.paths.x, scene.paths.y, scene.paths.heading)
+    s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
     return Ways(s, d, jnp.cos(turn))
 
 

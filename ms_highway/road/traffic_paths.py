@@ -9,8 +9,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 from jaxtyping import Int
 
-from ms_highway.geometry.lane_paths import Row, from_heading
-from ms_highway.geometry.path import BEHIND, SPACING, Path, wrapped
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
+from ms_highway.geometry.lane_paths import Row
 from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
 from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS
 from ms_highway.runtime.arrays import Car
@@ -31,7 +31,7 @@ FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
 NOBODY = {
-    "paths": Path(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
+    "paths": Curve(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
     "states": np.zeros(4),
     "sizes": np.array([5.0, 2.0]),
     "present": False,
@@ -60,13 +60,13 @@ class Way(NamedTuple):
     car: RoadObject
     owner: int
     chain: Chain
-    path: Path
+    path: Curve
     state: Car
     limit: float
 
 
 def traffic_of(
-    vehicle: Vehicle, roads: RoadMap, route: Path, numbers: dict[RoadObject, int], intentions: bool = False
+    vehicle: Vehicle, roads: RoadMap, route: Curve, numbers: dict[RoadObject, int], intentions: bool = False
 ) -> dict[str, Any]:
     """Return what a ``RoadScene`` has of others, nearest first; of more than `TRAFFIC`, those near the route first.
 
@@ -132,7 +132,7 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
     found, own = [], roads.lanes[car.lane_index]
     if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
         x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
-        path = Path(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
+        path = Curve(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
         return [
             Way(car, owner, roads.chain((own,)), path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))
         ]
@@ -194,7 +194,7 @@ def _chains_from(lane: Lane, tens: int, legs: frozenset[tuple[str, str]]) -> lis
     return found
 
 
-def _meets(path: Path, route: Path) -> bool:
+def _meets(path: Curve, route: Curve) -> bool:
     """Return whether a path comes near the route; oncoming traffic that keeps to its own lane does not."""
     ahead = slice(int(BEHIND / SPACING) - 2, None, EVERY)
     distances = np.hypot(path.x[ahead, None] - route.x[None, ahead], path.y[ahead, None] - route.y[None, ahead])
@@ -202,19 +202,14 @@ def _meets(path: Path, route: Path) -> bool:
     return bool(((distances < CROSSING) | ((distances < NEAR_ROUTE) & ~oncoming)).any())
 
 
-def _leaders_of(paths: Path, cars: list[RoadObject], owners: Owners) -> tuple[Owners, Row]:
+def _leaders_of(paths: Curve, cars: list[RoadObject], owners: Owners) -> tuple[Owners, Row]:
     """Return the place of the car ahead on each path, -1 without one, and the distance to it."""
     leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.full(TRAFFIC, NO_GAP, dtype=np.float32)
     if not cars:
         return leaders, gaps
     count = len(cars)
-    positions = np.array([car.position for car in cars])  # [cars, 2]
-    x = positions[None, :, None, 0] - paths.x[:count, None, :]  # [paths, cars, knots]
-    y = positions[None, :, None, 1] - paths.y[:count, None, :]
-    nearest = np.argmin(x**2 + y**2, axis=-1)
-    rows, columns = np.arange(count)[:, None], np.arange(count)[None, :]
-    ahead, d = from_heading(paths.heading[rows, nearest], x[rows, columns, nearest], y[rows, columns, nearest])
-    s = SPACING * nearest - BEHIND + ahead
+    x, y = np.array([car.position for car in cars]).T
+    s, d, _ = jax.tree.map(lambda field: field[:count], paths).project(x, y, 0.0)  # [paths, cars]
     other = owners[:count, None] != owners[None, :count]
     leading = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
     distance = np.where(leading, s, NO_GAP)

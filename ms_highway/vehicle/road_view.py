@@ -16,8 +16,8 @@ from highway_env.vehicle.objects import Landmark, RoadObject
 from ms_highway.game.neighbours import FAR_AWAY, far_behind, places
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
+from ms_highway.geometry.curve import wrapped
 from ms_highway.geometry.lane_paths import Point, Row
-from ms_highway.geometry.path import wrapped
 from ms_highway.geometry.road_map import Chain, Lane, road_map
 from ms_highway.runtime.arrays import State
 

@@ -510,7 +510,7 @@ def test_lanes_go_on_smoothly_over_joints_and_within_themselves(merge, exits):
             assert np.linalg.norm(one.position(one.length, 0) - other.position(0, 0)) < 0.05
             assert abs(one.heading_at(one.length) - other.heading_at(0)) < 0.02
         for lane in network.lanes_list():
-            assert np.abs(np.diff(lane.headings)).max() < 0.02
+            assert np.abs(np.diff(lane.curve.heading)).max() < 0.02
 
 
 def test_lane_coordinates_lead_back_to_positions(merge, exits):

@@ -14,7 +14,7 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.geometry.path import locate, place
+from ms_highway.geometry.curve import Curve
 from ms_highway.road.answers import UNIT, Commuter, commuter_among, commuter_of
 
 TIMES = np.asarray(PLANNING.times)
@@ -34,7 +34,7 @@ def answer(scene, robot, others):
 def follow(scene, accelerations):
     human = commuter_of(scene, PLANNING, 0)
     s, speed = human.move(human.held(accelerations / UNIT))
-    return jnp.stack([*place(human.path, s, human.aside), speed])
+    return jnp.stack([*human.path.place(s, human.aside), speed])
 
 
 AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
@@ -51,8 +51,8 @@ def test_projecting_undoes_placing_also_beyond_the_ends_of_a_path_and_wraps_head
     s, d, turned = (jnp.asarray(random.uniform(-a, a, 500), jnp.float32) for a in (19.0, 6.0, 3.0))
     s = s + 40.0 * (np.arange(500) % 2)
     s, d = s.at[:2].set(jnp.array([-60.0, 150.0])), d.at[:2].set(jnp.array([3.0, -5.0]))
-    x, y, along = jax.jit(place)(path, s, d)
-    poses = jax.jit(locate)(path, x, y, along + turned + 2 * np.pi)
+    x, y, along = jax.jit(Curve.place)(path, s, d)
+    poses = jax.jit(Curve.project)(path, x, y, along + turned + 2 * np.pi)
     for found, true, within in zip(poses, (s, d, turned), (0.02, 0.02, 0.005), strict=True):
         np.testing.assert_allclose(found, true, atol=within)
 

@@ -7,7 +7,7 @@ import pytest
 from jax import numpy as jnp
 from roads import PLANNING, WEIGHTS, crossing, execute, proposals_of, scene_of
 
-from ms_highway.geometry.path import BEHIND, SPACING
+from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.road.constants import LANE, MODELS
 from ms_highway.road.driver import answered_by, proposed_for
 from ms_highway.road.driver import plan_of as planned

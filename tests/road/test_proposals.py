@@ -24,7 +24,7 @@ from roads import (
     wrecked,
 )
 
-from ms_highway.geometry.path import SPACING, interpolate
+from ms_highway.geometry.curve import SPACING, interpolate
 from ms_highway.road.proposals import ALL, FULL_BRAKING, PROPOSALS
 from ms_highway.road.scene import KNOTS, TRAFFIC
 

@@ -8,7 +8,7 @@ from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
 from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, now_in, on_path, scene_of, turning_off, wrecked
 
-from ms_highway.geometry.path import BEHIND, SPACING
+from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.road.prospects import urgency
 from ms_highway.road.scene import LANES, TRAFFIC, TRAFFIC_KNOTS
 from ms_highway.road.scoring import blocks, separation
