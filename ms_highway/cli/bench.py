@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import print_tables, telling
-from ms_highway.cli.options import DEVICES, KEYS, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
+from ms_highway.cli.options import DEVICES, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -55,7 +55,6 @@ STARTS = 24
     DEVICES,
     SET,
     output("--json", "write all figures to a JSON file"),
-    notes=KEYS,
 )
 def bench(options: argparse.Namespace) -> None:
     """Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for

@@ -21,18 +21,25 @@ MOST = 1_000_000
 
 
 class Option(NamedTuple):
-    """An option, or an argument without a name: its name, and arguments of `argparse.ArgumentParser.add_argument`."""
+    """An option, or an argument without a name.
+
+    Attributes:
+        name: as it is written.
+        arguments: of `argparse.ArgumentParser.add_argument`.
+        notes: printed below all options.
+    """
 
     name: str
     arguments: dict[str, Any]
+    notes: str = ""
 
 
-def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
+def option(name: str, text: str, default: Any = None, notes: str = "", **more: Any) -> Option:
     """Return an option whose help text tells its default, if any."""
     if default not in (None, []):
         shown = " ".join(map(str, default)) if isinstance(default, (list, tuple)) else default
         text += f" (default: {shown})"
-    return Option(name, {"help": text, "default": default, **more})
+    return Option(name, {"help": text, "default": default, **more}, notes)
 
 
 def number(name: str, default: Any, text: str, least: float = 1, most: float = MOST, **more: Any) -> Option:
@@ -72,7 +79,6 @@ class Command:
         run: takes the parsed options; its docstring is the help text, in which what follows ``Examples:`` is printed
             as it stands.
         options: in the order of the help text.
-        notes: printed below the options.
         simulates: whether it computes many episodes at once, rather than plans one after the other.
     """
 
@@ -80,7 +86,6 @@ class Command:
     summary: str
     run: Callable[[argparse.Namespace], None]
     options: tuple[Option, ...]
-    notes: str
     simulates: bool
 
     def parser(self) -> "Parser":
@@ -91,18 +96,20 @@ class Command:
             formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=help_width()),
             allow_abbrev=False,  # --seed is not short for --seeds
             description=filled(text),
-            epilog="\n\n".join(part for part in (filled(self.notes), f"examples:\n{examples}") if part),
+            epilog="\n\n".join(
+                [*(filled(each.notes) for each in self.options if each.notes), f"examples:\n{examples}"]
+            ),
         )
-        for name, arguments in self.options:
-            parser.add_argument(name, **arguments)
+        for each in self.options:
+            parser.add_argument(each.name, **each.arguments)
         return parser
 
 
 def command(
-    name: str, summary: str, *options: Option, notes: str = "", simulates: bool = False
+    name: str, summary: str, *options: Option, simulates: bool = False
 ) -> Callable[[Callable[[argparse.Namespace], None]], Command]:
     """Make a `Command` of the function that runs it."""
-    return lambda run: Command(name, summary, run, options, notes, simulates)
+    return lambda run: Command(name, summary, run, options, simulates)
 
 
 class Parser(argparse.ArgumentParser):

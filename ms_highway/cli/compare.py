@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import command
 from ms_highway.cli.console import count_episodes, print_tables, say, warn
-from ms_highway.cli.options import KEYS, LEARNED, compared, comparison
+from ms_highway.cli.options import LEARNED, compared, comparison
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     "compare",
     "compare controllers over many episodes",
     *compared(30, "results/compare", f"(default: all models of the ladder, {LEARNED}, and switching)"),
-    notes=KEYS,
 )
 def compare(options: argparse.Namespace) -> None:
     """Run the same seeded episodes with several controllers and compare reward and computation.

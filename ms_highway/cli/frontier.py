@@ -4,7 +4,7 @@ import argparse
 
 from ms_highway.cli.command import command, number
 from ms_highway.cli.console import print_tables, say, telling
-from ms_highway.cli.options import DEVICES, KEYS, compared, comparison
+from ms_highway.cli.options import DEVICES, compared, comparison
 
 LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
 PRICE = (
@@ -25,7 +25,6 @@ PRICE = (
     number("--population", 32, "orders per start, price and round"),
     number("--rounds", 8, "of the search, before starts try each other's best orders"),
     DEVICES,
-    notes=KEYS,
     simulates=True,
 )
 def frontier(options: argparse.Namespace) -> None:

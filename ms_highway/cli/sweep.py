@@ -6,7 +6,7 @@ from functools import partial
 
 from ms_highway.cli.command import MOST, command, number, option
 from ms_highway.cli.console import count_episodes, print_tables, say
-from ms_highway.cli.options import DEVICES, KEYS, compared, comparison
+from ms_highway.cli.options import DEVICES, compared, comparison
 from ms_highway.runtime.extras import needing
 
 
@@ -18,7 +18,6 @@ from ms_highway.runtime.extras import needing
     number("--part", 1024, "episodes per part, of any controller"),
     DEVICES,
     option("--scheduler", "of a cluster of Dask that computes, tcp://HOST:PORT", metavar="ADDRESS"),
-    notes=KEYS,
     simulates=True,
 )
 def sweep(options: argparse.Namespace) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import say, telling
-from ms_highway.cli.options import DEVICES, KEYS, SCENARIOS, SET, configuration
+from ms_highway.cli.options import DEVICES, SCENARIOS, SET, configuration
 
 if TYPE_CHECKING:
     from ms_highway.experiments.values.learning import Learning
@@ -52,7 +52,6 @@ STATES = (
     ),
     SET,
     DEVICES,
-    notes=KEYS,
     simulates=True,
 )
 def learn(options: argparse.Namespace) -> None:

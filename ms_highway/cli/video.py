@@ -4,7 +4,7 @@ import argparse
 
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import say
-from ms_highway.cli.options import CONTROLLERS, KEYS, LEARNED, MOST_SEEDS, SCENARIO_NAMES, SET, configuration
+from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NAMES, SET, configuration
 
 
 @command(
@@ -18,7 +18,6 @@ from ms_highway.cli.options import CONTROLLERS, KEYS, LEARNED, MOST_SEEDS, SCENA
     number("--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS"),
     output("--out", "an .mp4 or .gif file", required=True),
     SET,
-    notes=KEYS,
 )
 def video(options: argparse.Namespace) -> None:
     """Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the

@@ -10,7 +10,7 @@ from ms_highway.envs.viewer import model_color
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
-from ms_highway.visualization.colors import color_of, controller_colors
+from ms_highway.visualization.colors import color_of, controller_colors, styled
 from ms_highway.visualization.tables import grid, texts
 
 LEGEND_COLUMNS = 5
@@ -72,11 +72,12 @@ def episode_count(rows: pd.DataFrame) -> str:
     return f"{most if least == most else f'{least} to {most}'} episodes per controller"
 
 
+@styled
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
     rows = summaries.query("scenario == @scenario")
     names, colors = rows["controller"], controller_colors(rows["controller"])
-    figure = Figure(figsize=(10, 4), layout="constrained")
+    figure = Figure(figsize=(10, 4))
     left, right = figure.subplots(1, 2)
     left.bar(names, rows["reward"], yerr=whiskers(rows), color=colors, capsize=4)
     left.axhline(0, color="black", linewidth=0.8)
@@ -86,7 +87,6 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     right.set(title="computation: planning, and deciding (hatched)", ylabel="mean time per step [ms]")
     for axes in (left, right):
         axes.tick_params(axis="x", rotation=20)
-        axes.spines[["top", "right"]].set_visible(False)
     figure.suptitle(f"{title(scenario)}: {episode_count(rows)}")
     return figure
 
@@ -97,6 +97,7 @@ def whiskers(rows: pd.DataFrame) -> list[list[float]]:
     return [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]
 
 
+@styled
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """Draw time per step along the episode, and the model in use, like Fig. 2 of the paper.
 
@@ -108,7 +109,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     episodes = dict(iter(rows.groupby("controller", sort=False)))
     choosing = [name for name in episodes if controller_config(name)["type"] in priced_types()]
     heights = [2.5] + [1] * len(choosing)
-    figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
+    figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)))
     above, *panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
     for (name, own), color in zip(episodes.items(), controller_colors(episodes), strict=True):
         line = "-" if name in choosing else "--"
@@ -123,5 +124,5 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     figure.axes[-1].set_xlabel("step (0.1 s)")
     in_use = rows.loc[rows["controller"].isin(choosing), "model"]
     used = [Patch(color=color_of(model), label=f"{model} in use") for model in cheapest_first(in_use)]
-    figure.legend(handles=[*above.lines, *used], loc="outside lower center", ncols=LEGEND_COLUMNS, frameon=False)
+    figure.legend(handles=[*above.lines, *used], loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure

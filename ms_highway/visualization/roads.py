@@ -14,6 +14,7 @@ from scipy.stats import binomtest
 from ms_highway.experiments.analysis.summary import CONFIDENCE
 from ms_highway.planning.human_models import cheapest_first
 from ms_highway.road.constants import MODELS
+from ms_highway.visualization.colors import styled
 from ms_highway.visualization.tables import grid, texts
 
 Drivers = Mapping[str, Mapping[str, Any]]
@@ -70,10 +71,11 @@ def driver_rows(drivers: Drivers) -> list[dict[str, str]]:
     return texts(forms, rows)
 
 
+@styled
 def success_figure(scenes: Mapping[str, Drivers]) -> Figure:
     """Draw the share of successful episodes of each driver, with intervals: a panel for each scene."""
     counts = [len(drivers) for drivers in scenes.values()]
-    figure = Figure(figsize=(8, 1 + 0.5 * len(counts) + 0.2 * sum(counts)), layout="constrained")
+    figure = Figure(figsize=(8, 1 + 0.5 * len(counts) + 0.2 * sum(counts)))
     panels = figure.subplots(len(counts), sharex=True, squeeze=False, height_ratios=counts)[:, 0]
     for axes, (scene, drivers) in zip(panels, scenes.items(), strict=True):
         percent = 100 * np.array([one["success"] for one in drivers.values()])

@@ -32,10 +32,10 @@ OPTIONS = [(name, *option) for name, command in COMMANDS.items() for option in c
 
 def made_by(maker):
     """Commands, their options that are made by a function, and how their values are called."""
-    kinds = [getattr(more.get("type"), "__qualname__", "") for *_, more in OPTIONS]
+    kinds = [getattr(more.get("type"), "__qualname__", "") for *_, more, _ in OPTIONS]
     return [
         (name, option, more.get("metavar"))
-        for (name, option, more), kind in zip(OPTIONS, kinds, strict=True)
+        for (name, option, more, _), kind in zip(OPTIONS, kinds, strict=True)
         if kind.startswith(f"{maker.__name__}.")
     ]
 
