@@ -3,7 +3,7 @@
 import argparse
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from inspect import cleandoc
@@ -74,31 +74,31 @@ class Command:
     """A command.
 
     Attributes:
-        name: one word or two.
-        summary: for the list of commands.
-        run: takes the parsed options; its docstring is the help text, in which what follows ``Examples:`` is printed
-            as it stands.
+        name: one word or two; or none, for what stands before all commands.
+        text: of its help; what follows ``Examples:`` is printed as it stands.
         options: in the order of the help text.
+        run: takes the parsed options.
+        summary: for the list of commands.
         simulates: whether it computes many episodes at once, rather than plans one after the other.
     """
 
     name: str
-    summary: str
-    run: Callable[[argparse.Namespace], None]
-    options: tuple[Option, ...]
-    simulates: bool
+    text: str
+    options: Sequence[Option]
+    run: Callable[[argparse.Namespace], None] | None = None
+    summary: str = ""
+    simulates: bool = False
 
     def parser(self) -> "Parser":
         """Return the parser of the command's options."""
-        text, _, examples = cleandoc(self.run.__doc__ or "").partition("\n\nExamples:\n")
+        text, _, examples = self.text.partition("\n\nExamples:\n")
+        notes = [filled(each.notes) for each in self.options if each.notes]
         parser = Parser(
-            prog=f"ms-highway {self.name}",
+            prog=f"ms-highway {self.name}".strip(),
             formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=help_width()),
             allow_abbrev=False,  # --seed is not short for --seeds
             description=filled(text),
-            epilog="\n\n".join(
-                [*(filled(each.notes) for each in self.options if each.notes), f"examples:\n{examples}"]
-            ),
+            epilog="\n\n".join([*notes, *([f"examples:\n{examples}"] if examples else [])]),
         )
         for each in self.options:
             parser.add_argument(each.name, **each.arguments)
@@ -108,8 +108,8 @@ class Command:
 def command(
     name: str, summary: str, *options: Option, simulates: bool = False
 ) -> Callable[[Callable[[argparse.Namespace], None]], Command]:
-    """Make a `Command` of the function that runs it."""
-    return lambda run: Command(name, summary, run, options, simulates)
+    """Make a `Command` of the function that runs it, whose docstring is the help text."""
+    return lambda run: Command(name, cleandoc(run.__doc__ or ""), options, run, summary, simulates)
 
 
 class Parser(argparse.ArgumentParser):

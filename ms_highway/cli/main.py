@@ -5,14 +5,13 @@ import shlex
 import sys
 import warnings
 from collections.abc import Iterable, Sequence
-from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench
 from ms_highway.cli.bench_road import bench_road
-from ms_highway.cli.command import COLUMN, Parser, filled, help_width
+from ms_highway.cli.command import COLUMN, Command, filled, option
 from ms_highway.cli.compare import compare
 from ms_highway.cli.console import printing, say, warn
 from ms_highway.cli.frontier import frontier
@@ -28,6 +27,13 @@ from ms_highway.runtime.retired import OPTIONS, replacement
 
 DRIVING = compare, sweep, frontier, video, report, bench, bench_road, validate
 COMMANDS = {each.name: each for each in (*DRIVING, learn, record, fit, evaluate)}
+
+CACHE = "do not keep compiled planners in the user's cache directory, nor use those kept there"
+IMPORT = (
+    "a Python module, also of the current directory, to be imported first: one that adds scenarios "
+    "(ms_highway.add_scenario), human models (ms_highway.register), decision rules (ms_highway.add_rule) or features "
+    "of rewards (ms_highway.add_feature)"
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,13 +72,13 @@ def parse(given: Sequence[str]) -> Any:
         ValueError: saying what cannot be parsed, and what to use instead of what is retired.
         SystemExit: after help texts.
     """
-    options = _options_before().parse_args(given)
+    options = _before().parser().parse_args(given)
     first, *rest = options.words
     name = next((name for name in (" ".join(options.words[:2]), first) if name in COMMANDS), "")
     if not name:
         longer = [each for each in COMMANDS if each.startswith(f"{first} ")]
         if longer and rest in (["--help"], ["-h"]):
-            say(f"usage: ms-highway {first} COMMAND ...\n\n{_list_of(longer)}")
+            say(f"usage: ms-highway {first} COMMAND ...\n\n{filled(_list_of(longer))}")
             raise SystemExit(0)
         raise ValueError(f"{first} is no command; name one of {', '.join(longer or COMMANDS)}")
     options.command, options.command_line = COMMANDS[name], shlex.join(["ms-highway", *given])
@@ -87,38 +93,23 @@ def parse(given: Sequence[str]) -> Any:
         raise
 
 
-def _options_before() -> Parser:
-    """Return the parser of what stands before the command; the command and its own options are in ``words``."""
-    parser = Parser(
-        prog="ms-highway",
-        description="Robot cars that choose how hard to think about human drivers.",
-        formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=help_width()),
-        allow_abbrev=False,
-        epilog=_list_of(COMMANDS),
+def _before() -> Command:
+    """Describe what stands before a command; the command and its own options are in ``words``."""
+    return Command(
+        "",
+        "Robot cars that choose how hard to think about human drivers.",
+        (
+            option("--no-compilation-cache", CACHE, action="store_true"),
+            option("--import", IMPORT, [], dest="modules", action="append", metavar="MODULE"),
+            option("--version", "show the version", action="version", version=f"ms-highway {version('ms-highway')}"),
+            option("words", "with its options", notes=_list_of(COMMANDS), nargs=argparse.PARSER, metavar="COMMAND"),
+        ),
     )
-    parser.add_argument(
-        "--no-compilation-cache",
-        action="store_true",
-        help="do not keep compiled planners in the user's cache directory, nor use those kept there",
-    )
-    parser.add_argument(
-        "--import",
-        dest="modules",
-        action="append",
-        default=[],
-        metavar="MODULE",
-        help="a Python module, also of the current directory, to be imported first: one that adds scenarios "
-        "(ms_highway.add_scenario), human models (ms_highway.register), decision rules (ms_highway.add_rule) or "
-        "features of rewards (ms_highway.add_feature)",
-    )
-    parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
-    parser.add_argument("words", nargs=argparse.PARSER, metavar="COMMAND", help="one of those below, with its options")
-    return parser
 
 
 def _list_of(names: Iterable[str]) -> str:
     rows = [f"  {name:{COLUMN - 2}}{COMMANDS[name].summary}" for name in names]
-    return filled("\n".join(["commands:", *rows]))
+    return "\n".join(["commands:", *rows])
 
 
 def _set_jax_up(options: Any) -> None:
