@@ -106,7 +106,7 @@ def side_by_side(lanelets: Sequence[Lanelet]) -> list[list[Lanelet]]:
     known = {lanelet.number: lanelet for lanelet in lanelets}
     roads, placed = [], set[int]()
     for lanelet in lanelets:
-        if any(way is False and other in known for way, other in zip(lanelet.same_way, lanelet.beside, strict=True)):
+        if known.keys() & set(lanelet.opposite):
             raise ValueError(
                 f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
                 "driven here"

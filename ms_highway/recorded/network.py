@@ -75,17 +75,16 @@ class SampledLane(AbstractLane):
         """Make a lane.
 
         Args:
-            centres: positions, about `STEP` apart [points, 2].
+            centres: positions, evenly spaced [points, 2].
             widths: at these [m].
             line_types: of its left and its right edge, highway-env's.
             speed_limit: [m/s].
         """
         self.centres, self.widths = np.asarray(centres, dtype=float), np.asarray(widths, dtype=float)  # JSON has lists
-        self.places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(self.centres, axis=0).T))]
-        self.length, self.speed_limit = float(self.places[-1]), speed_limit
-        even = np.linspace(0.0, self.length, max(len(self.centres), 3))
-        x, y = (np.interp(even, self.places, part) for part in self.centres.T)
-        self.curve = Curve.through(x, y, spacing=float(even[1]))
+        spacing = np.hypot(*np.diff(self.centres, axis=0).T).mean()
+        x, y = self.centres.T
+        self.curve = Curve.through(x, y, spacing=float(spacing))
+        self.length, self.speed_limit = float(self.curve.end), speed_limit
         self.line_types, self.forbidden, self.priority = list(line_types), False, 0
 
     def position(self, longitudinal: float, lateral: float) -> np.ndarray:
@@ -98,7 +97,7 @@ class SampledLane(AbstractLane):
 
     def width_at(self, longitudinal: float) -> float:
         """Return the width at a place [m]."""
-        return float(np.interp(longitudinal, self.places, self.widths))
+        return float(self.curve.interpolate(self.widths, longitudinal))
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
         """Return the place along the lane and the distance to the right of its middle [m]."""
@@ -170,8 +169,8 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
         order = np.argsort(along, kind="stable")
         widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
         lane = SampledLane(axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)), widths, lines, limit)
-        found = np.array([lane.local_coordinates(position) for position in axes.positions(dense(centre))])
-        off = max(np.abs(found[:, 1]).max(), -found[:, 0].min(), found[:, 0].max() - lane.length)
+        along, aside = lane.curve.locate(axes.positions(dense(centre)))
+        off = max(np.abs(aside).max(), -along.min(), along.max() - lane.length)
         if off <= WITHIN:
             return lane
     raise ValueError(

@@ -57,7 +57,8 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
         scenario: its name.
         starts: their number.
     """
-    rows = behind.query("scenario == @scenario").assign(counted_ms=1e3 * behind["counted_seconds"])
+    rows = behind.query("scenario == @scenario")
+    rows = rows.assign(counted_ms=1e3 * rows["counted_seconds"])
     found, others = (rows[(rows["kind"] == "search") == searched] for searched in (True, False))
     found, others = found.sort_values("counted_ms", ascending=False), others.drop_duplicates("controller")
     orders = others[others["kind"].isin(("schedule", "period"))]

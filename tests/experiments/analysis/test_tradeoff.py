@@ -6,7 +6,7 @@ import pytest
 
 from ms_highway.envs.registry import controller_config
 from ms_highway.visualization.comparison import episode_count
-from ms_highway.visualization.tradeoff import curve
+from ms_highway.visualization.tradeoff import curve, frontier
 
 ROWS = [
     ("naive", 1.0, 90.0),
@@ -63,3 +63,14 @@ def test_a_title_says_that_controllers_have_several_numbers_of_episodes(summarie
     assert episode_count(summaries) == "30 episodes per controller"
     summaries.loc[0, "episodes"] = 5
     assert episode_count(summaries) == "5 to 30 episodes per controller"
+
+
+def test_the_frontier_of_a_scenario_is_drawn_from_the_regrets_of_several():
+    rows = [("naive", "fixed", 0.09, 1.0), ("tom", "fixed", 0.37, 6.0), ("best order of each start", "search", 0.2, 6.5)]
+    table = pd.DataFrame(rows, columns=["controller", "kind", "counted_seconds", "reward"]).assign(
+        price=1.0, reward_low=0.0, reward_high=7.0
+    )
+    behind = pd.concat([table.assign(scenario=name) for name in ("merger", "give_way")])  # as the command joins them
+    (axes,) = frontier(behind, "give_way", 30).axes
+    points = np.concatenate([line.get_xydata() for line in axes.lines])
+    assert [200.0, 6.5] in points.tolist()
