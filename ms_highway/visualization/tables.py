@@ -116,7 +116,8 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[Table]:
     tables = []
     for price, rows in behind.groupby("price", sort=False):
         said = remarks(rows, scenario, price)
-        own = rows.query("scenario == @scenario").assign(counted_ms=1e3 * rows["counted_seconds"])
+        own = rows.query("scenario == @scenario")
+        own = own.assign(counted_ms=1e3 * own["counted_seconds"])
         shown = own.assign(remark=own["controller"].map(said)).set_index("controller", drop=False).loc[list(said)]
         title = f"{scenario}, a second of planning costs {price:g}"
         tables.append(grid(title, texts(REGRETS, shown.to_dict("records")), 2))
