@@ -41,8 +41,8 @@ def frontier(options: argparse.Namespace) -> None:
     turns in the rounds of the search, so that they cost little more.
 
     Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
-    start), both of the last run; the figure SCENARIO_frontier.png (reward against computation); SCENARIO_episodes.csv
-    (all episodes); settings.json and provenance.json, which say what they were made with. Episodes are kept after every
+    start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
+    episodes); settings.json and provenance.json, which say what they were made with. Episodes are kept after every
     round: if stopped or killed and started again with the same --out, the search resumes, and with more seeds, prices,
     lambdas or rounds it uses what is there. Results are the same on any number of devices.
 

@@ -91,8 +91,8 @@ def evaluate(options: argparse.Namespace) -> None:
     position in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability.
     Segments are --horizon steps of controls, see irl fit.
 
-    With --figures, errors.png, likelihood.png and calibration.png are written to a directory; with --theta also
-    paths.png, predicted and recorded paths of all drivers at one moment.
+    With --figures, errors, likelihood and calibration are drawn and written to a directory; with --theta also paths,
+    predicted and recorded paths of all drivers at one moment.
 
     Examples:
       ms-highway irl evaluate --theta us101 --data recordings --figures results/us101

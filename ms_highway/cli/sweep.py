@@ -31,9 +31,9 @@ def sweep(options: argparse.Namespace) -> None:
     Results go to --out, as parts of --part episodes each, which are written as they are done; if stopped or killed and
     started again with the same --out, the sweep computes the missing parts. pandas.read_parquet("OUT/episodes") reads
     all parts at once: a row per episode; with --steps, pandas.read_parquet("OUT/steps") reads a row per step. There are
-    a summary.csv and the figure SCENARIO_curve.png as well (reward against computation, with 90 % intervals);
-    settings.json and provenance.json say what they were made with. To resume, all options but --devices and --scheduler
-    have to be the same.
+    a summary.csv and the figure SCENARIO_curve as well (reward against computation, with 90 % intervals); settings.json
+    and provenance.json say what they were made with. To resume, all options but --devices and --scheduler have to be
+    the same.
 
     Episodes are shared by all devices (on CPUs, by default one per core), or, with --scheduler, by the workers of a
     cluster of dask.distributed, which return their rows: they need the same versions, and the modules of --import and
