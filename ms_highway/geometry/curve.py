@@ -126,7 +126,7 @@ class Curve:
 
 
 def namespace(*arrays: Any) -> ModuleType:
-    """Return `jax.numpy` if any of the arrays is JAX's, ``numpy`` otherwise."""
+    """Return ``jax.numpy`` if any of the arrays is JAX's, ``numpy`` otherwise."""
     return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
 
 

@@ -1,7 +1,6 @@
 """Predictors of the literature: constant velocity, and the Intelligent Driver Model (IDM).
 
-Under IDM, cars steer to the centre of the lane that they are in at first, as highway-env's do. The part of the desired
-gap that depends on speeds is at least 0 (Treiber et al. 2000); highway-env squares a negative one, of who falls behind.
+Under IDM, cars steer to the centre of the lane that they are in at first, as highway-env's do.
 """
 
 from dataclasses import replace
@@ -16,12 +15,11 @@ from ms_highway.irl.mixture import Modes, one_mode
 from ms_highway.irl.recording import CarFlags, CarStates
 from ms_highway.irl.snapshots import AT, SCALES, STEPS, Paths, Snapshots, lane_numbers
 from ms_highway.numerics.estimation import Parameters, minimum
+from ms_highway.planning.car_following import idm_acceleration
 from ms_highway.runtime.arrays import Scalar
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.structures import Finite, Structure, pytree
 
-EXPONENT = 4.0  # of the speed
-STRONGEST = 6.0  # m/s^2, acceleration
 AXLES = 2.5  # m, half the length from which highway-env steers
 SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # of the largest slip angle, the sine
 SINE = np.sin(np.pi / 4)  # of the largest heading
@@ -121,12 +119,16 @@ def _positions(parameters: IdmParameters, snapshots: Snapshots) -> Paths:
         leader, follows = leaders(x, lane, state, present, reach)
         ahead = jnp.take_along_axis(state, leader[..., None], axis=1)
         lengths = (length + jnp.take_along_axis(length, leader, axis=1)) / 2
-        distance = jnp.maximum(ahead[..., 0] - x - parameters.lengths * lengths, 0.01)
-        closing = speed - ahead[..., 3] * jnp.cos(ahead[..., 2] - heading)
-        comfortable = 2 * jnp.sqrt(parameters.acceleration * parameters.braking)
-        gap = parameters.gap + jnp.maximum(speed * (parameters.headway + closing / comfortable), 0.0)
-        interaction = jnp.where(follows, (gap / distance) ** 2, 0.0)
-        acceleration = parameters.acceleration * (1 - (speed / desired) ** EXPONENT - interaction)
+        acceleration = idm_acceleration(
+            speed,
+            desired,
+            jnp.where(follows, ahead[..., 0] - x - parameters.lengths * lengths, jnp.inf),
+            ahead[..., 3] * jnp.cos(ahead[..., 2] - heading),
+            parameters.headway,
+            parameters.gap,
+            parameters.acceleration,
+            parameters.braking,
+        )
 
         moving = jnp.maximum(speed, 0.01)
         aim = jnp.arcsin(jnp.clip((lane - y) / (parameters.settling * moving), -SINE, SINE))
@@ -135,7 +137,7 @@ def _positions(parameters: IdmParameters, snapshots: Snapshots) -> Paths:
             x + TIME_STEP * speed * jnp.cos(heading + slip),
             y + TIME_STEP * speed * jnp.sin(heading + slip),
             heading + TIME_STEP * speed * jnp.sin(slip) / AXLES,
-            jnp.maximum(speed + TIME_STEP * jnp.clip(acceleration, -STRONGEST, STRONGEST), 0.0),
+            jnp.maximum(speed + TIME_STEP * acceleration, 0.0),
         ]
         return jnp.stack(moved, axis=-1), jnp.stack(moved[:2], axis=-1)
 

@@ -8,6 +8,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
+from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import map_of
@@ -165,4 +166,7 @@ def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two things on a road overlap."""
-    return bool(RoadObject._is_colliding(one, other, 0.0)[0])
+    (pose, size), (other_pose, sizes) = (
+        ((*item.position, item.heading), (item.LENGTH, item.WIDTH)) for item in (one, other)
+    )
+    return bool(separation(pose, size, other_pose, sizes) < 0)

@@ -17,6 +17,7 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
+from ms_highway.geometry.bodies import body_points, ellipse_distance
 from ms_highway.geometry.curve import Curve
 from ms_highway.numerics.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.numerics.objective import best_of
@@ -156,13 +157,9 @@ class Commuter:
         braking = (faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))) ** 2
         before = weights["headway"] * headway + weights["closing_speed"] * closing
         crowding = attention * jnp.where(ahead > 0, before, weights["induced_braking"] * braking)
-        along, across = 4 / self.size**2
-        xx, yy = cosine**2 * along + sine**2 * across, sine**2 * along + cosine**2 * across
-        xy = cosine * sine * (along - across)
-        shares = np.array([-0.5, 0.0, 0.5], np.float32)[:, None, None]
-        at_x, at_y = (shares * length - ahead)[:, None], shares * width - aside
-        distance = xx * at_x**2 + 2 * xy * at_x * at_y + yy * at_y**2
-        risk = jnp.sum(jnp.exp(-CAR_SHARPNESS * (distance - 1)), axis=(0, 1))
+        own, points = (s, self.aside, 1.0, 0.0), body_points(self.size)
+        distance = ellipse_distance(own, points, (x, y, cosine, sine), length, width)
+        risk = jnp.sum(jnp.exp(-CAR_SHARPNESS * distance), axis=1)
         among = jnp.sum(weights["collision_risk"] * risk - crowding, axis=0)
         return among - weights["speed"] * forward * (forward - 2)
 

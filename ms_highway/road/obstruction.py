@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.collision_risk import CORNERS
+from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, interpolate, rotated
 from ms_highway.planning.car_following import highest, lowest
 from ms_highway.road.constants import RoadWeights

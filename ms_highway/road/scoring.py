@@ -5,14 +5,14 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.geometry.curve import Knots, Pose, interpolate, rotated
+from ms_highway.geometry.bodies import separation
+from ms_highway.geometry.curve import Knots, interpolate, rotated
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.arrays import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans
 from ms_highway.road.constants import LANE, STOPPING
 from ms_highway.road.motion import bodies, earlier
 from ms_highway.road.proposals import DrivenPlans, Profiles, aim
 from ms_highway.road.prospects import lane_of, missing_room, prospects, urgency
-from ms_highway.road.scene import Sizes
 from ms_highway.road.traffic import (
     CORRIDOR,
     CROSSING,
@@ -192,26 +192,6 @@ def _first(happens: Numbers) -> Numbers:
     """Return the number of the first step in which something happens, that after the last where nothing does."""
     steps = happens.shape[-1]
     return jnp.where(happens, jnp.arange(steps), steps).min(axis=-1, keepdims=True)
-
-
-def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
-    """Return the distance between two rectangles along the axis that separates them best [m]; negative if they overlap.
-
-    Args:
-        own: x, y and heading of one.
-        size: its length and width [m].
-        other: x, y and heading of the other.
-        sizes: its length and width [m].
-    """
-    dx, dy = other[0] - own[0], other[1] - own[1]
-    c, s = (jnp.abs(part) for part in rotated(jnp.cos(other[2]), jnp.sin(other[2]), own[2]))
-
-    def apart(heading: Numbers, size: Sizes, sizes: Sizes) -> Numbers:
-        (a, b), (e, f) = (jnp.moveaxis(jnp.asarray(each) / 2, -1, 0) for each in (size, sizes))
-        u, v = (jnp.abs(part) for part in rotated(dx, dy, heading))
-        return jnp.maximum(u - a - e * c - f * s, v - b - e * s - f * c)
-
-    return jnp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
 
 
 def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:

@@ -9,6 +9,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 from jaxtyping import Int
 
+from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
 from ms_highway.geometry.lane_paths import Row
 from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
@@ -211,9 +212,7 @@ def _leaders_of(paths: Curve, cars: list[RoadObject], owners: Owners) -> tuple[O
     x, y = np.array([car.position for car in cars]).T
     s, d, _ = jax.tree.map(lambda field: field[:count], paths).project(x, y, 0.0)  # [paths, cars]
     other = owners[:count, None] != owners[None, :count]
-    leading = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
-    distance = np.where(leading, s, NO_GAP)
-    leader = np.argmin(distance, axis=1)  # the first path of a car comes before its others
-    leaders[:count] = np.where(leading.any(axis=1), leader, -1)
-    gaps[:count] = distance[np.arange(count), leader]
+    leader, leads = nearest_ahead(s, other & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))  # of ways, a car's first
+    leaders[:count] = np.where(leads, leader, -1)
+    gaps[:count] = np.where(leads, s[np.arange(count), leader], NO_GAP)
     return leaders, gaps

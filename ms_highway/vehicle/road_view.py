@@ -144,7 +144,7 @@ def route_ahead(lane: Lane, route: Route) -> Chain:
 def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[float]]:
     """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lane and route."""
     lane = followed_lane(vehicle, None)
-    chain = route_ahead(lane, remaining_route(vehicle.route or [lane.index], lane.index))
+    chain = route_ahead(lane, remaining_route(getattr(vehicle, "route", None) or [lane.index], lane.index))
     place, _ = lane.shape.local_coordinates(vehicle.position)
     positions, headings = zip(*map(chain.at, place + vehicle.speed * np.asarray(times)), strict=True)
     return list(positions), list(headings)

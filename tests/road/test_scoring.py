@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
 from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, now_in, on_path, scene_of, turning_off, wrecked
 
 from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.road.prospects import urgency
 from ms_highway.road.scene import LANES, TRAFFIC, TRAFFIC_KNOTS
-from ms_highway.road.scoring import blocks, separation
+from ms_highway.road.scoring import blocks
 from ms_highway.runtime.compilation import jit_quickly
 
 STEPS, OWN, RIGHT = PLANNING.steps, 1, 2
@@ -33,24 +32,6 @@ def changing(curvature, seconds):
     steps = round(seconds / PLANNING.time_step)
     controls[:steps, 0], controls[steps : 2 * steps, 0] = curvature, -curvature
     return controls
-
-
-def polygon(x, y, heading, length, width):
-    corners = rect_corners(np.array([x, y]), length, width, heading)
-    return np.array([*corners, corners[0]])
-
-
-def test_bodies_are_apart_exactly_where_highway_env_says_so():
-    random, number, own = np.random.default_rng(0), 300, (0.5, -0.3, 2.0)
-    others = *random.uniform(-6, 6, (2, number)), random.uniform(-7, 7, number)
-    sizes = random.uniform(0.5, 6, (number, 2))
-    found = np.asarray(separation(tuple(map(jnp.float32, own)), jnp.array([5.0, 2.0]), others, sizes))
-    for place, size, apart in zip(np.transpose(others), sizes, found, strict=True):
-        touching, *_ = are_polygons_intersecting(
-            polygon(*own, 5.0, 2.0), polygon(*place, *size), np.zeros(2), np.zeros(2)
-        )
-        assert abs(apart) < 1e-3 or touching == (apart < 0)
-    assert 0.2 < np.mean(found < 0) < 0.8
 
 
 @pytest.mark.parametrize(("place", "expected"), [(1.25, (False, False)), (1.5, (False, True)), (1.75, (True, True))])

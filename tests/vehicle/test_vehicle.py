@@ -99,6 +99,17 @@ def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
     assert human.last_step.status == "planned"
 
 
+@pytest.mark.parametrize("slower", [8.0, 12.0, 20.0])
+def test_a_human_does_not_run_into_a_car_that_is_slower(slower):
+    road, human, leader = road_with(
+        (HumanVehicle, (0.0, 0.0), 20.0), (ScriptedVehicle, (60.0, 0.0), 20.0 - slower), lanes=1
+    )
+    drive(road, 150)
+    assert not human.crashed
+    assert 1.0 < leader.position[0] - human.position[0] - human.LENGTH < 25.0
+    assert human.speed == pytest.approx(20.0 - slower, abs=1.0)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("leader_speed", "gaps"),  # between bumpers; at speed, the quartiles of drivers on US-101

@@ -1,0 +1,64 @@
+"""Keep clear of others on the map: of who is ahead on the own way, and of who will cross it first."""
+
+import numpy as np
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import Landmark, RoadObject
+
+from ms_highway.geometry.road_map import BLOCK, Chain
+from ms_highway.planning.car_following import idm_acceleration
+from ms_highway.vehicle.road_view import at_constant_speed
+
+SIGHT = 60.0  # m, in which others are looked for
+HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
+BESIDE = 0.3  # m between sides, below which others are in the way
+TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s, at which others are predicted at constant speed along their lanes
+FREE = 1e3  # m/s, the desired speed of who may go as fast as it plans to
+
+
+def clear_acceleration(driver: Vehicle, chain: Chain, place: float) -> float:
+    """Return the highest acceleration with which a driver keeps clear of others by the Intelligent Driver Model.
+
+    Whoever is, or soon will be, on the driver's way and gets there before the driver counts as the car ahead. On a
+    `RegulatedRoad`, which tells drivers when to yield, only who is on the way now counts.
+
+    Args:
+        driver: on its way.
+        chain: lanes of the way.
+        place: of the driver along them [m].
+    """
+    others = [
+        item
+        for item in (*driver.road.vehicles, *driver.road.objects)
+        if item is not driver
+        and not isinstance(item, Landmark)
+        and np.hypot(*(item.position - driver.position)) < SIGHT
+    ]
+    if not others:
+        return np.inf
+    curve = chain.curve(place // BLOCK)
+    own, aside, _ = curve.project(driver.position, driver.heading, place)
+    times = TIMES[:1] if isinstance(driver.road, RegulatedRoad) else TIMES  # which tells drivers to yield
+    poses = [_predicted(item, times) for item in others]
+    x, y, heading = np.moveaxis(np.array(poses), -1, 0)  # [others, times]
+    low, high = int(max(own - SIGHT, 0.0) / 0.5), int((own + 2 * SIGHT) / 0.5)
+    s, d, turned = curve.curve.part(low, high).project(x, y, heading)
+    speeds = np.array([item.speed for item in others])[:, None]
+    length = np.array([(item.LENGTH + driver.LENGTH) / 2 for item in others])[:, None]
+    width = np.array([(item.WIDTH + driver.WIDTH) / 2 for item in others])[:, None]
+    across = np.abs(np.sin(turned))
+    in_way = np.abs(d - np.where(times > 0.0, 0.0, aside)) < width + BESIDE + across * (length - width)
+    gap = s - own - length + across * (length - width)
+    first = gap > max(driver.speed, 1.0) * times - length
+    along = np.maximum(speeds * np.cos(turned), 0.0)
+    gap = np.where(in_way & (s > own) & first, gap - along * times, np.inf)
+    return float(idm_acceleration(driver.speed, FREE, gap, along, HEADWAY, STANDSTILL).min())
+
+
+def _predicted(item: RoadObject, times: np.ndarray) -> np.ndarray:
+    """Return x, y and heading of a vehicle or an obstacle at times from now [s]."""
+    if isinstance(item, Vehicle) and item.speed > 0.1 and not item.crashed:
+        positions, headings = at_constant_speed(item, times)
+        shift = item.position - positions[0]
+        return np.column_stack([positions + shift, headings])
+    return np.tile([*item.position, item.heading], (len(times), 1))
