@@ -14,7 +14,7 @@ import pytest
 from commands import run
 
 from ms_highway.cli.compare import _with_learned
-from ms_highway.cli.main import build_parser
+from ms_highway.cli.main import parse
 from ms_highway.cli.options import comparison, configuration
 from ms_highway.experiments.records import columns
 from ms_highway.game.learned_reward import save, shipped
@@ -67,8 +67,9 @@ def test_compare_goes_on_where_it_was_stopped(compared, begun):
     run(f"{COMPARE} {begun}")
     pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
     before = steps.read_text()
-    run(f"{COMPARE} {begun}")
+    run(f"{COMPARE} {begun} --format pdf")
     assert steps.read_text() == before
+    assert (begun / "stay_back_bars.pdf").read_bytes().startswith(b"%PDF")
 
 
 @pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
@@ -103,7 +104,7 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
     ],
 )
 def test_learned_values_are_compared_by_default_where_they_suit_the_ladder(options, learned, said, capsys):
-    asked = _with_learned(comparison(build_parser().parse_args(f"compare stay_back {options}".split())))
+    asked = _with_learned(comparison(parse(f"compare stay_back {options}".split())))
     rungs = asked.controllers["stay_back"][:2]
     assert asked.controllers["stay_back"] == [*rungs, *learned, "switching:5", "switching:0.4"]
     assert said in capsys.readouterr().err
@@ -193,7 +194,7 @@ def test_compare_drives_episodes_anew_whose_records_have_holes(compared, begun):
     ],
 )
 def test_a_key_is_set_by_json_or_by_words(text, value):
-    options = build_parser().parse_args(["compare", "--set", "grip=8", "--set", text])
+    options = parse(["compare", "--set", "grip=8", "--set", text])
     assert configuration(options) == {"grip": 8, text.partition("=")[0]: value}
 
 
@@ -205,5 +206,5 @@ def test_a_key_is_set_by_json_or_by_words(text, value):
     ],
 )
 def test_without_controllers_the_ladder_and_switching_are_compared_at_the_lambdas_that_are_named(options, controllers):
-    asked = comparison(build_parser().parse_args(f"compare merger {options}".split()))
+    asked = comparison(parse(f"compare merger {options}".split()))
     assert asked.controllers == {"merger": controllers.split()}
