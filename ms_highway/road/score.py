@@ -6,7 +6,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import separation
-from ms_highway.geometry.curve import Knots, interpolate, rotated
+from ms_highway.geometry.curve import Knots, Pose, interpolate, rotated
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
