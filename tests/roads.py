@@ -8,18 +8,18 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
-from ms_highway.road.motion import advance, within_tyres
-from ms_highway.road.plan import Judged, proposals
-from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, Manners, profiles, simulate_plans
+from ms_highway.road.following import Manners, manners_of
+from ms_highway.road.plan import Judged, no_plan
+from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, proposals
 from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
-from ms_highway.road.scoring import score
+from ms_highway.road.score import score
+from ms_highway.road.simulation import advance, simulate
 from ms_highway.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 NOBODY = np.zeros(TRAFFIC, bool)
 ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
-PLANS = jax.tree.map(np.asarray, profiles(np.zeros((PLANNING.steps, 2), np.float32), 1, 0))
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
@@ -134,8 +134,7 @@ def execute(scene, planning, controls):
     """Return the robot's states after each control, and the controls within limits that it executed."""
 
     def go(state, control):
-        held = within_tyres(planning, state[3], control)
-        moved = advance(scene, planning, state, held)
+        moved, held = advance(scene, planning, state, control)
         return moved, (moved, held)
 
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
@@ -152,18 +151,19 @@ def keeping_velocity(scene):
     return jax.vmap(one)(scene.paths, scene.states)
 
 
-def manners_of(follows, **others):
-    """Others who follow by IDM, or keep their speed; arrays have the same shapes always, for one program."""
-    zeros = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
-    manners = Manners(follows, NOBODY, zeros, zeros[0, :, 0], np.full(TRAFFIC, np.inf, np.float32))
-    return manners._replace(**others)
+def told(follows, given=NOBODY, accelerations=0.0, surprise=0.0):
+    """Others who follow by IDM, keep their speed or do as told; arrays have the same shapes always, for one program."""
+    shape = PROPOSALS, TRAFFIC, PLANNING.steps
+    fading = np.broadcast_to(surprise, TRAFFIC)[:, None] * np.exp(-np.asarray(PLANNING.times))
+    accelerations = np.broadcast_to(np.asarray(accelerations, np.float32), shape)
+    return Manners(follows, given, accelerations, fading.astype(np.float32), np.full(shape[1:], np.inf, np.float32))
 
 
 @jit_quickly
-def driven_and_judged(scene, planning, manners, plans):
+def driven_and_judged(scene, planning, others, plans):
     """As many plans as there are proposals, driven and judged: one program for all tests."""
     now = situation_of(scene, planning, WEIGHTS)
-    driven = simulate_plans(now, manners, plans)
+    driven = simulate(now, others, plans)
     return driven, score(now, driven, plans)
 
 
@@ -178,7 +178,7 @@ def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
         side=np.broadcast_to(np.asarray(sides, np.int32), number)[filled],
         controls=np.asarray(controls, np.float32)[filled],
     )
-    found = driven_and_judged(scene, planning, manners_of(follows), plans)
+    found = driven_and_judged(scene, planning, told(follows), plans)
     return jax.tree.map(lambda field: field[:number], found)
 
 
@@ -188,10 +188,11 @@ def now_in(scene, planning=PLANNING):
     return situation_of(scene, planning, WEIGHTS)
 
 
-proposals_now = jit_quickly(proposals)
+proposals_now = jit_quickly(lambda now, models, last: (proposals(now, last), manners_of(now, models, PROPOSALS)))
+PLANS = jax.tree.map(np.asarray, jit_quickly(proposals)(now_in(scene_of()), no_plan(PLANNING)))
 
 
 def proposals_of(scene, planning, rungs, last):
     """All proposals, driven and judged."""
-    plans, manners = proposals_now(now_in(scene, planning), rungs, last)
-    return Judged(plans, *driven_and_judged(scene, planning, manners, plans))
+    plans, others = proposals_now(now_in(scene, planning), rungs, last)
+    return Judged(plans, *driven_and_judged(scene, planning, others, plans))

@@ -11,7 +11,7 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.geometry.road_map import Spot
 from ms_highway.recorded.network import Axes
 from ms_highway.recorded.scenario import GoalRegion, Points, Problem, RecordedTrack, TrafficRecording
-from ms_highway.road.appointment import Appointment
+from ms_highway.road.timed_goal import TimedGoal
 
 CAR_SIZE = 4.508, 1.610
 """Length and width of the car of planning problems, CommonRoad's second vehicle, a BMW 320i [m]."""
@@ -72,7 +72,7 @@ class Task:
         """Return whether one of the goals is reached, by the middle of the ego, in the map's axes."""
         return any(_is_in(goal, step, point, orientation, speed) for goal in self.problem.goals)
 
-    def appointment(self, network: RoadNetwork, axes: Axes) -> Appointment | None:
+    def appointment(self, network: RoadNetwork, axes: Axes) -> TimedGoal | None:
         """Return where to be and when, since the start, for the first goal that has a place; None without one."""
         for goal in self.problem.goals:
             if goal.area is None:
@@ -83,7 +83,7 @@ class Task:
             index = network.get_closest_lane_index(position, heading)
             place, _ = network.get_lane(index).local_coordinates(position)
             times = [max(TIME_STEP * (time - self.problem.time), 0.0) for time in goal.times]
-            return Appointment(Spot(index, place), position, (times[0], times[1]), goal.speeds or (0.0, np.inf))
+            return TimedGoal(Spot(index, place), position, (times[0], times[1]), goal.speeds or (0.0, np.inf))
         return None
 
 

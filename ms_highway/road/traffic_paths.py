@@ -7,13 +7,12 @@ import jax
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
-from jaxtyping import Int
 
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
 from ms_highway.geometry.lane_paths import Row
 from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
-from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS
+from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 from ms_highway.runtime.arrays import Car
 
 AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, in which others are seen ahead, coming, and behind
@@ -24,9 +23,8 @@ LENGTH = 140.0  # m, of ways
 TENS = 10.0  # m, in steps of which the rest of a lane is counted
 CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
 ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
-NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
-NO_GAP = 1e3  # m, without a leader
+NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
 SLOWEST = 0.1  # m/s, of what may move
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
@@ -42,8 +40,6 @@ NOBODY = {
     "moving": False,
 }
 """An unused row of what is known of others."""
-
-Owners = Int[np.ndarray, "traffic"]
 
 
 class Way(NamedTuple):
@@ -203,16 +199,17 @@ def _meets(path: Curve, route: Curve) -> bool:
     return bool(((distances < CROSSING) | ((distances < NEAR_ROUTE) & ~oncoming)).any())
 
 
-def _leaders_of(paths: Curve, cars: list[RoadObject], owners: Owners) -> tuple[Owners, Row]:
+def _leaders_of(paths: Curve, cars: list[RoadObject], owners: Places) -> tuple[Places, Row]:
     """Return the place of the car ahead on each path, -1 without one, and the distance to it."""
-    leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.full(TRAFFIC, NO_GAP, dtype=np.float32)
+    leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.zeros(TRAFFIC, dtype=np.float32)
     if not cars:
         return leaders, gaps
     count = len(cars)
     x, y = np.array([car.position for car in cars]).T
     s, d, _ = jax.tree.map(lambda field: field[:count], paths).project(x, y, 0.0)  # [paths, cars]
-    other = owners[:count, None] != owners[None, :count]
-    leader, leads = nearest_ahead(s, other & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))  # of ways, a car's first
-    leaders[:count] = np.where(leads, leader, -1)
-    gaps[:count] = np.where(leads, s[np.arange(count), leader], NO_GAP)
+    other = owners[:count, None] != owners[:count]
+    # The first path of a car comes before its others.
+    nearest, leads = nearest_ahead(s, other & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))
+    leaders[:count] = np.where(leads, nearest, -1)
+    gaps[:count] = np.where(leads, s[np.arange(count), nearest], 0.0)
     return leaders, gaps

@@ -15,6 +15,7 @@ from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import HORIZONS, cut_snapshots
+from ms_highway.visualization.colors import styled
 from ms_highway.visualization.tables import grid
 
 STYLES = {
@@ -47,6 +48,7 @@ COLUMNS = {
 }
 
 
+@styled
 def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
     """Draw metrics of all predictors against the horizon, a figure for each of `PANELS`.
 
@@ -65,7 +67,7 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
 
 
 def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str]) -> Figure:
-    figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2), layout="constrained")
+    figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2))
     panels = figure.subplots(1, len(labels), squeeze=False)[0]
     for axes, (kind, label) in zip(panels, labels.items(), strict=True):
         for name, predictor in PREDICTORS.items():
@@ -75,12 +77,12 @@ def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str]) -> Figur
         axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
         if kind not in ("fde", "log_p"):
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(axis="y", color="#eeeeee")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+        axes.grid(axis="y")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
+@styled
 def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
     """Draw predicted and recorded paths at one moment, seen from above; marks are a second apart.
 
@@ -100,7 +102,7 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     modes = {name: predict_with(name, one, drivers).modes for name in DRAWN}
     paths = {"recorded": one.recorded, **{name: expected_path(found) for name, found in modes.items()}}
     start, lanes, width = one.drivers(one.now)[:, None, :2], np.unique(one.lanes), float(one.lane_width[0])
-    figure = Figure(figsize=(11, 6), layout="constrained")
+    figure = Figure(figsize=(11, 6))
     axes = figure.subplots()
     for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
         axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
@@ -116,7 +118,7 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
         lines[0].set_label(PREDICTORS.get(name, name))
     axes.set(xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1))
     axes.invert_yaxis()  # the driver's left is up
-    figure.legend(loc="outside lower center", ncols=len(paths), frameon=False)
+    figure.legend(loc="outside lower center", ncols=len(paths))
     return figure
 
 

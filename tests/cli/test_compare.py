@@ -16,7 +16,7 @@ import pytest
 from commands import run
 
 from ms_highway.cli.compare import _with_learned
-from ms_highway.cli.main import build_parser
+from ms_highway.cli.main import parse
 from ms_highway.cli.options import comparison, configuration
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import columns
@@ -94,6 +94,22 @@ def test_a_comparison_on_two_cores_that_is_killed_goes_on_and_gives_what_one_pro
     assert not parts(killed)
 
 
+def test_compare_goes_on_from_steps_and_parts(compared, begun):
+    steps, parts = begun / "steps.csv", begun / "parts"
+    head, *lines = steps.read_text().splitlines(keepends=True)
+    steps.write_text("".join([head, *lines[:35]]))
+    parts.mkdir()
+    (parts / "3.csv").write_text("".join([head, *lines[-35:]]))
+    (parts / f".part.{'0' * 16}.1.csv").write_text(head + lines[40][:20])  # killed while it was written
+    run(f"{COMPARE} {begun}")
+    pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
+    before = steps.read_text()
+    run(f"{COMPARE} {begun} --format pdf")
+    assert steps.read_text() == before
+    assert (begun / "stay_back_bars.pdf").read_bytes().startswith(b"%PDF")
+    assert not parts.exists()
+
+
 @pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
 def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_results(
     command, begun, monkeypatch, capsys
@@ -126,7 +142,7 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
     ],
 )
 def test_learned_values_are_compared_by_default_where_they_suit_the_ladder(options, learned, said, capsys):
-    asked = _with_learned(comparison(build_parser().parse_args(f"compare stay_back {options}".split())))
+    asked = _with_learned(comparison(parse(f"compare stay_back {options}".split())))
     rungs = asked.controllers["stay_back"][:2]
     assert asked.controllers["stay_back"] == [*rungs, *learned, "switching:5", "switching:0.4"]
     assert said in capsys.readouterr().err
@@ -207,7 +223,7 @@ def test_of_two_commands_that_write_to_a_directory_the_second_is_refused(compare
     ],
 )
 def test_a_key_is_set_by_json_or_by_words(text, value):
-    options = build_parser().parse_args(["compare", "--set", "grip=8", "--set", text])
+    options = parse(["compare", "--set", "grip=8", "--set", text])
     assert configuration(options) == {"grip": 8, text.partition("=")[0]: value}
 
 
@@ -219,5 +235,5 @@ def test_a_key_is_set_by_json_or_by_words(text, value):
     ],
 )
 def test_without_controllers_the_ladder_and_switching_are_compared_at_the_lambdas_that_are_named(options, controllers):
-    asked = comparison(build_parser().parse_args(f"compare merger {options}".split()))
+    asked = comparison(parse(f"compare merger {options}".split()))
     assert asked.controllers == {"merger": controllers.split()}

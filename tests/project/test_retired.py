@@ -6,11 +6,11 @@ import gymnasium as gym
 import pytest
 
 import ms_highway
-from ms_highway.cli.main import build_parser
+from ms_highway.cli.main import COMMANDS
 from ms_highway.irl.prediction import predict_with
 from ms_highway.runtime.retired import CONTROLLERS, DRIVERS, OPTIONS
 
-HELP = {name: parser.format_help() for name, parser in build_parser().names.items()}
+HELP = {name: command.parser().format_help() for name, command in COMMANDS.items()}
 
 
 @pytest.mark.parametrize(

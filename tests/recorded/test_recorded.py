@@ -37,7 +37,7 @@ from ms_highway.recorded.problem import Task
 from ms_highway.recorded.scenario import GoalRegion, Problem, open_recording
 from ms_highway.recorded.straight_road import map_of
 from ms_highway.recorded.traffic import overlap
-from ms_highway.road.appointment import Appointment
+from ms_highway.road.timed_goal import TimedGoal
 from ms_highway.road.traffic_paths import traffic_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -615,7 +615,7 @@ def test_who_goes_as_fast_as_is_desired_keeps_its_appointment(speed, distance, t
     vehicle = Vehicle(road, [20.0, 0.0], 0.0, speed)
     road.vehicles = [vehicle]
     place = np.array([20.0 + distance, 0.0])
-    kept = Appointment(Spot(("a", "b", 0), place[0]), place, times, speeds)
+    kept = TimedGoal(Spot(("a", "b", 0), place[0]), place, times, speeds)
     for step in range(200):
         now = step * 0.1
         wanted = kept.desired_speed(vehicle, now)

@@ -11,9 +11,9 @@ from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.road.constants import LANE, MODELS
 from ms_highway.road.driver import answered_by, proposed_for
 from ms_highway.road.driver import plan_of as planned
-from ms_highway.road.motion import bodies
 from ms_highway.road.plan import no_plan
 from ms_highway.road.scene import KNOTS, TRAFFIC
+from ms_highway.road.simulation import bodies
 
 STEPS = PLANNING.steps
 MEMORY = no_plan(PLANNING)

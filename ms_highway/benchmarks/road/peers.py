@@ -15,9 +15,9 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.recorded.environment import RecordedEnv
-from ms_highway.road.appointment import Appointment
 from ms_highway.road.driven import unheeded
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
+from ms_highway.road.timed_goal import TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 
 
@@ -185,7 +185,7 @@ class Idm(Peer):
     def choose(self) -> Any:
         """Let the ego decide, at the speed that keeps an appointment."""
         appointment = destination_of(self.inner)
-        if isinstance(appointment, Appointment):
+        if isinstance(appointment, TimedGoal):
             self.inner.vehicle.target_speed = appointment.desired_speed(self.inner.vehicle, self.inner.time)
         return super().choose()
 

@@ -14,7 +14,7 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.road.answers import UNIT, Commuter, commuter_among, commuter_of
+from ms_highway.road.best_responses import UNIT, Commuter, commuter_among, commuter_of
 
 TIMES = np.asarray(PLANNING.times)
 
@@ -26,7 +26,7 @@ def robot_at(s, speed, d=0.0):
 
 @jax.jit
 def answer(scene, robot, others):
-    return UNIT * commuter_among(scene, PLANNING, 0, robot, others).answer()
+    return UNIT * commuter_among(scene, PLANNING, 0, robot, others).best_response()
 
 
 @jax.jit
