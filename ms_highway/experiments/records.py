@@ -95,7 +95,8 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
     table = episodes[KEYS].first().join(means.mean().where(means.count().eq(episodes.size(), axis=0)))
     table = table.join(episodes[["collisions", "fallbacks"]].sum())
     if "success" in steps:
-        table["success"] = episodes["success"].last().astype(int)
+        ended = episodes["success"].last()  # empty where there is one human
+        table["success"] = ended if ended.isna().any() else ended.astype(int)
     return table.reset_index(drop=True)
 
 

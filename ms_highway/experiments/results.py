@@ -122,7 +122,7 @@ def read_results(directory: Path) -> Results:
     settings = results.settings()
     if "semantics" not in settings or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
-    records = read_steps(directory, settings.get("asked", {})).reset_index(drop=True)
+    records = read_steps(directory, settings).reset_index(drop=True)
     if records.empty:
         raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")
     with reading(directory / STEPS_FILE, REMEDY):

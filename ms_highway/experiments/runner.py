@@ -5,10 +5,11 @@ computes parts yields them as they are done, in any order, and this process alon
 the results or computed again.
 """
 
+import io
 import json
 import shutil
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from itertools import count
@@ -23,7 +24,7 @@ import pandas as pd
 from ms_highway.envs import environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.comparison import Comparison, EpisodeKey
+from ms_highway.experiments.comparison import Comparison, EpisodeKey, episode_steps
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns
 from ms_highway.runtime.files import reading, replacing
@@ -109,12 +110,14 @@ def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(pd.read_csv(Path(directory) / STEPS_FILE))
 
 
-def read_steps(directory: Path, asked: Mapping[str, Iterable[str]]) -> pd.DataFrame:
-    """Return the records of a directory, also those of parts that have not been put into ``steps.csv`` yet; check them.
+def read_steps(directory: Path, settings: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the records of whole episodes, also of parts that have not been put into ``steps.csv`` yet; check them.
+
+    Earlier versions wrote step by step and may have left an episode unfinished, which counts as not driven.
 
     Args:
         directory: of a comparison.
-        asked: controllers by scenario; records are in their order, any others last, and by seed.
+        settings: of its results. Rows are sorted by the controllers in ``asked``, others last, then by seed.
 
     Raises:
         ValueError: for a file that cannot be read.
@@ -122,15 +125,30 @@ def read_steps(directory: Path, asked: Mapping[str, Iterable[str]]) -> pd.DataFr
     file, tables = directory / STEPS_FILE, [pd.DataFrame(columns=[*KEYS, "step"])]
     for each in (*directory.glob(STEPS_FILE), *(directory / PARTS).glob("[!.]*.csv")):
         with reading(each, "choose another directory"):
-            tables.append(pd.read_csv(each))
+            text = each.read_text()
+            tables.append(pd.read_csv(io.StringIO(text[: text.rfind("\n") + 1])))
     if not tables[1:]:
         return tables[0]
     with reading(file, "choose another directory"):
         records = pd.concat(tables[1:])
         check_records(records)
+        records = _whole_episodes(records.drop_duplicates([*KEYS, "step"]), settings)
+    asked = settings.get("asked", {})
     order = pd.DataFrame([(name, each) for name in asked for each in asked[name]], columns=KEYS[:2])
     order = pd.concat([order, records[KEYS[:2]]]).drop_duplicates()
-    return order.merge(records.drop_duplicates([*KEYS, "step"]).sort_values(["seed", "step"]))
+    return order.merge(records.sort_values(["seed", "step"]))
+
+
+def _whole_episodes(records: pd.DataFrame, settings: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the records of episodes that have all of their steps."""
+    config = {key: value for key, value in settings.items() if key not in EXTENDED}
+    lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
+    episodes = records.groupby(KEYS)
+    count, last = episodes["step"].transform("size"), episodes["step"].transform("max")
+    ended = count == records["scenario"].map(lengths)
+    if config.get("terminate_on_collision"):
+        ended |= episodes["collision"].transform("last").astype(bool)
+    return records[ended & (count == last + 1)]
 
 
 @dataclass(frozen=True)
@@ -169,7 +187,7 @@ class Episodes:
         Raises:
             ValueError: if they cannot be read, or have other columns.
         """
-        records, columns = read_steps(self.directory, self.settings["asked"]), self.comparison.columns()
+        records, columns = read_steps(self.directory, self.settings), self.comparison.columns()
         file, parts = self.directory / STEPS_FILE, self.directory / PARTS
         if len(records) and list(records) != columns:
             raise ValueError(f"{file}: its columns are not {', '.join(columns)}; choose another directory")

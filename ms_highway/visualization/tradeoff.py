@@ -61,7 +61,7 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     rows = rows.assign(counted_ms=1e3 * rows["counted_seconds"])
     found, others = (rows[(rows["kind"] == "search") == searched] for searched in (True, False))
     found, others = found.sort_values("counted_ms", ascending=False), others.drop_duplicates("controller")
-    orders = others[others["kind"].isin(("schedule", "period"))]
+    orders = others[others["kind"].isin(fixed_order_types()) & (others["kind"] != "fixed")]
     figure = Figure(figsize=(7, 4.4))
     axes, label = figure.subplots(), "best order of each start"
     axes.plot(orders["counted_ms"], orders["reward"], ".", color=SCHEDULE_COLOR, label="orders for all starts")

@@ -110,6 +110,25 @@ def test_compare_goes_on_from_steps_and_parts(compared, begun):
     assert not parts.exists()
 
 
+@pytest.mark.parametrize(
+    "left", [lambda lines: [*lines[:46], lines[46][:20]], lambda lines: [*lines[:20], *lines[21:]]]
+)
+def test_an_episode_that_is_not_whole_is_driven_anew(compared, begun, left):
+    """Versions that wrote step by step left such episodes when they were killed."""
+    steps = begun / "steps.csv"
+    steps.write_text("".join(left(steps.read_text().splitlines(keepends=True))))
+    run(f"{COMPARE} {begun}")
+    pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
+
+
+@pytest.mark.slow
+def test_scenarios_with_one_human_and_with_several_are_compared_together(tmp_path):
+    run(f"compare stay_back dense_merge --controllers naive --seeds 1 --out {tmp_path}")
+    summary = pd.read_csv(tmp_path / "summary.csv").set_index("scenario")
+    assert pd.isna(summary.loc["stay_back", "success"])
+    assert summary.loc["dense_merge", "success"] in (0, 1)
+
+
 @pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
 def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_results(
     command, begun, monkeypatch, capsys
