@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
-from re import search
 from string import Formatter
 from textwrap import wrap
 from typing import Any
@@ -29,9 +28,15 @@ REGRETS = {
 
 
 class _Cells(Formatter):
-    """Format values as usual, and with ``:two`` to two significant digits."""
+    """Format values as usual, and with ``:two`` to two significant digits.
+
+    Raises:
+        TypeError: for a missing value, None or NaN.
+    """
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        if pd.api.types.is_scalar(value) and pd.isna(value):
+            raise TypeError("the value is missing")
         return two_digits(value) if format_spec == "two" else super().format_field(value, format_spec)
 
 
@@ -47,10 +52,9 @@ def texts(forms: Mapping[str, str], rows: Iterable[Mapping[str, Any]]) -> list[d
 
     def text(form: str, row: Mapping[str, Any]) -> str:
         try:
-            found = _Cells().vformat(form, (), row)
+            return _Cells().vformat(form, (), row)
         except (LookupError, TypeError):
             return ""
-        return "" if search(r"\bnan\b|\bNone\b", found) else found
 
     found = [{heading: text(form, row) for heading, form in forms.items()} for row in rows]
     return [{heading: row[heading] for heading in forms if any(each[heading] for each in found)} for row in found]
