@@ -19,7 +19,7 @@ from ms_highway.loop.driver import fixed
 from ms_highway.numerics.solvers import Solver
 from ms_highway.vehicle.keeping_clear import clear_acceleration
 from ms_highway.vehicle.planning import PlanningVehicle
-from ms_highway.vehicle.road_view import RoadView, followed_lane, look, remaining_route, route_ahead
+from ms_highway.vehicle.road_view import RoadView, look
 
 
 class HumanVehicle(PlanningVehicle):
@@ -67,15 +67,13 @@ class HumanVehicle(PlanningVehicle):
             self.drive_with(fixed(self._own_game(look(self, self.route))))
         super().act(action)
 
-    def _drive_on_road(self, controller: Controller) -> None:
+    def _drive_on_road(self, controller: Controller) -> RoadView:
         """Plan, and brake more than planned where that is needed to keep clear of others."""
-        super()._drive_on_road(controller)
-        lane = followed_lane(self, self.route)
-        chain = route_ahead(lane, remaining_route(self.route or [lane.index], lane.index))
-        place = float(lane.shape.local_coordinates(self.position)[0])
+        view = super()._drive_on_road(controller)
         omega, acceleration = self.control
-        highest = clear_acceleration(self, chain, place) + keep_velocity(self.dynamics, self.state)[1]
+        highest = clear_acceleration(self, view) + keep_velocity(self.dynamics, self.state)[1]
         self.execute(np.array([omega, min(acceleration, highest)]))
+        return view
 
     def _own_game(self, view: RoadView) -> Game:
         """Return the game that it plays when it drives by itself."""
