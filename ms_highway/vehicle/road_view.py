@@ -88,8 +88,7 @@ def look(driver: Vehicle, route: Route | None = None) -> RoadView:
     lane = followed_lane(driver, route)
     left = remaining_route(route or [(lane.start, lane.end, None)], lane.index)
     onward = _leading_on(lane, left)
-    chain = route_ahead(min(onward or [lane], key=lambda other: abs(other.number - lane.number)), left)
-    curve, place = _curve_along(chain, driver)
+    curve, place = _curve_along(min(onward or [lane], key=lambda side: abs(side.number - lane.number)), left, driver)
     seen = [car for car in driver.road.vehicles if car is not driver and dist(car.position, driver.position) < SIGHT]
     # at least one other, which is not there
     own, *others = _straightened(curve, place, states_of([driver, *seen, driver]))
@@ -158,11 +157,10 @@ def _leading_on(lane: Lane, route: Route) -> Lanes:
     return tuple(side for side in lane.siblings if (side.touched & wanted if wanted else side.touched))
 
 
-def _curve_along(ahead: Chain, driver: Vehicle) -> tuple[Curve, float]:
-    """Return the curve along lanes from the driver's on, near the driver, and the driver's place on it [m]."""
-    lane = ahead.lanes[0]
+def _curve_along(lane: Lane, route: Route, driver: Vehicle) -> tuple[Curve, float]:
+    """Return the curve along a lane and the route after it, near a driver, and the driver's place on it [m]."""
     behind = lane.behind(BACKWARDS)
-    chain = lane.roads.chain((*behind, *ahead.lanes))
+    chain = lane.roads.chain((*behind, *route_ahead(lane, route).lanes))
     way = chain.starts[len(behind)] + float(lane.shape.local_coordinates(driver.position)[0])
     whole = chain.curve(way // BLOCK)
     place, _, _ = whole.project(driver.position, driver.heading, way)
@@ -204,10 +202,11 @@ def _centres(curve: Curve, lane: Lane, onward: Lanes, position: Point) -> list[f
     along = [side.shape.local_coordinates(position)[0] for side in lane.siblings]
     middles = [side.shape.position(x, 0) for side, x in zip(lane.siblings, along, strict=True)]
     centres = curve.locate(np.array(middles))[1].tolist()
+    kept = [centres[side.number] for side in onward]
     first, last = TAPER
-    for number, (side, x) in enumerate(zip(lane.siblings, along, strict=True)):
-        if onward and side not in onward:
-            share = min(max((first - (side.length - x)) / (first - last), 0.0), 1.0)
-            nearest = min((centres[other.number] for other in onward), key=lambda other: abs(other - centres[number]))
-            centres[number] += share * (nearest - centres[number])
+    for side, x in zip(lane.siblings, along, strict=True):
+        if kept and side not in onward:
+            centre = centres[side.number]
+            share = np.clip((first - side.length + x) / (first - last), 0.0, 1.0)
+            centres[side.number] += share * (min(kept, key=lambda other: abs(other - centre)) - centre)
     return centres
