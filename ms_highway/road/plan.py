@@ -89,7 +89,7 @@ def propose_road(
         scene: the road.
         planning: limits and wishes.
         weights: what counts.
-        models: number of the model of each of the others: those below `IDM` keep their speed, others follow.
+        models: number of the model of each of the others: under naive they keep their speed, else they follow.
         last: plan.
     """
     now = situation_of(scene, planning, weights)
@@ -107,7 +107,7 @@ def answer_road(proposed: Proposed, models: Places) -> RoadPlan:
     """Return the best of the proposals when those answer them who optimise their reward.
 
     Args:
-        proposed: plans, while all others do what their models say up to `IDM`.
+        proposed: plans, while all others keep their speed or follow, as their models say.
         models: number of the model of each of the others.
     """
     now, few = proposed.now, proposed.few
