@@ -19,7 +19,7 @@ from ms_highway.loop.driver import fixed
 from ms_highway.numerics.solvers import Solver
 from ms_highway.vehicle.keeping_clear import clear_acceleration
 from ms_highway.vehicle.planning import PlanningVehicle
-from ms_highway.vehicle.road_view import RoadView, followed_lane, look, remaining_route, route_ahead
+from ms_highway.vehicle.road_view import RoadView, look
 
 
 class HumanVehicle(PlanningVehicle):
@@ -31,6 +31,10 @@ class HumanVehicle(PlanningVehicle):
     By itself it keeps clear of others: the Intelligent Driver Model bounds its acceleration, behind whoever is ahead on
     its way or will cross it first at constant speed. It does not run into a car that is slower by 8, 12 or 20 m/s. On
     a road that tells drivers when to yield, such as that of intersection-v0, only this makes it yield.
+
+    Beside an ego that idles, there are collisions about as often as with highway-env's IDM cars: in 5 of 20 episodes of
+    roundabout-v0 (IDM 5), in 11 of 20 of intersection-v0 (IDM 10) and in 10 of 10 of merge-v0 (IDM 10). In the
+    roundabout, cars start faster than tyres hold in its bends, and some stop beside their lanes.
 
     It does not change lanes in dense traffic: in 20 s of highway-v0 among 150 cars, IDM cars change lanes 39 times,
     humans never. Longer horizons do not help: behind a car of 12 m/s beside an empty lane, it stays there with
@@ -67,15 +71,13 @@ class HumanVehicle(PlanningVehicle):
             self.drive_with(fixed(self._own_game(look(self, self.route))))
         super().act(action)
 
-    def _drive_on_road(self, controller: Controller) -> None:
+    def _drive_on_road(self, controller: Controller) -> RoadView:
         """Plan, and brake more than planned where that is needed to keep clear of others."""
-        super()._drive_on_road(controller)
-        lane = followed_lane(self, self.route)
-        chain = route_ahead(lane, remaining_route(self.route or [lane.index], lane.index))
-        place = float(lane.shape.local_coordinates(self.position)[0])
+        view = super()._drive_on_road(controller)
         omega, acceleration = self.control
-        highest = clear_acceleration(self, chain, place) + keep_velocity(self.dynamics, self.state)[1]
+        highest = clear_acceleration(self, view) + keep_velocity(self.dynamics, self.state)[1]
         self.execute(np.array([omega, min(acceleration, highest)]))
+        return view
 
     def _own_game(self, view: RoadView) -> Game:
         """Return the game that it plays when it drives by itself."""

@@ -5,9 +5,8 @@ from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
-from ms_highway.geometry.road_map import BLOCK, Chain
 from ms_highway.planning.car_following import idm_acceleration
-from ms_highway.vehicle.road_view import at_constant_speed
+from ms_highway.vehicle.road_view import RoadView, at_constant_speed
 
 SIGHT = 60.0  # m, in which others are looked for
 HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
@@ -16,7 +15,7 @@ TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s, at which others are predicted 
 FREE = 1e3  # m/s, the desired speed of who may go as fast as it plans to
 
 
-def clear_acceleration(driver: Vehicle, chain: Chain, place: float) -> float:
+def clear_acceleration(driver: Vehicle, view: RoadView) -> float:
     """Return the highest acceleration with which a driver keeps clear of others by the Intelligent Driver Model.
 
     Whoever is, or soon will be, on the driver's way and gets there before the driver counts as the car ahead. On a
@@ -24,8 +23,7 @@ def clear_acceleration(driver: Vehicle, chain: Chain, place: float) -> float:
 
     Args:
         driver: on its way.
-        chain: lanes of the way.
-        place: of the driver along them [m].
+        view: of the road, in whose coordinates others are.
     """
     others = [
         item
@@ -36,13 +34,11 @@ def clear_acceleration(driver: Vehicle, chain: Chain, place: float) -> float:
     ]
     if not others:
         return np.inf
-    curve = chain.curve(place // BLOCK)
-    own, aside, _ = curve.project(driver.position, driver.heading, place)
+    own, aside = view.place, view.states[0, 1]
     times = TIMES[:1] if isinstance(driver.road, RegulatedRoad) else TIMES  # which tells drivers to yield
     poses = [_predicted(item, times) for item in others]
     x, y, heading = np.moveaxis(np.array(poses), -1, 0)  # [others, times]
-    low, high = int(max(own - SIGHT, 0.0) / 0.5), int((own + 2 * SIGHT) / 0.5)
-    s, d, turned = curve.curve.part(low, high).project(x, y, heading)
+    s, d, turned = view.curve.project(x, y, heading)
     speeds = np.array([item.speed for item in others])[:, None]
     length = np.array([(item.LENGTH + driver.LENGTH) / 2 for item in others])[:, None]
     width = np.array([(item.WIDTH + driver.WIDTH) / 2 for item in others])[:, None]
