@@ -8,18 +8,18 @@ from highway_env.vehicle.objects import Landmark, RoadObject
 from ms_highway.planning.car_following import idm_acceleration
 from ms_highway.vehicle.road_view import RoadView, at_constant_speed
 
-SIGHT = 60.0  # m, in which others are looked for
+SIGHT = 100.0  # m, in which others are looked for: to stop from 30 m/s takes 75 m
 HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
 BESIDE = 0.3  # m between sides, below which others are in the way
 TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s, at which others are predicted at constant speed along their lanes
-FREE = 1e3  # m/s, the desired speed of who may go as fast as it plans to
+FREE = 1e3  # m/s, so high that no desired speed limits the acceleration
 
 
 def clear_acceleration(driver: Vehicle, view: RoadView) -> float:
     """Return the highest acceleration with which a driver keeps clear of others by the Intelligent Driver Model.
 
-    Whoever is, or soon will be, on the driver's way and gets there before the driver counts as the car ahead. On a
-    `RegulatedRoad`, which tells drivers when to yield, only who is on the way now counts.
+    A vehicle that is in the driver's path, or will be within 2 s and before the driver, counts as the car ahead. On a
+    `RegulatedRoad`, which tells drivers when to yield, only vehicles in the path now count. It is infinite without any.
 
     Args:
         driver: on its way.
@@ -48,13 +48,14 @@ def clear_acceleration(driver: Vehicle, view: RoadView) -> float:
     first = gap > max(driver.speed, 1.0) * times - length
     along = np.maximum(speeds * np.cos(turned), 0.0)
     gap = np.where(in_way & (s > own) & first, gap - along * times, np.inf)
-    return float(idm_acceleration(driver.speed, FREE, gap, along, HEADWAY, STANDSTILL).min())
+    bound = idm_acceleration(driver.speed, FREE, gap, along, HEADWAY, STANDSTILL)
+    return float(np.where(np.isfinite(gap), bound, np.inf).min())
 
 
 def _predicted(item: RoadObject, times: np.ndarray) -> np.ndarray:
     """Return x, y and heading of a vehicle or an obstacle at times from now [s]."""
     if isinstance(item, Vehicle) and item.speed > 0.1 and not item.crashed:
         positions, headings = at_constant_speed(item, times)
-        shift = item.position - positions[0]
+        shift, headings[0] = item.position - positions[0], item.heading  # who comes the wrong way is in the way
         return np.column_stack([positions + shift, headings])
     return np.tile([*item.position, item.heading], (len(times), 1))
