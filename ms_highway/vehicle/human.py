@@ -32,7 +32,7 @@ class HumanVehicle(PlanningVehicle):
     its way or will cross it first at constant speed. It does not run into a car that is slower by 8, 12 or 20 m/s. On
     a road that tells drivers when to yield, such as that of intersection-v0, only this makes it yield.
 
-    Beside an ego that idles, there are collisions about as often as with highway-env's IDM cars: in 5 of 20 episodes of
+    Beside an ego that idles, there are collisions about as often as with highway-env's IDM cars: in 6 of 20 episodes of
     roundabout-v0 (IDM 5), in 11 of 20 of intersection-v0 (IDM 10) and in 10 of 10 of merge-v0 (IDM 10). In the
     roundabout, cars start faster than tyres hold in its bends, and some stop beside their lanes.
 
