@@ -23,7 +23,7 @@ BEHIND = 20.0
 """Length of the curve of a scene behind the car that follows it [m]; the car is near s = 0."""
 
 STEPS = 2  # of a projection, from the nearest sample
-TIGHTEST = 0.2  # of the radius of a bend, that a position is away from its centre at least
+TIGHTEST = 0.2  # least distance of a position from a bend's centre, as a share of the radius
 
 Knots = Float[Any, "*curves samples"]
 Rows = Float[np.ndarray, "rows samples"]

@@ -24,7 +24,7 @@ LOOK_AHEAD = 2.0  # s, after which a car will be in the lane that it was recorde
 SETTLING = 1.0  # s, in which a car without a leader becomes as fast as it was recorded at its place
 STOPPED = 1.0  # m, gap to a standing leader
 CALM, HARDEST = 1.5, 8.0  # m/s^2, of braking that is left to the learned reward, and of any braking
-BEGUN = 0.3  # m towards a lane, from which a change to it is not given up
+BEGUN = 0.3  # m, lateral progress after which a lane change is not given up
 
 
 class Way(NamedTuple):
@@ -47,7 +47,7 @@ class LearnedVehicle(GuidedVehicle):
     way: Way
 
     def wishes(self, x: float, lane: int, speed: float) -> tuple[float, float]:
-        """Return lanes to the right that it wants to change to, -1, 0 or 1, and its speed without a leader [m/s]."""
+        """Return the lane change that it wants (-1 left, 0 none, 1 right), and its speed without a leader [m/s]."""
         later = min(int(np.searchsorted(self.way.x, x + LOOK_AHEAD * speed)), len(self.way.x) - 1)
         return np.sign(self.way.lanes[later] - lane), np.interp(x, self.way.x, self.way.states[:, 3])
 

@@ -79,17 +79,17 @@ class RoadWeights:
         margin: between bodies that counts as a collision: predictions err by this much in a step [m].
         wreck_margin: the same to what cannot move, which plans pass in steps of 0.2 s [m].
         fading: factor per step of what is expected later, as predictions get worse.
-        soon: time until when all counts that others may do [s].
+        soon: time up to which predicted collisions count, even if the plan could still stop [s].
         early: time by which cars that cross may come earlier or later [s].
         unsure: acceleration that others may have besides the predicted one [m/s^2].
         tolerated: braking of others that costs nothing: as drivers do when they come off the gas [m/s^2].
-        begun: distance aside from which on a change of lane has begun [m].
-        off: growth of the distance off the road that counts as leaving it [m].
-        decided: step after which stopping before a crossing has to be possible: the next plan begins then.
+        begun: lateral offset from which a lane change has begun [m].
+        off: increase of the distance off the road that counts as leaving it [m].
+        decided: first step from which a plan must be able to stop before a crossing: the next plan starts there.
         corridor: half the width of the robot's way, which crossing cars have to leave [m].
         clearance: before and behind the robot, to those who cross [m].
-        awaited: time within which a crossing car has to come to count [s].
-        passed: time for which the robot has to be away before a crossing car comes [s].
+        awaited: time; a crossing car that comes later does not count [s].
+        passed: time by which the robot must have left a crossing before the next car arrives [s].
 
         least_headway: smallest time gap within a plan [s].
         room: to the car ahead, after a stop [m].

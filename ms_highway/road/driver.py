@@ -143,7 +143,7 @@ class RoadDriver:
         return replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
 
     def _first_rungs(self) -> Rungs:
-        """Return the rungs that proposals are judged with: the first ones, or all that a rule without gains chooses."""
+        """Return the rungs for judging proposals: the first of the ladder, or those of a fixed order."""
         memory = self._memory
         return memory.rungs if self._rule.estimates else self._rule.decide(None, memory, None).memory.rungs
 

@@ -16,7 +16,7 @@ from ms_highway.runtime.arrays import Car
 
 FOLLOWED = 0.7  # cosine of the angle between paths, from which a car follows the robot ahead
 SETTLING = 1.0  # s, in which cars move to the middle of their path
-SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
+SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
 BACKWARDS = 0.3  # m/s, above which a car rolls backwards
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
 HARD, HELD = 3.0, 3.0  # m/s^2 and s: braking ahead from which it is expected to go on, and for how long

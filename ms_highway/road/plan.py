@@ -63,8 +63,8 @@ class Proposed(NamedTuple):
         now: the situation.
         few: the best of the proposals, `ANSWERED` of them.
         numbers: which ones these are.
-        worth: what the best proposal would gain if each of the others, alone, made way: a bound on what its answer is
-            worth.
+        worth: upper bound on the gain from predicting each car better: what the best plan would earn more if that car
+            cost nothing.
         plan: the best one.
     """
 

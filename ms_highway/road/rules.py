@@ -38,7 +38,7 @@ class Bounds(Rule):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Priced(Rule):
-    """Predict a car by the last model whose time is not worth more than the bound on its answer.
+    """Predict each car by the most expensive model whose time costs no more than a better prediction could gain.
 
     Attributes:
         ladder: models, cheapest first (static).

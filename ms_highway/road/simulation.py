@@ -30,7 +30,7 @@ CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of clo
 CREEPING = 3.0  # m/s, at which crossing cars come that stand
 
 NEARLY = 0.3  # m, beside its way round what cannot move, up to which a robot is on it
-SECONDS_ASIDE = 1.2  # s, that one that is not yet on it takes to what cannot move, at least
+SECONDS_ASIDE = 1.2  # s, least time to reach an obstacle for a robot that is not yet beside it
 TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
 CLEAR, OVERTAKING = 0.5, 3.0  # m around others and s before it passes them, in which a plan changes no lane
 

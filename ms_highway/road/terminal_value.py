@@ -95,7 +95,7 @@ def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
 
 
 def speed_lost(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans, EachFlag]:
-    """Return the mean loss of speed in the seconds after each plan [m/s], and who of the others limits it first.
+    """Return the mean loss of speed after each plan [m/s], and which of the others limits it first.
 
     Plans end in lanes 0 to 2. All go on as points in their lanes, the others at the speed that they have then in the
     median of all plans. The robot drives as well as it can: dynamic programming over lanes, places and speeds.

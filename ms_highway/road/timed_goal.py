@@ -20,7 +20,7 @@ WITHIN = 0.5  # m/s, inside the interval of speeds
 GOAL = 20.0  # weight of being in the lane in time: more than that others there are slow
 SLOWEST = 0.1  # m/s, that is desired
 SOON = 0.1  # s
-CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap of who follows closely
+CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap below which a follower counts as close
 GENTLE, BEFORE = 1.5, 1.0  # m/s^2 and m, of braking before the spot
 
 
