@@ -30,8 +30,8 @@ class HumanVehicle(PlanningVehicle):
 
     By itself it keeps clear of others: the Intelligent Driver Model bounds its acceleration, behind whoever is ahead on
     its way or will cross it first at constant speed. It does not run into a car that is slower by 8, 12 or 20 m/s, and
-    stops from 30 m/s behind a standing one. On a ``RegulatedRoad``, such as that of intersection-v0, it yields only when
-    the road tells it to.
+    stops from 30 m/s behind a standing one. On a ``RegulatedRoad``, such as that of intersection-v0, it yields only
+    when the road tells it to.
 
     Beside an ego that idles, there are collisions about as often as with highway-env's IDM cars: in 6 of 20 episodes of
     roundabout-v0 (IDM 5), in 11 of 20 of intersection-v0 (IDM 10) and in 10 of 10 of merge-v0 (IDM 10). In the
