@@ -35,7 +35,7 @@ class Option(NamedTuple):
 
 
 def option(name: str, text: str, default: Any = None, notes: str = "", **more: Any) -> Option:
-    """Return an option whose help text tells its default, if any."""
+    """Return an option; append its default, if any, to its help text."""
     if default not in (None, []):
         shown = " ".join(map(str, default)) if isinstance(default, (list, tuple)) else default
         text += f" (default: {shown})"

@@ -84,7 +84,7 @@ def chosen_model(options: argparse.Namespace, recordings: "list[Recording]") -> 
 )
 def evaluate(options: argparse.Namespace) -> None:
     """Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, highway-env's
-    IDM and a fitted IDM. All predict every driver, from the same moments, once a second.
+    IDM and a fitted IDM. All predict every driver from the same snapshots, one a second.
 
     With --folds instead of --theta, everything is learned from the other recordings, fold after fold. FDE, the distance
     at the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded
@@ -133,8 +133,8 @@ def evaluate(options: argparse.Namespace) -> None:
 
 @command("irl fit", "learn a reward", *SEGMENTS, output("--out", "a .json file for the learned reward", required=True))
 def fit(options: argparse.Namespace) -> None:
-    """Learn the weights of a reward by maximum entropy: the reward that makes it most likely that drivers did what they
-    did, segment after segment of --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts
+    """Learn the weights of a reward by maximum entropy: maximise the likelihood of the recorded controls in segments of
+    --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts
     as at least half the smallest comfort weight. The indicator of a collision has no gradient and is left out.
 
     From real recordings, a second set of weights is learned from where drivers are 1 to 5 s later, and with it how

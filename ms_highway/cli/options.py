@@ -79,7 +79,7 @@ def compared(
     beside: str = "(default: all models of the ladder, and switching)",
     prices: str = "the scenario's two",
 ) -> list[Option]:
-    """Return the options that say what is compared, see `comparison`, and where results go.
+    """Return the options for what to compare, see `comparison`, and for the directory of results.
 
     Args:
         seeds: default number of episodes.

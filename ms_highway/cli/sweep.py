@@ -42,9 +42,9 @@ def sweep(options: argparse.Namespace) -> None:
     of processors may round otherwise, so do not mix them. Whoever reaches a scheduler of Dask can run any program
     there: keep it inside your own network.
 
-    Memory is bounded: about half a GB for every device, each of which compiles its own program, and 25 kB for
-    every episode of --part, of which each device has one at a time. The summary at the end reads all rows per
-    episode, of 0.1 kB. Needs the extra "sweep".
+    Memory is bounded. Every device compiles its own program, which takes about half a GB, and computes one part at a
+    time, which takes 25 kB for each episode of --part. The summary at the end reads 0.1 kB for each episode. Needs the
+    extra "sweep".
 
     Examples:
       ms-highway sweep merger --seeds 10000 --lambdas 0.001:10:25 --out results/sweep

@@ -48,18 +48,11 @@ from ms_highway.runtime.arrays import Array
 Key: TypeAlias = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
 
-STEP: tuple[str, ...] = (
-    "step",
-    "_simulate",
-    "_drive",
-    "_drive_robot",
-    "_reset",
-    "_reward",
-    "_rewards",
-    "_is_terminated",
+STEP = (
+    *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
+    *("_is_truncated", "episode_steps", "car_states", "success", "costs", "counted_seconds"),
 )
-STEP += ("_is_truncated", "episode_steps", "car_states", "success", "costs", "counted_seconds")
-"""What an environment does at a reset and in a step, which a simulation does in its own way."""
+"""Names of the methods and properties of an environment that a simulation replaces by its own code."""
 
 SEVERAL = ", of plans in which one human is predicted by it and the others by the first rung"
 YIELDING = {None: USUAL, False: NEVER_YIELDS, True: ALWAYS_YIELDS}

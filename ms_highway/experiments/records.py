@@ -1,4 +1,4 @@
-"""Records of steps: their columns, a row per episode made of them, and what is picked out of them."""
+"""Define the columns of records of steps, check and select records, and summarise them by episode."""
 
 from collections.abc import Callable, Iterable, Sequence
 

@@ -1,6 +1,5 @@
 """Read and check a directory of results of ``ms-highway compare``, beside the results that the paper published."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,7 +7,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
-from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
+from ms_highway.experiments.directory import SETTINGS_FILE, ResultsDirectory, Run, comparison_config
 from ms_highway.experiments.runner import STEPS_FILE, read_steps
 from ms_highway.runtime.files import reading
 
@@ -101,11 +100,6 @@ class Results:
         config = comparison_config(self.settings)
         measured = self.settings.get("measured", {})
         return config | ({"costs": measured[scenario]} if scenario in measured else {})
-
-
-def comparison_config(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what all environments of a comparison had in common, of the settings of its results."""
-    return {key: value for key, value in settings.items() if key not in EXTENDED}
 
 
 def read_results(directory: Path) -> Results:

@@ -11,7 +11,7 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import count
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -25,7 +25,7 @@ from ms_highway.envs import environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.comparison import Comparison, EpisodeKey, episode_steps
-from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
+from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, comparison_config
 from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns
 from ms_highway.runtime.files import reading, replacing
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, start_worker
@@ -94,14 +94,16 @@ def run(
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
         asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-    episodes = Episodes(comparison, results.path, settings)
-    episodes.collect()
+    episodes = LiveEpisodes(comparison, results.path, settings)
+    counts = run_parts(episodes, partial(_drive, episodes, min(processes, cores()), modules))
+    already = next(counts)  # refuses what cannot be resumed, before anything is written
     for scenario in comparison.controllers:
         measured = comparison.environment_config(scenario, "naive")["costs"] == "measured"
         if measured and scenario not in settings["measured"]:
             settings["measured"][scenario] = measured_seconds(scenario, comparison)
     results.write_settings(settings)
-    yield from run_parts(episodes, partial(_drive, episodes, min(processes, cores()), modules))
+    yield already
+    yield from counts
     episodes.collect()
 
 
@@ -141,7 +143,7 @@ def read_steps(directory: Path, settings: Mapping[str, Any]) -> pd.DataFrame:
 
 def _whole_episodes(records: pd.DataFrame, settings: Mapping[str, Any]) -> pd.DataFrame:
     """Return the records of episodes that have all of their steps."""
-    config = {key: value for key, value in settings.items() if key not in EXTENDED}
+    config = comparison_config(settings)
     lengths = {name: episode_steps(name, config) for name in records["scenario"].unique()}
     episodes = records.groupby(KEYS)
     count, last = episodes["step"].transform("size"), episodes["step"].transform("max")
@@ -152,8 +154,8 @@ def _whole_episodes(records: pd.DataFrame, settings: Mapping[str, Any]) -> pd.Da
 
 
 @dataclass(frozen=True)
-class Episodes:
-    """Episodes of a comparison in the environments, each of them a part.
+class LiveEpisodes:
+    """The episodes of a comparison in the environments; each is a part.
 
     Attributes:
         comparison: what is wanted.
@@ -165,20 +167,24 @@ class Episodes:
     directory: Path
     settings: dict[str, Any]
 
+    @cached_property
+    def places(self) -> dict[EpisodeKey, int]:
+        """Number of each wanted episode."""
+        return {key: place for place, key in enumerate(self.comparison.episodes())}
+
     @property
     def episodes(self) -> int:
         """How many are wanted."""
-        return len(list(self.comparison.episodes()))
+        return len(self.places)
 
     def missing(self) -> dict[EpisodeKey, int]:
         """Return the episodes that are not there yet."""
         there = {*self.collect()[KEYS].itertuples(index=False, name=None)}
-        return {key: 1 for key in self.comparison.episodes() if key not in there}
+        return {key: 1 for key in self.places if key not in there}
 
     def write(self, key: EpisodeKey, records: pd.DataFrame) -> None:
         """Write an episode."""
-        place = list(self.comparison.episodes()).index(key)
-        with replacing(self.directory / PARTS / f"{place}.csv") as path:
+        with replacing(self.directory / PARTS / f"{self.places[key]}.csv") as path:
             records.to_csv(path, index=False)
 
     def collect(self) -> pd.DataFrame:
@@ -215,7 +221,7 @@ def _environment(scenario: str, controller: str, config: str) -> gym.Env:
 
 
 def _drive(
-    episodes: Episodes, processes: int, modules: Sequence[str], keys: Sequence[EpisodeKey]
+    episodes: LiveEpisodes, processes: int, modules: Sequence[str], keys: Sequence[EpisodeKey]
 ) -> Iterator[tuple[EpisodeKey, pd.DataFrame]]:
     """Run episodes in this process, or many in several, each on a core; yield each with its records.
 

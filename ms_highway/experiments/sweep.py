@@ -72,10 +72,10 @@ class Sweep:
         }
 
     def batch(self) -> Batch:
-        """Return what is simulated.
+        """Return the batch of episodes to simulate.
 
         Raises:
-            ValueError: if it cannot be.
+            ValueError: if it cannot be simulated.
         """
         return make_batch(self.comparison, self.scenario)
 

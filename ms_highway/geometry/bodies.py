@@ -1,4 +1,4 @@
-"""Distances of bodies, rectangles and ellipses, and who is ahead; for arrays of NumPy and of JAX."""
+"""Compute distances between rectangles and ellipses, and find the nearest body ahead, in NumPy or JAX."""
 
 from typing import Any
 

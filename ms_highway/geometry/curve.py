@@ -157,8 +157,13 @@ def _between(samples: int, s: Numbers, start: float, spacing: float) -> tuple[Nu
     return low, position - low
 
 
+def arc_lengths(positions: Rows) -> Float[np.ndarray, "samples"]:
+    """Return the distance from the first position along a line to each one [m], given rows x and y."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions)))])
+
+
 def resample(rows: Rows, spacing: float) -> Rows:
-    """Resample rows, the first two of which are positions, at equal distances."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:2])))])
+    """Interpolate the rows of a line at equal distances along it; the first two rows are x and y [m]."""
+    along = arc_lengths(rows[:2])
     even = np.arange(0.0, along[-1], spacing)
     return np.stack([np.interp(even, along, row) for row in rows])

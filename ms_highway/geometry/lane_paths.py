@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
 
-from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Rows, resample, wrapped
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Rows, arc_lengths, resample, wrapped
 
 Point = Float[np.ndarray, "2"]
 Row = Float[np.ndarray, "samples"]
@@ -41,10 +41,6 @@ class LaneCurve:
 
     curve: Curve
     ways: Row
-
-    def gather(self, rows: Rows, s: Row) -> Rows:
-        """Interpolate rows that belong to the curve's samples at distances from its beginning [m]."""
-        return self.curve.interpolate(rows, s)
 
     def path(self, s: float, knots: int) -> Curve:
         """Return the curve whose s = 0 is at a distance from this one's beginning [m]; its heading there is wrapped."""
@@ -118,7 +114,7 @@ def join_lanes(
 
 def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
     """Return x, y and way of points every `FINE` metres of a Hermite spline."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    along = arc_lengths(points.T)
     spline = CubicHermiteSpline(along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1))
     dense = np.arange(0.0, along[-1], FINE)
     return resample(np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]), FINE)

@@ -45,7 +45,7 @@ from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
-MANY = 600  # segments, of which half as many are fitted first
+MANY = 600  # segments; of more, a fit to about 300 comes first
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
 TOLERANCE = 1e-3  # of the slope of the objective per segment, in a fit that has converged
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}

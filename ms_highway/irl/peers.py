@@ -68,7 +68,7 @@ FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
 
 
 def predict_idm(snapshots: Snapshots, parameters: IdmParameters) -> Modes:
-    """Predict drivers who follow their leaders by IDM in their present lane, all cars of a snapshot together."""
+    """Simulate all cars of each snapshot by IDM in their present lanes; return the paths of the drivers."""
     return one_mode(snapshots.drivers(np.asarray(_compiled_positions(parameters, _present_only(snapshots)))))
 
 

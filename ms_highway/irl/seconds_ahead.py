@@ -32,7 +32,7 @@ FIRST = {
     **{"typical headway": 1.2, "desired speeds": 0.15, "headways": 0.5, "patiences": 0.4, "noise": 0.7},
 }  # that the fit starts from, and the medians of its prior: weights, median headway, deviations of traits, and noise
 NAMES = (*FIRST, *(f"{name} while changing lanes" for name in CHANGING))
-MEDIANS = np.log([*FIRST.values(), *np.ones(len(CHANGING))])  # of the prior of what is fitted, in logarithms
+MEDIANS = np.log([*FIRST.values(), *np.ones(len(CHANGING))])  # logarithms of the medians of the prior
 WIDE, NARROW = 2.0, 0.7  # standard deviations of the prior, of logarithms of weights and of all else
 DEVIATIONS = np.array([WIDE if name in LEARNED else NARROW for name in (*FIRST, *CHANGING)])
 ODDS = 3.0  # standard deviation of the prior of an intention's numbers

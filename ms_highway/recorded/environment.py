@@ -116,7 +116,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
         self.scenario, self.task, self.road, self.axes = scenario, task, road, axes
-        self.goal, self.desired_speed = task.appointment(network, axes), max(speed, SLOWEST)
+        self.goal, self.desired_speed = task.timed_goal(network, axes), max(speed, SLOWEST)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
         self._along = straight.along(vehicle)
 

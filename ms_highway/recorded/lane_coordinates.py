@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import make_smoothing_spline
 
-from ms_highway.geometry.curve import Curve, resample
+from ms_highway.geometry.curve import Curve, arc_lengths, resample
 from ms_highway.recorded.scenario import Lanelet, Points
 
 Values = Float[np.ndarray, "n"]
@@ -41,7 +41,7 @@ class MeasuredRoad(NamedTuple):
 def fits(line: Points) -> Iterator[Curve]:
     """Yield curves along a line, first smoothed much: lines of maps have kinks that would look like steering."""
     line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
-    distance = np.r_[0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=-1))]
+    distance = arc_lengths(line.T)
     for smoothed in SMOOTHED:
         spacing = smoothed / 2
         even = np.linspace(0, distance[-1], max(round(distance[-1] / spacing) + 1, FEWEST_POINTS))
@@ -54,7 +54,7 @@ def fits(line: Points) -> Iterator[Curve]:
 
 def dense(line: Points) -> Points:
     """Return the points of a line, and more between those that are farther than a metre apart."""
-    places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    places = arc_lengths(line.T)
     even = np.union1d(places, np.arange(0.0, places[-1], 1.0))
     return np.stack([np.interp(even, places, part) for part in line.T], axis=-1)
 

@@ -27,7 +27,7 @@ CALM, HARDEST = 1.5, 8.0  # m/s^2, of braking that is left to the learned reward
 BEGUN = 0.3  # m, lateral progress after which a lane change is not given up
 
 
-class Way(NamedTuple):
+class RecordedWay(NamedTuple):
     """A track on the straight road.
 
     Attributes:
@@ -44,7 +44,7 @@ class Way(NamedTuple):
 class LearnedVehicle(GuidedVehicle):
     """A learned driver who follows a way. Its road computes the steps of all of them at once."""
 
-    way: Way
+    way: RecordedWay
 
     def wishes(self, x: float, lane: int, speed: float) -> tuple[float, float]:
         """Return the lane change that it wants (-1 left, 0 none, 1 right), and its speed without a leader [m/s]."""
@@ -86,7 +86,7 @@ class LearnedRoad(DrivenRoad):
     def make(self, track: RecordedTrack) -> Any:
         """Return the vehicle of a track where it enters."""
         vehicle = super().make(track)
-        vehicle.way = ways_of(self.recording).get(track.number)
+        vehicle.way = ways_of(self.recording)[track.number]
         return vehicle
 
     def act(self) -> None:
@@ -117,7 +117,7 @@ class LearnedRoad(DrivenRoad):
 
 
 @lru_cache(KEPT)
-def ways_of(recording: TrafficRecording) -> dict[int, Way]:
+def ways_of(recording: TrafficRecording) -> dict[int, RecordedWay]:
     """Return the ways of all tracks of a recording, by number."""
     axes, _, straight = map_of(recording)
     ways = {}
@@ -126,7 +126,7 @@ def ways_of(recording: TrafficRecording) -> dict[int, Way]:
         poses = straight.poses(axes.positions(np.stack([x, y], axis=-1)), axes.headings(orientations))
         states = straight.states(poses, speeds)
         ascending = np.maximum.accumulate(states[:, 0]) + 1e-6 * np.arange(len(states))
-        ways[track.number] = Way(ascending, straight.numbers[poses.lane], states)
+        ways[track.number] = RecordedWay(ascending, straight.numbers[poses.lane], states)
     return ways
 
 

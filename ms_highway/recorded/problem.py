@@ -72,7 +72,7 @@ class Task:
         """Return whether one of the goals is reached, by the middle of the ego, in the map's axes."""
         return any(_is_in(goal, step, point, orientation, speed) for goal in self.problem.goals)
 
-    def appointment(self, network: RoadNetwork, axes: Axes) -> TimedGoal | None:
+    def timed_goal(self, network: RoadNetwork, axes: Axes) -> TimedGoal | None:
         """Return where to be and when, since the start, for the first goal that has a place; None without one."""
         for goal in self.problem.goals:
             if goal.area is None:

@@ -92,7 +92,7 @@ class RecordedRoad(Road):
         self.now += 1
         self.vehicles = [vehicle for vehicle in self.vehicles if not self._has_left(vehicle)]
         self._let_enter()
-        for ego in [vehicle for vehicle in self.vehicles if vehicle not in self.others]:
+        for ego in [vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")]:
             for other in (*self.vehicles, *self.objects):
                 if other is not ego and overlap(ego, other):
                     ego.crashed = other.crashed = True

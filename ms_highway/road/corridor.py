@@ -39,7 +39,7 @@ class Corridor:
 
     def at(self, s: Row) -> dict[str, Any]:
         """Return what a ``RoadScene`` has of the lanes at distances from the curve's beginning [m]."""
-        rows = self.curve.gather(self.rows, s).astype(np.float32)
+        rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
         return {"lanes": rows[:LANES], "edges": rows[EDGES], "paved": rows[PAVED], "open": self.open[:, nearest]}
 

@@ -6,9 +6,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
 from ms_highway.planning.car_following import idm_acceleration
-from ms_highway.vehicle.road_view import RoadView, at_constant_speed
+from ms_highway.vehicle.road_view import SIGHT, RoadView, at_constant_speed
 
-SIGHT = 100.0  # m, in which others are looked for: to stop from 30 m/s takes 75 m
 HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
 BESIDE = 0.3  # m between sides, below which others are in the way
 TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s, at which others are predicted at constant speed along their lanes
@@ -35,7 +34,7 @@ def clear_acceleration(driver: Vehicle, view: RoadView) -> float:
     if not others:
         return np.inf
     own, aside = view.place, view.states[0, 1]
-    times = TIMES[:1] if isinstance(driver.road, RegulatedRoad) else TIMES  # which tells drivers to yield
+    times = TIMES[:1] if isinstance(driver.road, RegulatedRoad) else TIMES
     poses = [_predicted(item, times) for item in others]
     x, y, heading = np.moveaxis(np.array(poses), -1, 0)  # [others, times]
     s, d, turned = view.curve.project(x, y, heading)

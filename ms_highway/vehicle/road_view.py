@@ -27,7 +27,7 @@ Route: TypeAlias = list[tuple[str, str, int | None]]
 MAX_LANES = 6
 MAX_OBSTACLES = 4
 
-SIGHT = 100.0  # m, of cars
+SIGHT = 100.0  # m, in which cars are looked for: to stop from 30 m/s takes 75 m
 BACKWARDS = 50.0  # m, of the curve behind the driver
 OBSTACLE_SIGHT = (-10.0, 60.0)  # m, behind and ahead, of obstacles
 TAPER = (80.0, 20.0)  # m before the end of a lane that ends, between which it merges with its neighbour
