@@ -77,8 +77,9 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type"):
         field is.
         """
         tag, own = str(cls.__struct_config__.tag), cls.own_fields()
-        if cls.example:
-            return f"{tag}:{cls.example}"
+        example = vars(cls).get("example", "")  # not that of a base, which may lack fields
+        if example:
+            return f"{tag}:{example}"
         if own and not any(each.required for each in own[1:]):
             with suppress(ValidationError):
                 _parsed("1", own[0])
@@ -137,7 +138,7 @@ class OrderSettings(ControllerSettings, frozen=True):
     """
 
     chooses: ClassVar[bool] = False
-    fixed: ClassVar[bool] = True
+    fixed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for name in self.names():
@@ -158,6 +159,7 @@ class OrderSettings(ControllerSettings, frozen=True):
 class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
     """Always the same model."""
 
+    fixed = True
     model: str
 
     @classmethod
@@ -174,6 +176,7 @@ class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
     """A model per step, the last one is kept; ``tom/naive`` stands for a model of each human."""
 
     example = "tom=6,naive"
+    fixed = True
     models: Models
 
     @classmethod
@@ -229,7 +232,6 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
     """A model for every human and step, drawn when the episode starts."""
 
     example = "naive=0.7,tom=0.3"
-    fixed = False
     shares: Shares
 
     @classmethod

@@ -38,6 +38,7 @@ class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
 class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):
     """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
 
+    example = "0.1"
     horizon_steps = None
 
 

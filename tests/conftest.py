@@ -23,7 +23,7 @@ from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MER
 from ms_highway.runtime.jax_settings import keep_compilations
 
 if TYPE_CHECKING:
-    from ms_highway.irl.recordings.recording import Recording
+    from ms_highway.irl.recording import Recording
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY, DENSE_MERGE, CROSSING_CROWD)}
 
@@ -123,7 +123,7 @@ def us101_directory() -> Path:
 @pytest.fixture(scope="session")
 def us101(us101_directory: Path) -> "list[Recording]":
     """Human driving on the US-101 highway."""
-    from ms_highway.irl.recordings.commonroad import read_directory  # which needs an extra
+    from ms_highway.irl.commonroad import read_directory  # which needs an extra
 
     return read_directory(us101_directory)
 

@@ -6,20 +6,20 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.geometry.path import BEHIND, SPACING, Path, place
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
-from ms_highway.road.motion import advance, within_tyres
-from ms_highway.road.plan import Judged, proposals
-from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, Manners, profiles, simulate_plans
+from ms_highway.road.following import Manners, manners_of
+from ms_highway.road.plan import Judged, no_plan
+from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, proposals
 from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
-from ms_highway.road.scoring import score
+from ms_highway.road.score import score
+from ms_highway.road.simulation import advance, simulate
 from ms_highway.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 NOBODY = np.zeros(TRAFFIC, bool)
 ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
-PLANS = jax.tree.map(np.asarray, profiles(np.zeros((PLANNING.steps, 2), np.float32), 1, 0))
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
@@ -29,7 +29,7 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
     x, y = (np.sin(heading) / bend, (1 - np.cos(heading)) / bend) if bend else (along, np.zeros(knots))
     own = bend / (1 - d * bend)
     arrays = (x - d * np.sin(heading), y + d * np.cos(heading), heading, np.full(knots, own))
-    return Path(*(np.asarray(array, np.float32) for array in arrays))
+    return Curve(*(np.asarray(array, np.float32) for array in arrays))
 
 
 def winding(curvature):
@@ -40,7 +40,7 @@ def winding(curvature):
     x, y = (np.concatenate([[0.0], np.cumsum(along(middle)) * SPACING]) for along in (np.cos, np.sin))
     zero = round(BEHIND / SPACING)
     arrays = (x - x[zero], y - y[zero], heading - heading[zero], curvature)
-    return Path(*(np.asarray(array, np.float32) for array in arrays))
+    return Curve(*(np.asarray(array, np.float32) for array in arrays))
 
 
 def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied=(0.0, 0.0)):
@@ -70,7 +70,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         robot=np.asarray(robot, np.float32),
         size=np.array([5.0, 2.0], np.float32),
         applied=np.asarray(applied, np.float32),
-        paths=Path(
+        paths=Curve(
             *(np.stack(field) for field in zip(*((p.x, p.y, p.heading, p.curvature) for p in paths), strict=True))
         ),
         states=states,
@@ -134,8 +134,7 @@ def execute(scene, planning, controls):
     """Return the robot's states after each control, and the controls within limits that it executed."""
 
     def go(state, control):
-        held = within_tyres(planning, state[3], control)
-        moved = advance(scene, planning, state, held)
+        moved, held = advance(scene, planning, state, control)
         return moved, (moved, held)
 
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
@@ -147,23 +146,24 @@ def keeping_velocity(scene):
 
     def one(path, state):
         s = state[0] + state[3] * PLANNING.times
-        return jnp.stack([*place(path, s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
+        return jnp.stack([*path.place(s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
 
     return jax.vmap(one)(scene.paths, scene.states)
 
 
-def manners_of(follows, **others):
-    """Others who follow by IDM, or keep their speed; arrays have the same shapes always, for one program."""
-    zeros = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
-    manners = Manners(follows, NOBODY, zeros, zeros[0, :, 0], np.full(TRAFFIC, np.inf, np.float32))
-    return manners._replace(**others)
+def told(follows, given=NOBODY, accelerations=0.0, surprise=0.0):
+    """Others who follow by IDM, keep their speed or do as told; arrays have the same shapes always, for one program."""
+    shape = PROPOSALS, TRAFFIC, PLANNING.steps
+    fading = np.broadcast_to(surprise, TRAFFIC)[:, None] * np.exp(-np.asarray(PLANNING.times))
+    accelerations = np.broadcast_to(np.asarray(accelerations, np.float32), shape)
+    return Manners(follows, given, accelerations, fading.astype(np.float32), np.full(shape[1:], np.inf, np.float32))
 
 
 @jit_quickly
-def driven_and_judged(scene, planning, manners, plans):
+def driven_and_judged(scene, planning, others, plans):
     """As many plans as there are proposals, driven and judged: one program for all tests."""
     now = situation_of(scene, planning, WEIGHTS)
-    driven = simulate_plans(now, manners, plans)
+    driven = simulate(now, others, plans)
     return driven, score(now, driven, plans)
 
 
@@ -178,7 +178,7 @@ def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
         side=np.broadcast_to(np.asarray(sides, np.int32), number)[filled],
         controls=np.asarray(controls, np.float32)[filled],
     )
-    found = driven_and_judged(scene, planning, manners_of(follows), plans)
+    found = driven_and_judged(scene, planning, told(follows), plans)
     return jax.tree.map(lambda field: field[:number], found)
 
 
@@ -188,10 +188,11 @@ def now_in(scene, planning=PLANNING):
     return situation_of(scene, planning, WEIGHTS)
 
 
-proposals_now = jit_quickly(proposals)
+proposals_now = jit_quickly(lambda now, models, last: (proposals(now, last), manners_of(now, models, PROPOSALS)))
+PLANS = jax.tree.map(np.asarray, jit_quickly(proposals)(now_in(scene_of()), no_plan(PLANNING)))
 
 
 def proposals_of(scene, planning, rungs, last):
     """All proposals, driven and judged."""
-    plans, manners = proposals_now(now_in(scene, planning), rungs, last)
-    return Judged(plans, *driven_and_judged(scene, planning, manners, plans))
+    plans, others = proposals_now(now_in(scene, planning), rungs, last)
+    return Judged(plans, *driven_and_judged(scene, planning, others, plans))

@@ -106,7 +106,8 @@ def changes(
     all_keys, noisy = keys * len(sizes), np.concatenate([size * noise for size in sizes])
     records = batch.simulate(all_keys, use_devices(devices), **{"errors" if seen else "shifts": noisy})
     paths = np.split(np.asarray(records.states, float)[:, : AFTER[-1], 0, :2], len(sizes))
-    tables = batch.episodes_table(all_keys, records).groupby(np.repeat(np.arange(len(sizes)), len(keys)))
+    episodes = batch.episodes_table(batch.steps_table(all_keys, records))
+    tables = episodes.groupby(np.repeat(np.arange(len(sizes)), len(keys)))
     before, *after = [table.reset_index(drop=True) for _, table in tables]
     return {
         str(size): {**_of_path(np.linalg.norm(path - paths[0], axis=-1)), **_of_outcome(before, own)}

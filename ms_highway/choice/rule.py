@@ -96,8 +96,15 @@ class Rule:
     ladder: Any
     estimates: ClassVar[bool] = True
 
-    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Choose the rungs of the coming step."""
+    def decide(self, game: Any, memory: Memory, outcome: Any) -> Decision:
+        """Choose the rungs of the coming step.
+
+        Args:
+            game: that is played; None on stock roads.
+            memory: of the rule.
+            outcome: of the last step; on stock roads, bounds on what the answer of each human is worth, or None for a
+                rule that estimates no gains.
+        """
         raise NotImplementedError
 
     def at_price(self, price: Scalar) -> "Rule":
@@ -170,8 +177,8 @@ def always(model: HumanModel) -> Order:
     return Order(np.zeros((1, 1), int), (model,))
 
 
-def decide(rule: Rule, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-    """Choose the rungs of the coming step by a rule."""
+def decide(rule: Rule, game: Any, memory: Memory, outcome: Any) -> Decision:
+    """Choose the rungs of the coming step by a rule, see `Rule.decide`."""
     return rule.decide(game, memory, outcome)
 
 

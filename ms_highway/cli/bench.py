@@ -4,56 +4,12 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import add_command, print_tables, telling
-from ms_highway.cli.options import (
-    MOST_SEEDS,
-    add_controllers,
-    add_devices,
-    add_keys,
-    add_number,
-    add_scenarios,
-    configuration,
-    file_to_write,
-    number,
-)
+from ms_highway.cli.command import command, number, option, output
+from ms_highway.cli.console import print_tables, telling
+from ms_highway.cli.options import DEVICES, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-HELP = """\
-Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for every
-scenario and human model.
-
-With --batches, measure the closed loop instead: how many steps of the robot per second the environments take, on one
-core, and the simulation of many episodes at once, by batch size, on --devices; for every model of the ladder and for
-switching. MiB is the most memory that the batches have taken until then.
-
-For scenarios with several humans, measure plans by number of humans (--crowd), a process each.
-
-With --noise, measure how steady driving is: drive --seeds starts as they were drawn, and again with normal noise added
-to the start of the robot and of every human or, with --seen, to what the robot sees of them and of itself in every
-step. NOISE is its standard deviation, of x and y [m] and of the speed [m/s]; that of the heading is NOISE / 20 rad, so
-that the velocity changes as much across the road. Cars that nobody drives keep their starts, and are seen as they are.
-The table tells how far apart the robot is with noise and without after so many steps, the median and the 95 % quantile
-over the starts; growth, the factor per step of the median, from a straight line through its logarithm over 20 steps
-(noise is forgotten below 1, not even corrected at 1.05, amplified above); the change of the reward per step with its 90
-% interval, and the mean of its magnitude; the share of the episodes whose success changes, among several humans; and
-episodes with a collision without noise and with it. Numbers have single precision: a distance below 0.01 mm is
-rounding.
-
-`ms-highway bench road` measures how drivers fare in stock scenes of highway-env."""
-
-EXAMPLES = """\
-examples:
-  ms-highway bench merger
-  ms-highway bench --json bench.json
-  ms-highway bench merger --batches 1 16 64 256 1024 8192
-  ms-highway bench dense_merge --crowd 1 2 4 6 8 12
-  ms-highway bench merger --noise 1e-5 1e-3 1e-1
-  ms-highway bench dense_merge --noise 1e-5 1e-3 --set ladder=naive, --set humans=2 --json noise.json
-  ms-highway bench merger --noise 0.1 --seen
-  ms-highway bench road merge --drivers priced idm"""
-
 
 LATENCY = {
     "plan us": "{plan_us[p50]:.0f}",
@@ -77,6 +33,7 @@ STEADY = {
     "reward /step": "{reward[mean]:+.3f} ({reward[low]:+.3f}, {reward[high]:+.3f})",
     "|reward|": "{reward[absolute]:.2g}",
     "collisions": "{collisions[0]} -> {collisions[1]}",
+    "success changed": "{success_changes:.0%}",
 }
 """Headings of tables, and how their texts are made of what was measured."""
 
@@ -84,25 +41,54 @@ NOISES = 1e-5, 10.0  # m, what single precision still tells apart, and the most
 STARTS = 24
 
 
-def add_bench(commands: Any) -> None:
-    """Add the command ``bench`` to a parser's subparsers."""
-    parser = add_command(commands, "bench", "measure planning time, the closed loop, and steadiness", HELP, EXAMPLES)
-    add_scenarios(parser)
-    add_number(parser, "--batches", None, "measure the closed loop in such batches", nargs="+", metavar="SIZE")
-    add_number(parser, "--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N")
-    noise = number(*NOISES, float)
-    parser.add_argument("--noise", nargs="+", type=noise, metavar="NOISE", help="measure steadiness under such noise")
-    parser.add_argument("--seen", action="store_true", help="put the --noise into what the robot sees in every step")
-    add_number(parser, "--seeds", None, f"starts to add --noise to (default: {STARTS})", 2)
-    add_number(parser, "--seed", None, "of the first start (default: 0)", 0, MOST_SEEDS)
-    add_controllers(parser, "Those of --noise (default: all models of the ladder)")
-    add_devices(parser)
-    add_keys(parser)
-    parser.add_argument("--json", type=file_to_write, metavar="FILE", help="write all figures to a JSON file")
-    parser.set_defaults(run=_bench)
+@command(
+    "bench",
+    "measure planning time, the closed loop, and steadiness",
+    SCENARIOS,
+    number("--batches", None, "measure the closed loop in such batches", nargs="+", metavar="SIZE"),
+    number("--crowd", None, "numbers of humans (default: 1 6 8)", nargs="+", metavar="N"),
+    number("--noise", None, "measure steadiness under such noise", *NOISES, nargs="+", metavar="NOISE"),
+    option("--seen", "put the --noise into what the robot sees in every step", action="store_true"),
+    number("--seeds", None, f"starts to add --noise to (default: {STARTS})", 2),
+    number("--seed", None, "of the first start (default: 0)", 0, MOST_SEEDS),
+    controllers("Those of --noise (default: all models of the ladder)"),
+    DEVICES,
+    SET,
+    output("--json", "write all figures to a JSON file"),
+)
+def bench(options: argparse.Namespace) -> None:
+    """Measure plans, decisions and environment steps on one core, warm, and compilation, cold and from a cache; for
+    every scenario and human model.
 
+    With --batches, measure the closed loop instead: how many steps of the robot per second the environments take, on
+    one core, and the simulation of many episodes at once, by batch size, on --devices; for every model of the ladder
+    and for switching. MiB is the most memory that the batches have taken until then.
 
-def _bench(options: argparse.Namespace) -> None:
+    For scenarios with several humans, measure plans by number of humans (--crowd), a process each.
+
+    With --noise, measure how steady driving is: drive --seeds starts as they were drawn, and again with normal noise
+    added to the start of the robot and of every human or, with --seen, to what the robot sees of them and of itself in
+    every step. NOISE is its standard deviation, of x and y [m] and of the speed [m/s]; that of the heading is NOISE /
+    20 rad, so that the velocity changes as much across the road. Cars that nobody drives keep their starts, and are
+    seen as they are. The table tells how far apart the robot is with noise and without after so many steps, the median
+    and the 95 % quantile over the starts; growth, the factor per step of the median, from a straight line through its
+    logarithm over 20 steps (noise is forgotten below 1, not even corrected at 1.05, amplified above); the change of the
+    reward per step with its 90 % interval, and the mean of its magnitude; the share of the episodes whose success
+    changes, among several humans; and episodes with a collision without noise and with it. Numbers have single
+    precision: a distance below 0.01 mm is rounding.
+
+    `ms-highway bench road` measures how drivers fare in stock scenes of highway-env.
+
+    Examples:
+      ms-highway bench merger
+      ms-highway bench --json bench.json
+      ms-highway bench merger --batches 1 16 64 256 1024 8192
+      ms-highway bench dense_merge --crowd 1 2 4 6 8 12
+      ms-highway bench merger --noise 1e-5 1e-3 1e-1
+      ms-highway bench dense_merge --noise 1e-5 1e-3 --set ladder=naive, --set humans=2 --json noise.json
+      ms-highway bench merger --noise 0.1 --seen
+      ms-highway bench road merge --drivers priced idm
+    """
     from ms_highway.benchmarks.latency import bench, bench_several
     from ms_highway.benchmarks.steadiness import steadiness
     from ms_highway.benchmarks.throughput import throughput
@@ -162,10 +148,9 @@ def _crowd_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
 
 def _table(title: str, measured: Mapping[str, Any], forms: Mapping[str, str]) -> "Table":
     """Return a table of what was measured, a row for each name, in columns of these forms."""
-    from ms_highway.visualization.tables import grid
+    from ms_highway.visualization.tables import grid, texts
 
-    rows = [{"": name, **{key: form.format(**one) for key, form in forms.items()}} for name, one in measured.items()]
-    return grid(title, rows)
+    return grid(title, texts({"": "{name}", **forms}, [{"name": name, **one} for name, one in measured.items()]))
 
 
 def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
@@ -182,18 +167,16 @@ def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
 
 
 def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    from ms_highway.visualization.tables import grid, two_digits
+    from ms_highway.visualization.tables import grid, texts, two_digits
 
     first, rows = next(iter(measured.values())), []
     for name, one in measured.items():
         for noise, figures in one["noise"].items():
-            row = {"": name, "noise": noise}
-            for step, change in figures["change_m"].items():
-                row[step] = f"{two_digits(1e3 * change['p50'])} ({two_digits(1e3 * change['p95'])})"
-            row |= {heading: form.format(**figures) for heading, form in STEADY.items()}
-            if figures["success_changes"] is not None:
-                row["success changed"] = f"{figures['success_changes']:.0%}"
-            rows.append(row)
+            moved = {
+                step: f"{two_digits(1e3 * change['p50'])} ({two_digits(1e3 * change['p95'])})"
+                for step, change in figures["change_m"].items()
+            }
+            rows.append({"": name, "noise": noise, **moved, **texts(STEADY, [figures])[0]})
     what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
     what += ", by noise in what the robot sees" if first["seen"] else ""
-    return grid(f"{scenario}: {what}", rows, left=2)
+    return grid(f"{scenario}: {what}", rows, 2)

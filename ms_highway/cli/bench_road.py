@@ -16,82 +16,71 @@ from ms_highway.benchmarks.road import (
     is_agent,
     known_scenes,
 )
-from ms_highway.cli.console import add_command, count_episodes, print_tables
-from ms_highway.cli.options import MOST_SEEDS, add_number, directory_to_write, file_to_write
+from ms_highway.cli.command import command, number, option, output
+from ms_highway.cli.console import count_episodes, print_tables
+from ms_highway.cli.options import FORMATS, MOST_SEEDS
 
-HELP = """\
-Drive stock scenes of highway-env with this package's drivers and with others, from the same starts, and compare how
-they fare. Each driver in each scene has a process of its own, on one core.
-
-Success means, without a crash: merge, the ramp is passed; roundabout, the ring is left by the ego's exit within the
-episode; exit and intersection, what highway-env says (is_success, has_arrived); elsewhere, the ego has stayed on the
-road until the end. A car that stands still never crashes: read collisions beside success. The ego is not at fault where
-it was rear-ended in a lane that it had kept for a second. Intervals of success are Wilson's; m/s² is the largest
-acceleration in any frame of the simulation, jerk the root mean square, ms the time of a decision, without compilation,
-late the share of plans that were not ready within a budget. Choices count the time of models at what the package ships.
-
-Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
-+intentions (such as priced+intentions), other cars show which way they take, as by indicators: their true routes,
-where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and lane;
-random, which chooses the environment's actions by chance; or the file of an agent that stable-baselines3 has saved (it
-has to be installed), such as notebooks/examples/train_peers.py writes: open only files that you trust, as they may hold
-any program. Drivers above 10 m/s^2 are labelled unphysical.
-
-The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
-with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where that
-was last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the goal's region
-reached in its interval of time, without a collision and on the road; "s to goal" is the mean. There, --seed and
---seeds are the number of the first start and how many. A further driver there is human, which goes as the vehicle was
-recorded to whose place it takes. --export DIR writes every drive of a planning problem as two CommonRoad files, for
-example for commonroad-drivability-checker: DIR/TRAFFIC/DRIVER/NAME.xml, the recording with the other vehicles as they
-moved in the episode, and NAME.solution.xml, the ego's drive, states of a kinematic single-track model (KS2)."""
-
-EXAMPLES = """\
-examples:
-  ms-highway bench road merge --drivers priced idm
-  ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
-  ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
-  ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
-  ms-highway bench road recorded
-  ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm --export drives"""
+STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
+OTHERS = (
+    "idm, highway-env's (default); aggressive, its aggressive drivers; commuter, learned ones; or unyielding, IDM that "
+    "never yields to the ego; in recordings: learned (default), replay or idm"
+)
 
 
-def add_bench_road(commands: Any) -> None:
-    """Add the command ``bench road`` to a parser's subparsers."""
-    parser = add_command(commands, "bench road", "measure drivers in highway-env's own scenes", HELP, EXAMPLES)
-    parser.add_argument(
-        "scenes",
-        nargs="*",
-        metavar="SCENE",
-        help=f"stock environments, all versions if none is said (default: {' '.join(SCENES)})",
-    )
-    parser.add_argument(
-        "--drivers", nargs="+", metavar="DRIVER", default=DRIVERS, help=f"what drives (default: {' '.join(DRIVERS)})"
-    )
-    add_number(parser, "--seeds", None, "episodes of each (default: 20; in recordings, all)")
-    add_number(parser, "--seed", 0, "of the first episode", least=0, most=MOST_SEEDS)
-    traffic = (
-        "highway-env's IDM (default), its aggressive drivers, learned commuters, or IDM that never yields to the ego; "
-        "in recordings: learned (default), replay or idm"
-    )
-    kinds = list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC]))
-    parser.add_argument("--traffic", choices=kinds, default=None, help=traffic)
-    parser.add_argument("--data", type=Path, metavar="DIR", help="CommonRoad scenarios, for the scene recorded")
-    parser.add_argument("--egos", choices=EGOS, help="whose place the ego takes in recordings (default: problem)")
-    add_number(parser, "--jobs", None, "processes at once (default: number of cores)")
-    for name, metavar, text in (
-        ("--export", "DIR", "write drives of planning problems as CommonRoad files"),
-        ("--films", "DIR", "film the first success and failure of each driver"),
-        ("--figure", "FILE", "draw the share of episodes that succeed, a .png file"),
-        ("--json", "FILE", "write all figures to a JSON file"),
-        ("--log", "FILE", "write a row per episode to a CSV file"),
-    ):
-        kind = directory_to_write if metavar == "DIR" else file_to_write
-        parser.add_argument(name, type=kind, metavar=metavar, help=text)
-    parser.set_defaults(run=_bench_road)
+@command(
+    "bench road",
+    "measure drivers in highway-env's own scenes",
+    option("scenes", STOCK, nargs="*", metavar="SCENE"),
+    option("--drivers", "what drives", DRIVERS, nargs="+", metavar="DRIVER"),
+    number("--seeds", None, "episodes of each (default: 20; in recordings, all)"),
+    number("--seed", 0, "of the first episode", 0, MOST_SEEDS),
+    option("--traffic", OTHERS, choices=list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC])), metavar="KIND"),
+    option("--data", "CommonRoad scenarios, for the scene recorded", type=Path, metavar="DIR"),
+    option("--egos", "whose place the ego takes in recordings (default: problem)", choices=EGOS),
+    number("--jobs", None, "processes at once (default: number of cores)"),
+    output("--export", "write drives of planning problems as CommonRoad files", directory=True),
+    output("--films", "film the first success and failure of each driver", directory=True),
+    output("--figure", "draw the share of episodes that succeed, a .png, .pdf or .svg file"),
+    output("--json", "write all figures to a JSON file"),
+    output("--log", "write a row per episode to a CSV file"),
+)
+def bench_road(options: argparse.Namespace) -> None:
+    """Drive stock scenes of highway-env with this package's drivers and with others, from the same starts, and compare
+    how they fare. Each driver in each scene has a process of its own, on one core.
 
+    Success means, without a crash: merge, the ramp is passed; roundabout, the ring is left by the ego's exit within the
+    episode; exit and intersection, what highway-env says (is_success, has_arrived); elsewhere, the ego has stayed on
+    the road until the end. A car that stands still never crashes: read collisions beside success. The ego is not at
+    fault where it was rear-ended in a lane that it had kept for a second. Intervals of success are Wilson's; m/s² is
+    the largest acceleration in any frame of the simulation, jerk the root mean square, ms the time of a decision,
+    without compilation, late the share of plans that were not ready within a budget. Choices count the time of models
+    at what the package ships.
 
-def _bench_road(options: argparse.Namespace) -> None:
+    Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
+    +intentions (such as priced+intentions), other cars show which way they take, as by indicators: their true routes,
+    where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and
+    lane; random, which chooses the environment's actions by chance; or the file of an agent that stable-baselines3 has
+    saved (it has to be installed), such as notebooks/examples/train_peers.py writes: open only files that you trust, as
+    they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
+
+    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
+    with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where
+    that was last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the
+    goal's region reached in its interval of time, without a collision and on the road; "s to goal" is the mean. There,
+    --seed and --seeds are the number of the first start and how many. A further driver there is human, which goes as
+    the vehicle was recorded to whose place it takes. --export DIR writes every drive of a planning problem as two
+    CommonRoad files, for example for commonroad-drivability-checker: DIR/TRAFFIC/DRIVER/NAME.xml, the recording with
+    the other vehicles as they moved in the episode, and NAME.solution.xml, the ego's drive, states of a kinematic
+    single-track model (KS2).
+
+    Examples:
+      ms-highway bench road merge --drivers priced idm
+      ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
+      ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
+      ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
+      ms-highway bench road recorded
+      ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm --export drives
+    """
     import pandas as pd
 
     from ms_highway.benchmarks.road.blocks import run_blocks
@@ -140,7 +129,7 @@ def _bench_road(options: argparse.Namespace) -> None:
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
         print_tables(driver_table(heading, figures))
     if options.figure:
-        save_figures({options.figure.stem: success_figure(results)}, options.figure.parent)
+        save_figures({options.figure.stem: success_figure(results)}, options.figure.parent, options.figure.suffix[1:])
 
 
 def _check_recorded(options: argparse.Namespace, scenes: list[str], drivers: list[str]) -> None:
@@ -163,8 +152,8 @@ def _check_recorded(options: argparse.Namespace, scenes: list[str], drivers: lis
         raise ValueError(f"the driver {HUMAN} does not drive with --egos problem; leave it out, or say --egos changing")
     if options.export and (options.data is None or not problems):
         raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
-    if options.figure and options.figure.suffix != ".png":
-        raise ValueError(f"--figure is {options.figure}; name a .png file")
+    if options.figure and options.figure.suffix[1:] not in FORMATS:
+        raise ValueError(f"--figure is {options.figure}; name a file that ends in .{', .'.join(FORMATS)}")
 
 
 def _starts(options: argparse.Namespace) -> list[Any]:

@@ -1,61 +1,59 @@
 """The command ``ms-highway compare``."""
 
 import argparse
-import sys
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ms_highway.cli.console import add_command, count_episodes, print_tables, say
-from ms_highway.cli.options import LEARNED, SCENARIO_NAMES, add_comparison, comparison
+from ms_highway.cli.command import command
+from ms_highway.cli.console import count_episodes, print_tables, say, warn
+from ms_highway.cli.options import LEARNED, compared, comparison
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
 
-HELP = f"""\
-Run the same seeded episodes with several controllers and compare reward and computation.
 
-A controller is a human model that plans every step (naive, turn, tom); or learned:LAMBDA, which chooses the model at
-every step by a learned value of computation, at a price of LAMBDA reward for a second of planning (learned:LAMBDA:FILE
-with values of `ms-highway values learn`); or switching:LAMBDA, which chooses by the paper's Algorithm 1, or
-horizon:LAMBDA, by gains that are estimated over the whole plan instead of one step; or schedule:MODEL=STEPS,...,MODEL,
-an order that is fixed beforehand, such as schedule:tom=6,naive; or period:MODEL=STEPS,..., an order that is repeated,
-such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model drawn for every step, such as random:naive=0.7,tom=0.3:
-a choice that looks at nothing, which others have to beat. Without scenarios and controllers, the paper's comparison
-runs: its three scenarios, each with its ladder and the paper's two lambdas, and {LEARNED} beside them.
+@command(
+    "compare",
+    "compare controllers over many episodes",
+    *compared(30, "results/compare", f"(default: all models of the ladder, {LEARNED}, and switching)"),
+)
+def compare(options: argparse.Namespace) -> None:
+    """Run the same seeded episodes with several controllers and compare reward and computation.
 
-In {" and ".join(SCENARIO_NAMES[3:5])}, a controller chooses a model for each of several humans. A model's name stands
-for all humans; nearest:K predicts the K nearest humans by tom, and the others naively; budget:MILLISECONDS chooses
-what is worth most within this time of planning and deciding per step.
+    A controller is a human model that plans every step (naive, turn, tom); or learned:LAMBDA, which chooses the model
+    at every step by a learned value of computation, at a price of LAMBDA reward for a second of planning
+    (learned:LAMBDA:FILE with values of `ms-highway values learn`); or switching:LAMBDA, which chooses by the paper's
+    Algorithm 1, or horizon:LAMBDA, by gains that are estimated over the whole plan instead of one step; or
+    schedule:MODEL=STEPS,...,MODEL, an order that is fixed beforehand, such as schedule:tom=6,naive; or
+    period:MODEL=STEPS,..., an order that is repeated, such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model
+    drawn for every step, such as random:naive=0.7,tom=0.3: a choice that looks at nothing, which others have to beat.
+    Without scenarios and controllers, the paper's comparison runs: its three scenarios, each with its ladder and the
+    paper's two lambdas, and learned:1 beside them.
 
-Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted by
-naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.
+    In dense_merge and crossing_crowd, a controller chooses a model for each of several humans. A model's name stands
+    for all humans; nearest:K predicts the K nearest humans by tom, and the others naively; budget:MILLISECONDS chooses
+    what is worth most within this time of planning and deciding per step.
 
-Results go to --out: steps.csv (a row per step, written as episodes end), summary.csv, and per scenario the figures
-SCENARIO_bars.png (of three lambdas or more _curve.png, reward against computation), _timeline.png and _decisions.png;
-settings.json and provenance.json say what they were made with. If stopped and started again with the same --out, it
-resumes; with more controllers or scenarios, it adds them. `ms-highway report` makes a page of them."""
+    Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted
+    by naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.
 
-EXAMPLES = """\
-examples:
-  ms-highway compare
-  ms-highway compare merger --controllers naive tom learned:1 switching:0.1 --seeds 10 --out results/merger
-  ms-highway compare merger --controllers tom switching schedule:tom={4,6,8},naive --lambdas 0.01:1:9 --out out
-  ms-highway compare merger --set ladder=naive,tom --controllers switching:0.1 --out results/two_rungs
-  ms-highway compare give_way --set semantics=released --set costs=measured --out results/measured
-  ms-highway compare stay_back --controllers naive turn --set solver=newton --seeds 100 --out results/newton
-  ms-highway compare --seeds 300 --set control_limit=0.2,9 --out results/what_tyres_hold
-  ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
-  ms-highway compare merger --set yielding=never --controllers tom tom+belief --out results/never"""
+    Episodes run on two cores where there are two. Results go to --out: steps.csv (a row per step; until all episodes
+    have ended, each is a file in parts), summary.csv, and per scenario the figures SCENARIO_bars (of three lambdas or
+    more _curve, reward against computation), _timeline and _decisions; settings.json and provenance.json say what they
+    were made with. If stopped and started again with the same --out, it resumes; with
+    more controllers or scenarios, it adds them. `ms-highway report` makes a page of them.
 
-
-def add_compare(commands: Any) -> None:
-    """Add the command ``compare`` to a parser's subparsers."""
-    parser = add_command(commands, "compare", "compare controllers over many episodes", HELP, EXAMPLES)
-    add_comparison(parser, 30, "results/compare", f"(default: all models of the ladder, {LEARNED}, and switching)")
-    parser.set_defaults(run=_compare)
-
-
-def _compare(options: argparse.Namespace) -> None:
+    Examples:
+      ms-highway compare
+      ms-highway compare merger --controllers naive tom learned:1 switching:0.1 --seeds 10 --out results/merger
+      ms-highway compare merger --controllers tom switching schedule:tom={4,6,8},naive --lambdas 0.01:1:9 --out out
+      ms-highway compare merger --set ladder=naive,tom --controllers switching:0.1 --out results/two_rungs
+      ms-highway compare give_way --set semantics=released --set costs=measured --out results/measured
+      ms-highway compare stay_back --controllers naive turn --set solver=newton --seeds 100 --out results/newton
+      ms-highway compare --seeds 300 --set control_limit=0.2,9 --out results/what_tyres_hold
+      ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
+      ms-highway compare merger --set yielding=never --controllers tom tom+belief --out results/never
+    """
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
     from ms_highway.experiments.analysis.summary import summary
     from ms_highway.experiments.results import read_results
@@ -67,7 +65,7 @@ def _compare(options: argparse.Namespace) -> None:
     if not options.controllers:
         asked = _with_learned(asked)
     with own_results(options) as record:
-        counts, wanted = run(asked, options.out), len(list(asked.episodes()))
+        counts, wanted = run(asked, options.out, processes=2, modules=options.modules), len(list(asked.episodes()))
         already = next(counts)
         if already < wanted:
             record()
@@ -79,8 +77,8 @@ def _compare(options: argparse.Namespace) -> None:
         for scenario in asked.controllers:
             drawn = figures(results.records, results.summaries, scenario)
             for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
-                (options.out / f"{scenario}_{name}.png").unlink(missing_ok=True)
-            save_figures({f"{scenario}_{name}": figure for name, figure in drawn.items()}, options.out)
+                (options.out / f"{scenario}_{name}.{options.format}").unlink(missing_ok=True)
+            save_figures({f"{scenario}_{name}": figure for name, figure in drawn.items()}, options.out, options.format)
     say(f"results are in {options.out}")
 
 
@@ -94,6 +92,6 @@ def _with_learned(asked: "Comparison") -> "Comparison":
             asked.environment_config(scenario, LEARNED)
         except ValueError as error:
             reason = str(error).partition("; ")[0]
-            print(f"ms-highway: {scenario} is compared without {LEARNED}: {reason}", file=sys.stderr)
+            warn(f"{scenario} is compared without {LEARNED}: {reason}")
             controllers[scenario] = list(names)
     return replace(asked, controllers=controllers)

@@ -1,61 +1,57 @@
 """The command ``ms-highway frontier``."""
 
 import argparse
-from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables, say, telling
-from ms_highway.cli.options import add_comparison, add_devices, add_number, comparison, number
-
-HELP = """\
-Search, for each start separately, for the order of human models with the highest meta-reward: the reward less
-PRICE times the seconds T(M) of planning. The best possible choice of models earns at least that; the difference between
-it and what a controller earns is the controller's regret. The models that switching chose in an episode are one of the
-orders that are tried, and so are those of any other of --controllers.
-
-The tables show the fixed models; the best of the orders that were tried from every start; other --controllers; and
-switching, with the lambda that is the price, with the best of --lambdas for each scenario and with the best one for all
-scenarios together; likewise other controllers that have a lambda. --prices are the lambdas of the meta-reward, which
-judges; --lambdas are those that switching decides with, and need not be a price. Whatever is best is chosen on the same
-starts that it is judged by. Everything is simulated, and nothing timed. More than three prices take turns in the rounds
-of the search, so that they cost little more.
-
-Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
-start), both of the last run; the figure SCENARIO_frontier.png (reward against computation); SCENARIO_episodes.csv (all
-episodes); settings.json and provenance.json, which say what they were made with. Episodes are kept after every round:
-if stopped or killed and started again with the same --out, the search resumes, and with more seeds, prices, lambdas or
-rounds it uses what is there. Results are the same on any number of devices."""
-
-EXAMPLES = """\
-examples:
-  ms-highway frontier
-  ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier
-  ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 --out results/wide
-  ms-highway frontier merger --controllers period:tom=1,naive=3 random:naive=0.7,tom=0.3 --out results/blind"""
+from ms_highway.cli.command import command, number
+from ms_highway.cli.console import print_tables, say, telling
+from ms_highway.cli.options import DEVICES, compared, comparison
 
 LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
+PRICE = (
+    "lambda of the meta-reward that orders are searched for and controllers judged by: reward for a second of planning"
+)
 
 
-def add_frontier(commands: Any) -> None:
-    """Add the command ``frontier`` to a parser's subparsers."""
-    parser = add_command(commands, "frontier", "search for the best orders of models", HELP, EXAMPLES)
-    beside = "(learned: at each of --prices), beside the ladder's models and switching"
-    add_comparison(parser, 30, "results/frontier", beside)
-    parser.add_argument(
-        "--prices",
-        nargs="+",
-        type=number(0, 1e6, float),
-        default=[0.1, 1.0, 10.0],
-        metavar="PRICE",
-        help="lambda of the meta-reward that orders are searched for and controllers judged by: reward for a second of "
-        "planning (default: 0.1 1 10)",
-    )
-    add_number(parser, "--population", 32, "orders per start, price and round")
-    add_number(parser, "--rounds", 8, "of the search, before starts try each other's best orders")
-    add_devices(parser)
-    parser.set_defaults(run=_frontier, simulates=True, lambdas=[LAMBDAS])
+@command(
+    "frontier",
+    "search for the best orders of models",
+    *compared(
+        30,
+        "results/frontier",
+        "(learned: at each of --prices), beside the ladder's models and switching",
+        " ".join(map("{:g}".format, LAMBDAS)),
+    ),
+    number("--prices", [0.1, 1.0, 10.0], PRICE, 0.0, 1e6, nargs="+", metavar="PRICE"),
+    number("--population", 32, "orders per start, price and round"),
+    number("--rounds", 8, "of the search, before starts try each other's best orders"),
+    DEVICES,
+    simulates=True,
+)
+def frontier(options: argparse.Namespace) -> None:
+    """Search, for each start separately, for the order of human models with the highest meta-reward: the reward less
+    PRICE times the seconds T(M) of planning. The best possible choice of models earns at least that; the difference
+    between it and what a controller earns is the controller's regret. The models that switching chose in an episode are
+    one of the orders that are tried, and so are those of any other of --controllers.
 
+    The tables show the fixed models; the best of the orders that were tried from every start; other --controllers; and
+    switching, with the lambda that is the price, with the best of --lambdas for each scenario and with the best one for
+    all scenarios together; likewise other controllers that have a lambda. --prices are the lambdas of the meta-reward,
+    which judges; --lambdas are those that switching decides with, and need not be a price. Whatever is best is chosen
+    on the same starts that it is judged by. Everything is simulated, and nothing timed. More than three prices take
+    turns in the rounds of the search, so that they cost little more.
 
-def _frontier(options: argparse.Namespace) -> None:
+    Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
+    start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
+    episodes); settings.json and provenance.json, which say what they were made with. Episodes are kept after every
+    round: if stopped or killed and started again with the same --out, the search resumes, and with more seeds, prices,
+    lambdas or rounds it uses what is there. Results are the same on any number of devices.
+
+    Examples:
+      ms-highway frontier
+      ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier
+      ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 --out results/wide
+      ms-highway frontier merger --controllers period:tom=1,naive=3 random:naive=0.7,tom=0.3 --out results/blind
+    """
     import pandas as pd
 
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
@@ -66,6 +62,7 @@ def _frontier(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import regret_tables
     from ms_highway.visualization.tradeoff import frontier
 
+    options.lambdas = options.lambdas or [LAMBDAS]
     asked, mesh, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
@@ -89,7 +86,7 @@ def _frontier(options: argparse.Namespace) -> None:
                 behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
             write_table(orders, out / "orders.csv")
             write_table(behind, out / "regrets.csv")
-            save_figures({f"{scenario}_frontier": frontier(behind, scenario, options.seeds)}, out)
+            save_figures({f"{scenario}_frontier": frontier(behind, scenario, options.seeds)}, out, options.format)
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")

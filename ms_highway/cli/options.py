@@ -5,20 +5,16 @@ Only the functions that run a command import what computes: help needs neither J
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import filled
-from ms_highway.runtime.files import check_writable
+from ms_highway.cli.command import MOST, Option, number, option, output
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
-
-MOST = 1_000_000
-"""Upper bound on episodes, parts and other counts; more would take years or all memory."""
 
 MOST_LAMBDAS = 10_000
 """Lambdas of switching in a sweep."""
@@ -74,110 +70,44 @@ keys; these are the usual ones:
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
 
-def number(least: float, most: float = MOST, kind: type = int) -> Callable[[str], Any]:
-    """Return a reader of the numbers in a range, for the type of an option."""
-
-    def read(text: str) -> float:
-        try:
-            value = kind(text)
-        except ValueError:
-            value = float("nan")
-        if not least <= value <= most:
-            whole = "whole " if kind is int else ""
-            raise argparse.ArgumentTypeError(f"{text!r} is no {whole}number from {least:,} to {most:,}")
-        return value
-
-    return read
+SCENARIOS = option("scenarios", f"{', '.join(SCENARIO_NAMES)} (default: the paper's)", nargs="*", metavar="SCENARIO")
+SET = option("--set", "see below", [], KEYS, dest="keys", action="append", metavar="KEY=VALUE")
+DEVICES = number("--devices", None, "how many devices to use (default: all, or one per core)")
+FORMATS = ("png", "pdf", "svg")
+FORMAT = option("--format", "of figures", FORMATS[0], choices=FORMATS)
 
 
-def add_number(
-    parser: Any, name: str, default: float | None, text: str, least: float = 1, most: float = MOST, **more: Any
-) -> None:
-    """Add an option that is a number in a range: whole unless its default has a decimal point.
-
-    Args:
-        parser: of a command.
-        name: of the option.
-        default: its value where it is left out, which the help text tells unless it is None.
-        text: of help.
-        least: that it may be.
-        most: that it may be.
-        more: arguments of `argparse.ArgumentParser.add_argument`.
-    """
-    usual = "" if default is None else f" (default: {default})"
-    kind = number(least, most, float if isinstance(default, float) else int)
-    parser.add_argument(name, type=kind, default=default, help=text + usual, **more)
+def controllers(text: str) -> Option:
+    """Return ``--controllers``, with what its help text says behind their names."""
+    return option("--controllers", f"{CONTROLLERS}. {text}", nargs="+", metavar="CONTROLLER")
 
 
-def file_to_write(text: str) -> Path:
-    """Return the path of a file after checking that it can be written; the type of an option.
-
-    Raises:
-        OSError: if it cannot.
-    """
-    check_writable(Path(text))
-    return Path(text)
-
-
-def directory_to_write(text: str) -> Path:
-    """Return the path of a directory after checking that files can be written there; the type of an option.
-
-    Raises:
-        OSError: if they cannot.
-    """
-    check_writable(Path(text), directory=True)
-    return Path(text)
-
-
-def add_scenarios(parser: argparse.ArgumentParser) -> None:
-    """Add names of scenarios to a command."""
-    names = ", ".join(SCENARIO_NAMES)
-    parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"{names} (default: the paper's)")
-
-
-def add_controllers(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add ``--controllers`` to a command, with what its help text says behind their names."""
-    parser.add_argument("--controllers", nargs="+", metavar="CONTROLLER", help=f"{CONTROLLERS}. {text}")
-
-
-def add_comparison(parser: argparse.ArgumentParser, seeds: int, out: str | None, controllers: str = "") -> None:
-    """Add the options that say what is compared, see `comparison`: all but ``--set`` of `add_keys`.
+def compared(
+    seeds: int,
+    out: str | None,
+    beside: str = "(default: all models of the ladder, and switching)",
+    prices: str = "the scenario's two",
+) -> list[Option]:
+    """Return the options for what to compare, see `comparison`, and for the directory of results.
 
     Args:
-        parser: of a command.
         seeds: default number of episodes.
         out: default directory of results; without, it has to be named.
-        controllers: what the help text says of ``--controllers``, by default that they are all that is compared.
+        beside: what the help text says of ``--controllers``.
+        prices: what it says of the default ``--lambdas``.
     """
-    add_scenarios(parser)
-    usual = controllers or "(default: all models of the ladder, and switching)"
     kinds = "A kind that has a lambda, without it, stands for one controller at each of --lambdas"
-    add_controllers(parser, f"{kinds} {usual}")
-    parser.add_argument(
-        "--lambdas",
-        nargs="+",
-        type=lambdas,
-        metavar="LAMBDA",
-        help="several, or LOW:HIGH:COUNT evenly spaced in the logarithm (three digits) (default: the scenario's two)",
-    )
-    add_number(parser, "--seeds", seeds, "episodes per controller")
-    add_number(parser, "--first-seed", 0, "of the first episode, from which the others count on", 0, MOST_SEEDS)
-    usual = "" if out is None else f" (default: {out})"
-    parser.add_argument(
-        "--out", type=directory_to_write, metavar="DIR", required=not out, default=out, help=f"of results{usual}"
-    )
-    add_keys(parser)
-
-
-def add_keys(parser: argparse.ArgumentParser) -> None:
-    """Add ``--set``, see `configuration`, to a command."""
-    group = parser.add_argument_group("environments", filled(KEYS))
-    group.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE", help="see above")
-
-
-def add_devices(parser: Any) -> None:
-    """Add ``--devices``, see `ms_highway.loop.devices.use_devices`, to a command."""
-    add_number(parser, "--devices", None, "how many devices to use (default: all, or one per core)")
+    several = f"several, or LOW:HIGH:COUNT evenly spaced in the logarithm (three digits) (default: {prices})"
+    return [
+        SCENARIOS,
+        controllers(f"{kinds} {beside}"),
+        option("--lambdas", several, nargs="+", type=lambdas, metavar="LAMBDA"),
+        number("--seeds", seeds, "episodes per controller"),
+        number("--first-seed", 0, "of the first episode, from which the others count on", 0, MOST_SEEDS),
+        output("--out", "of results", out, directory=True, required=not out),
+        FORMAT,
+        SET,
+    ]
 
 
 def configuration(options: argparse.Namespace) -> dict[str, Any]:
@@ -221,7 +151,7 @@ def comparison(
     """Return the comparison that a command's options describe, checked.
 
     Args:
-        options: of the command, see `add_comparison`.
+        options: of the command, see `compared`.
         always: controllers that run in addition to those of ``--controllers``, and to the models of the ladder.
         prices: lambdas of learned controllers that are named without one, where these are not ``--lambdas``.
 

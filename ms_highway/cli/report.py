@@ -1,48 +1,36 @@
 """The command ``ms-highway report``."""
 
 import argparse
-import sys
 from pathlib import Path
-from typing import Any
 
-from ms_highway.cli.console import add_command, say, telling
-from ms_highway.cli.options import file_to_write
+from ms_highway.cli.command import command, option, output
+from ms_highway.cli.console import say, telling, warn
 
-HELP = """\
-Make one HTML page of a directory of `ms-highway compare`. It is a single file and needs no network. At its top stand
-the answers in sentences; below, a table, a film of two controllers and figures for each scenario, and the settings,
-versions, machine and commands that made the results."""
-
-EXAMPLES = """\
-examples:
-  ms-highway report results/compare
-  ms-highway report results/merger --no-videos --out merger.html"""
+FILM = 'film the best fixed model beside one that is chosen online (default); needs the extra "video"'
 
 
-def add_report(commands: Any) -> None:
-    """Add the command ``report`` to a parser's subparsers."""
-    parser = add_command(commands, "report", "make a page of a comparison", HELP, EXAMPLES)
-    parser.add_argument("directories", nargs="*", type=Path, metavar="DIR", help="of `ms-highway compare`")
-    parser.add_argument("--out", type=file_to_write, metavar="FILE", help="an .html file (default: report.html in DIR)")
-    parser.add_argument(
-        "--videos",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help='film the best fixed model beside one that is chosen online (default); needs the extra "video"',
-    )
-    parser.set_defaults(run=_report)
+@command(
+    "report",
+    "make a page of a comparison",
+    option("directory", "of `ms-highway compare`", type=Path, metavar="DIR"),
+    output("--out", "an .html file (default: report.html in DIR)"),
+    option("--videos", FILM, action=argparse.BooleanOptionalAction, default=True),
+)
+def report(options: argparse.Namespace) -> None:
+    """Make one HTML page of a directory of `ms-highway compare`. It is a single file and needs no network. At its top
+    stand the answers in sentences; below, a table, a film of two controllers and figures for each scenario, and the
+    settings, versions, machine and commands that made the results.
 
-
-def _report(options: argparse.Namespace) -> None:
+    Examples:
+      ms-highway report results/compare
+      ms-highway report results/merger --no-videos --out merger.html
+    """
     from ms_highway.experiments.results import read_results
     from ms_highway.runtime.files import check_writable, replacing
     from ms_highway.visualization.html_page import page
     from ms_highway.visualization.video import check_format
 
-    if len(options.directories) != 1:
-        count = len(options.directories)
-        raise ValueError(f"a page shows one comparison, not {count}; name one directory, such as results/compare")
-    directory = options.directories[0]
+    directory = options.directory
     out = options.out or directory / "report.html"
     if out.suffix != ".html":
         raise ValueError(f"--out is {out}; name an .html file")
@@ -50,7 +38,7 @@ def _report(options: argparse.Namespace) -> None:
     results = read_results(directory)
     if results.missing:
         remedy = "start the same `ms-highway compare` again, which resumes"
-        print(f"ms-highway: {directory} lacks {results.missing} episodes; {remedy}", file=sys.stderr)
+        warn(f"{directory} lacks {results.missing} episodes; {remedy}")
     if options.videos:
         try:
             check_format(Path("film.mp4"))

@@ -1,20 +1,18 @@
 """A run that owns its results directory: alone in it, under the same settings, with what made it on record."""
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ms_highway.cli.console import warn
 from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.runtime.files import held, replacing, tidy
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-DPI = 110
 
 
 @contextmanager
@@ -42,7 +40,7 @@ def own_results(options: argparse.Namespace, settings: Mapping[str, Any] | None 
             if settings is not None:
                 results.write_settings(settings)
             if differing := results.record(options.command_line):
-                print(f"ms-highway: {options.out} continues with {differing}; results may not agree", file=sys.stderr)
+                warn(f"{options.out} continues with {differing}; results may not agree")
 
         yield record
 
@@ -53,8 +51,10 @@ def write_table(table: "pd.DataFrame", file: Path) -> None:
         table.to_csv(path, index=False)
 
 
-def save_figures(figures: Mapping[str, "Figure"], directory: Path) -> None:
-    """Write figures to ``NAME.png`` in a directory."""
+def save_figures(figures: Mapping[str, "Figure"], directory: Path, kind: str) -> None:
+    """Write figures to ``NAME.png``, or files of another kind, in a directory."""
+    from ms_highway.visualization.figures import content
+
     for name, figure in figures.items():
-        with replacing(directory / f"{name}.png") as path:
-            figure.savefig(path, dpi=DPI)
+        with replacing(directory / f"{name}.{kind}") as path:
+            path.write_bytes(content(figure, kind))

@@ -3,30 +3,26 @@
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
-from ms_highway.cli.console import add_command, print_tables, say
-
-HELP = """\
-Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards, human
-controls and switching decisions with the logs. Errors are quantiles over all steps, in the units of the logs."""
-
-EXAMPLES = """\
-example:
-  ms-highway validate reference/episodes --json"""
+from ms_highway.cli.command import command, option
+from ms_highway.cli.console import print_tables, say
 
 KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
 
 
-def add_validate(commands: Any) -> None:
-    """Add the command ``validate`` to a parser's subparsers."""
-    parser = add_command(commands, "validate", "replay reference episodes", HELP, EXAMPLES)
-    parser.add_argument("directory", type=Path, metavar="DIR", help="directory of reference files, SCENARIO__KIND.npz")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.set_defaults(run=_validate)
+@command(
+    "validate",
+    "replay reference episodes",
+    option("directory", "directory of reference files, SCENARIO__KIND.npz", type=Path, metavar="DIR"),
+    option("--json", "print JSON instead of a table", action="store_true"),
+)
+def validate(options: argparse.Namespace) -> None:
+    """Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards,
+    human controls and switching decisions with the logs. Errors are quantiles over all steps, in the units of the logs.
 
-
-def _validate(options: argparse.Namespace) -> None:
+    Examples:
+      ms-highway validate reference/episodes --json
+    """
     from ms_highway.experiments.validation import validate
     from ms_highway.visualization.tables import grid
 

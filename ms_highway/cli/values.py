@@ -3,33 +3,13 @@
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.console import add_command, say, telling
-from ms_highway.cli.options import add_devices, add_keys, add_number, add_scenarios, configuration, file_to_write
+from ms_highway.cli.command import command, number, option, output
+from ms_highway.cli.console import say, telling
+from ms_highway.cli.options import DEVICES, SCENARIOS, SET, configuration
 
 if TYPE_CHECKING:
     from ms_highway.experiments.values.learning import Learning
     from ms_highway.experiments.values.rollouts import Course
-
-HELP = """\
-Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that episodes
-come through, a human is predicted by every model of the ladder for some steps, and then as the rule that was learned so
-far chooses; networks are fitted to what was earned more than by the cheapest model, and so on for some rounds. One file
-serves all lambdas and costs.
-
-Among several humans (dense_merge, crossing_crowd), every human has a value of its own. The file is for
-learned:LAMBDA:FILE there.
-
-After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models from
-starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the numbered seeds
-of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept beside the file
-until it is written: a run that was stopped or killed goes on when it is started again."""
-
-EXAMPLES = """\
-examples:
-  ms-highway values learn merger give_way --out values.npz
-  ms-highway compare merger --controllers tom learned:1:values.npz
-  ms-highway values learn dense_merge crossing_crowd --out several.npz
-  ms-highway --import zipper values learn zipper --out zipper.npz"""
 
 DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
 SEVERAL: dict[str, Any] = {
@@ -42,31 +22,58 @@ SEVERAL: dict[str, Any] = {
 """How values are learned among several humans, where that differs from the defaults of ``Learning``."""
 
 
-def add_values(commands: Any) -> None:
-    """Add the command ``values learn`` to a parser's subparsers."""
-    parser = add_command(commands, "values learn", "learn values of computation: when it pays to think", HELP, EXAMPLES)
-    add_scenarios(parser)
-    parser.add_argument(
-        "--out", type=file_to_write, required=True, metavar="FILE", help="of the values, such as values.npz"
-    )
-    states = "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; "
-    add_number(parser, "--states", None, states + "among several humans 100 in every round)")
-    add_number(parser, "--rounds", None, "of rollouts and fits (default: 4; among several humans 2)", most=100)
-    steps = "of a rollout (default: 20; among several humans 25)"
-    add_number(parser, "--horizon-steps", None, steps, most=100, metavar="STEPS", dest="horizon")
-    add_number(parser, "--seed", 0, "of everything that is drawn", 0)
-    parser.add_argument(
+STATES = (
+    "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; among several "
+    "humans 100 in every round)"
+)
+
+
+@command(
+    "values learn",
+    "learn values of computation: when it pays to think",
+    SCENARIOS,
+    output("--out", "of the values, such as values.npz", required=True),
+    number("--states", None, STATES),
+    number("--rounds", None, "of rollouts and fits (default: 4; among several humans 2)", most=100),
+    number(
+        "--horizon-steps",
+        None,
+        "of a rollout (default: 20; among several humans 25)",
+        most=100,
+        metavar="STEPS",
+        dest="horizon",
+    ),
+    number("--seed", 0, "of everything that is drawn", 0),
+    option(
         "--solvers",
+        "of the robot's plans; each scenario is learned with each of them (default: gradient)",
         nargs="+",
         metavar="SOLVER",
-        help="of the robot's plans; each scenario is learned with each of them (default: gradient)",
-    )
-    add_keys(parser)
-    add_devices(parser)
-    parser.set_defaults(run=_learn, simulates=True)
+    ),
+    SET,
+    DEVICES,
+    simulates=True,
+)
+def learn(options: argparse.Namespace) -> None:
+    """Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that
+    episodes come through, a human is predicted by every model of the ladder for some steps, and then as the rule that
+    was learned so far chooses; networks are fitted to what was earned more than by the cheapest model, and so on for
+    some rounds. One file serves all lambdas and costs.
 
+    Among several humans (dense_merge, crossing_crowd), every human has a value of its own. The file is for
+    learned:LAMBDA:FILE there.
 
-def _learn(options: argparse.Namespace) -> None:
+    After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models
+    from starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the
+    numbered seeds of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept
+    beside the file until it is written: a run that was stopped or killed goes on when it is started again.
+
+    Examples:
+      ms-highway values learn merger give_way --out values.npz
+      ms-highway compare merger --controllers tom learned:1:values.npz
+      ms-highway values learn dense_merge crossing_crowd --out several.npz
+      ms-highway --import zipper values learn zipper --out zipper.npz
+    """
     from shutil import rmtree
 
     from ms_highway.choice.values import save_values

@@ -27,17 +27,19 @@ from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import (
     CARS,
+    COUNTED,
+    KEYS,
     MEASURED,
     check_numbers,
     count_column,
     gain_column,
-    share_column,
+    per_episode,
     state_columns,
 )
 from ms_highway.game.scenario import REACHED
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.devices import usual_chunk
-from ms_highway.loop.fallback import BRAKING, PREVIOUS_PLAN, STATUSES, WAY_OUT
+from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import ALWAYS_YIELDS, DECIDES, NEVER_YIELDS, USUAL, Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive, cheapest_first, human_model
@@ -46,8 +48,11 @@ from ms_highway.runtime.arrays import Array
 Key: TypeAlias = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
 
-OVERRIDABLE = {"scenario", "default_config", "configure", "draw_episode", "define_spaces", "render", "viewer_type"}
-"""Names that a scenario's environment may override; a simulation calls these and no others."""
+STEP = (
+    *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
+    *("_is_truncated", "episode_steps", "car_states", "success", "costs", "counted_seconds"),
+)
+"""Names of the methods and properties of an environment that a simulation replaces by its own code."""
 
 SEVERAL = ", of plans in which one human is predicted by it and the others by the first rung"
 YIELDING = {None: USUAL, False: NEVER_YIELDS, True: ALWAYS_YIELDS}
@@ -158,92 +163,62 @@ class Batch:
         Raises:
             ValueError: for a negative seed.
         """
-        drawn = [self._drawn(self.settings(name), seed) for name, seed in keys]
-        starts, prices, schedules, *others = (np.array(part) for part in zip(*drawn, strict=True))
-        return Episodes(starts.astype(np.float32), prices.astype(np.float32), schedules.astype(np.int32), *others)
-
-    def _drawn(self, settings: ControllerSettings, seed: int) -> tuple[Any, ...]:
-        if seed < 0:
-            raise ValueError(f"the seed is {seed}; it must not be negative")
-        random, shape = seeding.np_random(seed)[0], (self.steps, self.humans)
-        start, weights = self.environment.draw_episode(random)
-        yielding = [YIELDING[yields] for yields in self.environment.draw_yielding(random)]
-        rungs = np.full(shape, DECIDES)
-        if isinstance(settings, OrderSettings):
-            table = np.vectorize(self.models.index)(settings.table(*shape, random))
-            rungs = np.broadcast_to(table[np.minimum(np.arange(self.steps), len(table) - 1)], shape)
-        return start, np.nan_to_num(settings.price), rungs, self.loop.game.robot.weights, weights, yielding
-
-    def _cells(self, records: Records) -> dict[str, Array]:
-        """Return columns of steps that episodes are summarised by, arrays [episodes, steps].
-
-        These are ``model``, the name of the most expensive model in use; ``counted_seconds``, NaN where T is not
-        known; and those that only records with several humans have.
-        """
-        costs = Costs.of([self.costs.get(name, np.nan) for name in self.models], self.humans)
-        known = cheapest_first(self.models)
-        ranks = np.array([known.index(name) for name in self.models])
-        cells = {
-            "model": np.array(known)[ranks[records.rungs].max(axis=2)],
-            "counted_seconds": costs.base + np.asarray(costs.each)[records.rungs].sum(axis=2),
-        }
-        if not self.environment.scenario.streams:
-            return cells
-        aside = np.asarray(records.states)[:, :, 0, 1] - float(self.loop.game.scene.target_lane)
-        cells |= {
-            count_column(name): np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs) if rung
-        }
-        return cells | {"success": (np.abs(aside) < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1)}
+        columns: list[tuple[Any, ...]] = []
+        for name, seed in keys:
+            if seed < 0:
+                raise ValueError(f"the seed is {seed}; it must not be negative")
+            settings, random, shape = self.settings(name), seeding.np_random(seed)[0], (self.steps, self.humans)
+            start, weights = self.environment.draw_episode(random)
+            yielding = [YIELDING[yields] for yields in self.environment.draw_yielding(random)]
+            rungs = np.full(shape, DECIDES, np.int32)
+            if isinstance(settings, OrderSettings):
+                table = np.vectorize(self.models.index)(settings.table(*shape, random))
+                rungs[:] = table[np.minimum(np.arange(self.steps), len(table) - 1)]
+            price, own = np.float32(np.nan_to_num(settings.price)), self.loop.game.robot.weights
+            columns.append((np.float32(start), price, rungs, own, weights, yielding))
+        return Episodes(*map(np.array, zip(*columns, strict=True)))
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
         """Return a row per step, with the comparison's columns except measured times."""
-        (names, seeds), shape, cells = zip(*keys, strict=True), records.reward.shape, self._cells(records)
-        states = np.asarray(records.states[:, :, : len(CARS)], float).reshape(*shape, -1)
-        gains = highest_gains(np.asarray(records.gains))
-        cells |= {
-            "controller": np.array(names)[:, None],
+        (names, seeds), shape = zip(*keys, strict=True), records.reward.shape
+        costs = Costs.of([self.costs.get(name, np.nan) for name in self.models], self.humans)
+        known = cheapest_first(self.models)
+        ranks = np.array([known.index(name) for name in self.models])
+        states = np.asarray(records.states, float)
+        cells = {
+            "scenario": self.scenario,
+            "controller": np.array(names, object)[:, None],
             "seed": np.array(seeds)[:, None],
             "step": np.arange(self.steps),
+            "model": np.array(known)[ranks[records.rungs].max(axis=2)],
             "reward": np.asarray(records.reward, float),
             "collision": records.collision,
+            COUNTED: costs.base + np.asarray(costs.each)[records.rungs].sum(axis=2),
             "status": np.array(STATUSES)[records.status],
-            **dict(zip(map(gain_column, self.rungs), np.moveaxis(gains, -1, 0), strict=True)),
-            **dict(zip(chain(*map(state_columns, CARS)), np.moveaxis(states, -1, 0), strict=True)),
         }
+        gains = np.moveaxis(highest_gains(np.asarray(records.gains)), -1, 0)
+        cells |= dict(zip(map(gain_column, self.rungs), gains, strict=True))
+        of_cars = np.moveaxis(states[:, :, : len(CARS)].reshape(*shape, -1), -1, 0)
+        cells |= dict(zip(chain(*map(state_columns, CARS)), of_cars, strict=True))
+        if self.environment.scenario.streams:
+            for rung, name in enumerate(self.rungs[1:], 1):
+                cells[count_column(name)] = np.sum(records.rungs == rung, axis=2)
+            aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
+            cells["success"] = (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1)
         table = pd.DataFrame({name: np.broadcast_to(part, shape).ravel() for name, part in cells.items()})
-        wanted = [name for name in self.comparison.columns() if name not in MEASURED]
-        return table.assign(scenario=self.scenario).reindex(columns=wanted)
+        return table.reindex(columns=[name for name in self.comparison.columns() if name not in MEASURED])
 
-    def episodes_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
-        """Return a row per episode.
+    def episodes_table(self, steps: pd.DataFrame) -> pd.DataFrame:
+        """Return a row per episode of a table of steps, see `ms_highway.experiments.records.per_episode`.
 
-        Columns: ``scenario``, ``controller`` and ``seed``; ``price``, that is lambda, empty where nothing is decided;
-        ``reward`` and ``counted_seconds``, planning at T(M), as means over the steps; ``share_MODEL`` of the steps;
-        ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed. Where there are
-        several humans, MODEL is the most expensive one in use, and there are ``success``, 0 or 1, and means over the
-        steps: ``humans_MODEL``, and ``way_out``, of the steps driven to keep one.
+        It has ``price`` as well, that is lambda, empty where nothing is decided.
 
         Raises:
             ValueError: for a reward that is not finite.
         """
-        cells, (names, seeds) = self._cells(records), zip(*keys, strict=True)
-        used, counted = cells.pop("model"), cells.pop("counted_seconds")
-        table = {
-            "scenario": self.scenario,
-            "controller": names,
-            "seed": seeds,
-            "price": [self.settings(name).price for name in names],
-            "reward": np.mean(records.reward, axis=1, dtype=float),
-            "counted_seconds": np.mean(counted, axis=1),
-            **{share_column(name): np.mean(used == name, axis=1) for name in self.models},
-            "collisions": np.sum(records.collision, axis=1),
-            "fallbacks": np.sum(np.isin(records.status, (PREVIOUS_PLAN, BRAKING)), axis=1),
-        }
-        if cells:
-            table["success"] = cells.pop("success")[:, -1].astype(int)
-            table |= {name: part.mean(axis=1) for name, part in cells.items()}
-            table["way_out"] = np.equal(records.status, WAY_OUT).mean(axis=1)
-        episodes = pd.DataFrame(table)
+        episodes = per_episode(steps, self.models)
+        prices = {name: self.settings(name).price for name in episodes["controller"].unique()}
+        episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
         check_numbers(episodes)
         return episodes
 
@@ -265,7 +240,16 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
     configs = [comparison.environment_config(scenario, name) for name in names]
     settings = [read_own(Settings, config) for config in configs]
-    environment, costs = _environment(scenario, configs[0]), dict[str, float]()
+    for key, value in (("terminate_on_collision", True), ("beliefs", "true")):
+        if configs[0].get(key) == value:
+            reason = f"{scenario} is configured with {key} {value!r}, which a simulation does not do"
+            raise ValueError(f"{reason}; use `compare`")
+    kind, costs = ENVIRONMENTS[scenario], dict[str, float]()
+    if own := [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]:
+        reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
+        remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
+        raise ValueError(f"{reason}; {remedy}")
+    environment = kind(dict(configs[0]))
     for one in settings:
         if one.seconds is None:
             remedy = "say 'shipped', or give seconds by model" + (SEVERAL if one.humans > 1 else "")
@@ -284,28 +268,6 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         if each.chooses:
             batch.rule(each)
     return batch
-
-
-def _environment(scenario: str, config: Mapping[str, Any]) -> InteractionEnv:
-    """Return the environment of a scenario, which does nothing in a step that a simulation does not.
-
-    Raises:
-        ValueError: for environments that end early, know the true rewards, or do something of their own in a step.
-    """
-    for key, value in (("terminate_on_collision", True), ("beliefs", "true")):
-        if config.get(key) == value:
-            raise ValueError(
-                f"{scenario} is configured with {key} {value!r}, which a simulation does not do; use `compare`"
-            )
-    kind = ENVIRONMENTS[scenario]
-    classes = kind.__mro__[: kind.__mro__.index(InteractionEnv)]
-    own = {name for one in classes for name in vars(one) if hasattr(InteractionEnv, name) and name[:2] != "__"}
-    if own - OVERRIDABLE:
-        reason = f"{kind.__name__} has its own {', '.join(sorted(own - OVERRIDABLE))}, which a simulation does not call"
-        raise ValueError(
-            f"{reason}; change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
-        )
-    return kind(dict(config))
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:

@@ -2,14 +2,17 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
-from typing import Any
+from itertools import chain, product
+from typing import Any, TypeAlias
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.experiments.records import columns
 from ms_highway.planning.human_models import rung_names
+
+EpisodeKey: TypeAlias = tuple[str, str, int]
+"""Which episode: its scenario, its controller's short name, and its seed."""
 
 USUAL = ("semantics", "solver", "human_reward", "costs")
 """Keys of the configuration that results say in any case, unless the scenarios' defaults differ."""
@@ -31,7 +34,7 @@ class Comparison:
     first_seed: int = 0
     config: Mapping[str, Any] = field(default_factory=dict)
 
-    def episodes(self) -> Iterator[tuple[str, str, int]]:
+    def episodes(self) -> Iterator[EpisodeKey]:
         """Yield every (scenario, controller, seed)."""
         seeds = range(self.first_seed, self.first_seed + self.seeds)
         for scenario, controllers in self.controllers.items():
@@ -69,9 +72,9 @@ class Comparison:
     def columns(self) -> list[str]:
         """Return the columns of the records, see `ms_highway.experiments.records.columns`."""
         scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
-        ladders = [(rung_names(self.config.get("ladder", one.ladder)), bool(one.streams)) for one in scenarios]
-        above = [name for names, several in ladders if several for name in names[1:]]
-        return columns([name for names, _ in ladders for name in names], above)
+        ladders = [rung_names(self.config.get("ladder", scenario.ladder)) for scenario in scenarios]
+        several = [names[1:] for scenario, names in zip(scenarios, ladders, strict=True) if scenario.streams]
+        return columns(chain(*ladders), chain(*several) if several else None)
 
 
 def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:

@@ -44,6 +44,11 @@ class Run(Checkout):
     xla_flags: NotRequired[str]
 
 
+def comparison_config(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the part of a comparison's settings that configures all of its environments."""
+    return {key: value for key, value in settings.items() if key not in EXTENDED}
+
+
 @dataclass(frozen=True)
 class ResultsDirectory:
     """A directory of results, or one to be.

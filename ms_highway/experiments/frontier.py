@@ -36,7 +36,7 @@ class Outcomes:
     Attributes:
         batch: the scenario.
         table: what is known, by controller and seed: ``scenario``, ``reward``, ``counted_seconds``, ``collisions`` and
-            ``fallbacks`` as in `ms_highway.experiments.batch.Batch.episodes_table`.
+            ``fallbacks`` as in `ms_highway.experiments.records.per_episode`.
     """
 
     def __init__(self, batch: Batch, file: Path | None = None, mesh: Mesh | None = None) -> None:
@@ -63,8 +63,8 @@ class Outcomes:
         """Return the rows of some episodes, in their order; simulate and keep those that are not known."""
         lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
-            records = self.batch.simulate(lacking, self._mesh)
-            fresh = self.batch.episodes_table(lacking, records).set_index(INDEX)[list(KEPT_COLUMNS)]
+            steps = self.batch.steps_table(lacking, self.batch.simulate(lacking, self._mesh))
+            fresh = self.batch.episodes_table(steps).set_index(INDEX)[list(KEPT_COLUMNS)]
             self.table = pd.concat([self.table, fresh]) if len(self.table) else fresh
             if self._file is not None:
                 with replacing(self._file) as path:

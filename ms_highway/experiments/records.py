@@ -1,10 +1,11 @@
-"""Records of steps: their columns, and what is picked out of them."""
+"""Define the columns of records of steps, check and select records, and summarise them by episode."""
 
 from collections.abc import Callable, Iterable, Sequence
 
 import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS
+from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.planning.human_models import is_model, known_models, model_names
 
 KEYS = ["scenario", "controller", "seed"]
@@ -17,10 +18,11 @@ CARS, STATE = ("robot", "human"), ("x", "y", "heading", "speed")
 NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
 COUNTED = "counted_seconds"
 TEXTS = ("scenario", "controller", "model", "status")
+FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
 LARGEST = 1e38  # number, in single precision
 
 
-def columns(rungs: Iterable[str] = (), above: Iterable[str] = ()) -> list[str]:
+def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> list[str]:
     """Return the columns of a record of steps.
 
     ``counted_seconds`` is T of the step's plan as decisions count it; a gain, of which every known human model and
@@ -31,14 +33,14 @@ def columns(rungs: Iterable[str] = (), above: Iterable[str] = ()) -> list[str]:
 
     Args:
         rungs: names of the models on ladders, which may have efforts.
-        above: of those above the first, where there are several humans.
+        above: of those above the first, where there are several humans; otherwise None.
     """
     planning, decision, compiling = MEASURED
     gains = [gain_column(name) for name in known_models(rungs)]
     states = [name for car in CARS for name in state_columns(car)]
     steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
-    counts = list(dict.fromkeys(map(count_column, above)))
-    return [*KEYS, *steps, *gains, *states, *counts, *(["success"] if counts else [])]
+    several = [] if above is None else [*dict.fromkeys(map(count_column, above)), "success"]
+    return [*KEYS, *steps, *gains, *states, *several]
 
 
 def gain_column(model: str) -> str:
@@ -67,6 +69,37 @@ def models_of(table: pd.DataFrame, column: Callable[[str], str]) -> list[str]:
     return [name for name in known_models(names) if name in names]
 
 
+def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame:
+    """Return a row per episode, in the order of the steps.
+
+    Columns: ``scenario``, ``controller`` and ``seed``; ``reward``, ``counted_seconds`` and, where they were measured,
+    ``planning_seconds`` and ``decision_seconds`` as means over the steps, empty where a step's is; ``share_MODEL`` of
+    the steps; ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed; ``way_out``
+    and, where times were measured, ``late``, shares of the steps driven to keep a way out, and with an old plan because
+    the new one was late. Where scenarios have several humans, there are ``success``, 0 or 1, at the end, and the mean
+    of ``humans_MODEL``; the share of a model is of the steps in which it is the most expensive one in use.
+
+    Args:
+        steps: records; those of an episode follow each other.
+        models: whose shares are wanted; by default, all known ones.
+    """
+    models = list(models) or known_models(steps["model"].unique())
+    marks = {share_column(name): steps["model"] == name for name in models}
+    marks |= {"collisions": steps["collision"], "fallbacks": steps["status"].isin(FAILED)}
+    marks |= {"way_out": steps["status"] == STATUSES[WAY_OUT], "late": steps["status"] == STATUSES[LATE]}
+    episodes = steps.assign(**marks).groupby((steps["step"] == 0).cumsum())
+    measured = [name for name in MEASURED[:2] if name in steps]
+    counts = [count_column(name) for name in models_of(steps, count_column)]
+    shares = [*map(share_column, models), *counts, "way_out", *(["late"] if measured else [])]
+    means = episodes[["reward", COUNTED, *measured, *shares]]
+    table = episodes[KEYS].first().join(means.mean().where(means.count().eq(episodes.size(), axis=0)))
+    table = table.join(episodes[["collisions", "fallbacks"]].sum())
+    if "success" in steps:
+        ended = episodes["success"].last()  # empty where there is one human
+        table["success"] = ended if ended.isna().any() else ended.astype(int)
+    return table.reset_index(drop=True)
+
+
 def check_records(records: pd.DataFrame) -> None:
     """Check that records have the columns that results are made from, numbers where they belong, and known names.
 
@@ -76,7 +109,7 @@ def check_records(records: pd.DataFrame) -> None:
     absent = sorted({*NEVER_EMPTY, COUNTED} - set(records))
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
-    check_numbers(records, holes=True)
+    check_numbers(records)
     for column, known, names in (
         ("scenario", ENVIRONMENTS.__contains__, ", ".join(ENVIRONMENTS)),
         ("model", is_model, model_names()),
@@ -87,12 +120,10 @@ def check_records(records: pd.DataFrame) -> None:
                 raise ValueError(f"it holds {column} {name!r}, not one of {names}; {remedy}")
 
 
-def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
+def check_numbers(table: pd.DataFrame) -> None:
     """Check that a table of steps or episodes has numbers where they belong, within their possible ranges.
 
-    Args:
-        table: all of whose columns but `TEXTS` hold numbers.
-        holes: whether any cell may be empty, not only prices and gains, which may be unknown.
+    All columns but `TEXTS` hold numbers; cells may be empty in those that are not `NEVER_EMPTY`.
 
     Raises:
         ValueError: naming what is wrong, and where.
@@ -103,19 +134,12 @@ def check_numbers(table: pd.DataFrame, holes: bool = False) -> None:
         signed = name == "reward" or name.startswith(("gain_", "robot_", "human_"))
         share = name.startswith("share_") or name in ("collision", "success", "late", "way_out")
         least, most = -LARGEST if signed else 0, 1 if share else 2**63 - 1 if name in ("seed", "step") else LARGEST
-        numbers = table[name].astype(float)
-        right = numbers.between(least, most)
-        if holes or name == "price" or name.startswith("gain_"):
-            right |= numbers.isna()
-        if not right.all():
-            wrong = table[~right].iloc[0]
-            where = f"{wrong['controller']} with seed {wrong['seed']}"
-            raise ValueError(f"{name} of {where} is {wrong[name]}; it must be from {least:g} to {most:g}")
-
-
-def whole_steps(records: pd.DataFrame) -> pd.Series:
-    """Return the number of steps without empty cells that every episode has, by `KEYS`."""
-    return records.dropna(subset=NEVER_EMPTY).groupby(KEYS).size()
+        wrong = table[~table[name].astype(float).between(least, most)]
+        if name not in NEVER_EMPTY:
+            wrong = wrong.dropna(subset=name)
+        for row in wrong[:1].to_dict("records"):
+            where = f"{row['controller']} with seed {row['seed']}"
+            raise ValueError(f"{name} of {where} is {row[name]}; it must be from {least:g} to {most:g}")
 
 
 def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:

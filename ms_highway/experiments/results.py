@@ -7,10 +7,8 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
-from ms_highway.experiments.comparison import episode_steps
-from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
-from ms_highway.experiments.records import check_records, whole_steps
-from ms_highway.experiments.runner import STEPS_FILE
+from ms_highway.experiments.directory import SETTINGS_FILE, ResultsDirectory, Run, comparison_config
+from ms_highway.experiments.runner import STEPS_FILE, read_steps
 from ms_highway.runtime.files import reading
 
 PUBLISHED_WITH = {
@@ -94,12 +92,12 @@ class Results:
 
     def published(self, scenario: str, controller: str) -> Published | None:
         """Return what the paper published of a controller, if these results may be compared with it."""
-        chosen = {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
+        chosen = {key: value for key, value in comparison_config(self.settings).items() if value is not None}
         return PUBLISHED.get((scenario, controller)) if chosen == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict[str, Any]:
         """Return the configuration that a scenario's environment had, but for the controller."""
-        config = {key: value for key, value in self.settings.items() if key not in EXTENDED}
+        config = comparison_config(self.settings)
         measured = self.settings.get("measured", {})
         return config | ({"costs": measured[scenario]} if scenario in measured else {})
 
@@ -108,27 +106,19 @@ def read_results(directory: Path) -> Results:
     """Read a directory of results.
 
     Raises:
-        ValueError: if there is none, it lacks a file, or a file cannot be read or was left unfinished.
+        ValueError: if there is none, or a file is missing or cannot be read.
     """
     if not directory.is_dir():
         raise ValueError(f"there is no directory {directory}; {REMEDY}")
-    for name in (STEPS_FILE, SETTINGS_FILE):
-        if not (directory / name).is_file():
-            raise ValueError(f"{directory} has no {name}; {REMEDY}")
-    results, file = ResultsDirectory(directory), directory / STEPS_FILE
+    if not (directory / SETTINGS_FILE).is_file():
+        raise ValueError(f"{directory} has no {SETTINGS_FILE}; {REMEDY}")
+    results = ResultsDirectory(directory)
     settings = results.settings()
     if "semantics" not in settings or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
-    with reading(file, REMEDY):
-        records = pd.read_csv(file)
-        check_records(records)
-        summaries = summary(records)
-    read = Results(directory, records, summaries, settings, results.runs())
+    records = read_steps(directory, settings).reset_index(drop=True)
     if records.empty:
-        raise ValueError(f"{file} holds no episodes yet; let `ms-highway compare` finish one")
-    lengths = whole_steps(records)
-    wanted = {name: episode_steps(name, read.config(name)) for name in read.scenarios}
-    whole = all(length == wanted[scenario] for (scenario, *_), length in lengths.items())
-    if not whole or lengths.sum() != len(records):
-        raise ValueError(f"{file} holds an unfinished episode; run the same `ms-highway compare` again, which resumes")
-    return read
+        raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")
+    with reading(directory / STEPS_FILE, REMEDY):
+        summaries = summary(records)
+    return Results(directory, records, summaries, settings, results.runs())

@@ -6,6 +6,7 @@ written under another name and moved to its own when it is whole, so that every 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,14 +16,14 @@ from jax.sharding import Mesh
 from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import check_numbers
-from ms_highway.loop.records import Records
+from ms_highway.experiments.runner import run_parts
 from ms_highway.runtime.files import reading, replacing
 
 EPISODES, STEPS = "episodes", "steps"
 """Directories of a sweep's parts, with a row per episode and per step."""
 
-Tables: TypeAlias = list[pd.DataFrame]
-"""The rows of a part, in the order of `Sweep.files`."""
+Tables: TypeAlias = dict[str, pd.DataFrame]
+"""The rows of a part by directory, those of its episodes last: when they are there, the part is done."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,6 @@ class Sweep:
         """The numbers of all parts."""
         return range(-(-self.episodes // self.part))
 
-    def places(self, part: int) -> tuple[int, int]:
-        """Return the first of a part's episodes among all, and the one after its last."""
-        return part * self.part, min((part + 1) * self.part, self.episodes)
-
     def settings(self) -> dict[str, Any]:
         """Return the settings that decide which numbers are in which part."""
         comparison = self.comparison
@@ -74,26 +71,60 @@ class Sweep:
             "steps": self.steps,
         }
 
-    def files(self, part: int) -> list[Path]:
-        """Return the files of a part, that of its episodes last: when it is there, the part is done."""
-        kinds = [STEPS, EPISODES] if self.steps else [EPISODES]
-        return [self.directory / kind / f"part-{part:06d}.parquet" for kind in kinds]
-
-    def missing(self) -> list[int]:
-        """Return the parts that are not there yet.
+    def batch(self) -> Batch:
+        """Return the batch of episodes to simulate.
 
         Raises:
-            ValueError: for a file beside the parts that pandas would read with them.
+            ValueError: if it cannot be simulated.
         """
-        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
-        parts = {part: self.files(part) for part in self.parts}
-        if strangers := sorted(there.difference(*parts.values())):
-            raise ValueError(f"{strangers[0]} is no part of this sweep, but would be read as one; move it away")
-        return [part for part, files in parts.items() if not there.issuperset(files)]
+        return make_batch(self.comparison, self.scenario)
 
-    def read(self) -> pd.DataFrame:
-        """Return a row per episode, seed by seed, once no part is missing."""
-        return pd.concat([pd.read_parquet(self.files(part)[-1]) for part in self.parts])
+    def places(self, part: int) -> tuple[int, int]:
+        """Return the first of a part's episodes among all, and the one after its last."""
+        return part * self.part, min((part + 1) * self.part, self.episodes)
+
+    def file(self, part: int, kind: str = EPISODES) -> Path:
+        """Return the file of a part's rows."""
+        return self.directory / kind / f"part-{part:06d}.parquet"
+
+    def missing(self) -> dict[int, int]:
+        """Return the parts that are not there yet, and how many episodes each has.
+
+        Raises:
+            ValueError: if the sweep cannot be simulated, there is a file beside the parts that pandas would read with
+                them, or as `read`.
+        """
+        kinds = [STEPS, EPISODES] if self.steps else [EPISODES]
+        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
+        files = {part: {self.file(part, kind) for kind in kinds} for part in self.parts}
+        if strangers := sorted(there.difference(*files.values())):
+            raise ValueError(f"{strangers[0]} is no part of this sweep, but would be read as one; move it away")
+        self.read([part for part in self.parts if files[part] <= there])
+        places = {part: self.places(part) for part in self.parts if not files[part] <= there}
+        return {part: last - first for part, (first, last) in places.items()}
+
+    def write(self, part: int, tables: Tables) -> None:
+        """Write a part."""
+        for kind, table in tables.items():
+            with replacing(self.file(part, kind)) as path:
+                table.to_parquet(path, index=False)
+
+    def read(self, parts: Sequence[int] | None = None) -> pd.DataFrame:
+        """Return a row per episode of parts that are there, by default of all, seed by seed.
+
+        Raises:
+            ValueError: for a part that cannot be read, or holds something else.
+        """
+        batch, tables = self.batch(), [pd.DataFrame()]
+        for part in self.parts if parts is None else parts:
+            with reading(self.file(part), "remove it, to have it computed again"):
+                tables.append(rows := pd.read_parquet(self.file(part)))
+                if list(rows) != list(tables[1]):
+                    raise ValueError("its columns are not those of the parts before")
+                if [*zip(rows["controller"], rows["seed"], strict=True)] != batch.keys(*self.places(part)):
+                    raise ValueError("it holds other episodes than its number says")
+                check_numbers(rows)
+        return pd.concat(tables[1:] or tables)
 
 
 Compute: TypeAlias = Callable[[Sweep, Sequence[int]], Iterator[tuple[int, Tables]]]
@@ -101,40 +132,8 @@ Compute: TypeAlias = Callable[[Sweep, Sequence[int]], Iterator[tuple[int, Tables
 
 
 def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
-    """Compute the parts that are missing and write each when it is done.
-
-    Yields:
-        The number of episodes there: first of those that earlier runs have left, then after every part.
-
-    Raises:
-        ValueError: if the sweep is impossible, or a part that is there cannot be read or holds something else.
-    """
-    batch, missing = make_batch(sweep.comparison, sweep.scenario), sweep.missing()
-    count, columns = 0, dict[str, list[str]]()
-    for part in sorted({*sweep.parts} - {*missing}):
-        _check(sweep, batch, part, columns)
-        count += len(batch.keys(*sweep.places(part)))
-    yield count
-    for part, tables in compute(sweep, missing):
-        for file, table in zip(sweep.files(part), tables, strict=True):
-            with replacing(file) as path:
-                table.to_parquet(path, index=False)
-        count += len(tables[-1])
-        yield count
-
-
-def _check(sweep: Sweep, batch: Batch, part: int, columns: dict[str, list[str]]) -> None:
-    """Check that the files of a part hold its episodes, in the same columns as other parts, by kind."""
-    for file in sweep.files(part):
-        steps = batch.steps if file.parent.name == STEPS else 1
-        expected = [key for key in batch.keys(*sweep.places(part)) for _ in range(steps)]
-        with reading(file, "remove it, to have it computed again"):
-            rows = pd.read_parquet(file)
-            if [*rows[["controller", "seed"]].itertuples(index=False, name=None)] != expected:
-                raise ValueError("it holds other episodes than its number says")
-            if list(rows) != columns.setdefault(file.parent.name, list(rows)):
-                raise ValueError("its columns are not those of the parts before")
-            check_numbers(rows)
+    """Compute the parts that are missing and write each when it is done, see `run_parts`."""
+    return run_parts(sweep, partial(compute, sweep))
 
 
 def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -> Iterator[tuple[int, Tables]]:
@@ -145,14 +144,11 @@ def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -
         parts: their numbers.
         mesh: devices, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
     """
-    batch, together = make_batch(sweep.comparison, sweep.scenario), 1 if mesh is None else mesh.size
+    batch, together = sweep.batch(), 1 if mesh is None else mesh.size
     for place in range(0, len(parts), together):
-        now = parts[place : place + together]
-        shares = [batch.keys(*sweep.places(part)) for part in now]
-        records = batch.simulate([key for share in shares for key in share], mesh)
-        first = 0
-        for part, keys in zip(now, shares, strict=True):
-            own = Records(*(column[first : first + len(keys)] for column in records))
-            first += len(keys)
-            steps = [batch.steps_table(keys, own)] if sweep.steps else []
-            yield part, [*steps, batch.episodes_table(keys, own)]
+        shares = {part: batch.keys(*sweep.places(part)) for part in parts[place : place + together]}
+        keys = [key for share in shares.values() for key in share]
+        steps = batch.steps_table(keys, batch.simulate(keys, mesh))
+        for part, share in shares.items():
+            own, steps = steps[: len(share) * batch.steps], steps[len(share) * batch.steps :]
+            yield part, {**({STEPS: own} if sweep.steps else {}), EPISODES: batch.episodes_table(own)}

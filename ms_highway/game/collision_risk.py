@@ -9,14 +9,13 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
+from ms_highway.geometry.bodies import body_points, ellipse_distance
 from ms_highway.runtime.arrays import Array, Times
 
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # weight of an obstacle's risk relative to a car's
 NEAR, CONTACT = 0.6, 0.3  # D - 1 at which the smooth indicator begins to rise, and the factor of its cube
-CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
-MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
 
 
 class Bodies(NamedTuple):
@@ -52,27 +51,10 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
     )
 
 
-def body_points(scene: Scene) -> Float[jax.Array, "9 2"]:
-    """Return x and y of corners, middles of the edges and centre of a car in its own frame [m]."""
-    return jnp.concatenate([scene.corner * CORNERS, MIDDLES]) * jnp.asarray(scene.car_size)
-
-
 def body_distance(scene: Scene, own: Motion, bodies: Bodies) -> Float[jax.Array, "bodies 9 *times"]:
-    """Return ``D - 1 = (2 dx / length)^2 + (2 dy / width)^2 - 1`` from nine points of a car to other bodies.
-
-    The offset (dx, dy) of a point is in the frame of the other body; ``D < 1`` is the ellipse inscribed in it.
-    """
-    other = bodies.motion
-    x, y, cosine, sine = (jnp.broadcast_to(field, other.x.shape) for field in own[:4])
-    dx, dy = x - other.x, y - other.y
-    ahead, across = other.cosine * dx + other.sine * dy, other.cosine * dy - other.sine * dx
-    turned, slant = other.cosine * cosine + other.sine * sine, other.cosine * sine - other.sine * cosine
-    shape = len(dx), 9, *dx.shape[1:]
-    ahead, across, turned, slant = (jnp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant))
-    along, aside = jnp.broadcast_to(body_points(scene).T.reshape(2, 1, 9, *[1] * own.x.ndim), (2, *shape))
-    x, y = ahead + turned * along - slant * aside, across + slant * along + turned * aside
-    half_length, half_width = bodies.length / 2, bodies.width / 2
-    return (x / half_length) ** 2 + (y / half_width) ** 2 - 1
+    """Return the `ellipse_distance` from nine points of a car to other bodies."""
+    points = body_points(jnp.asarray(scene.car_size), scene.corner)
+    return ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
 
 
 def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = False) -> tuple[Times, Times]:

@@ -14,12 +14,13 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.collision_risk import CONTACT, NEAR, bodies_around, body_distance, body_points
+from ms_highway.game.collision_risk import CONTACT, NEAR, bodies_around, body_distance
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import attention, depth_off_road
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.game.stopping import stopping_curvature
+from ms_highway.geometry.bodies import body_points
 from ms_highway.runtime.arrays import Scalar
 
 Blocks = Float[jax.Array, "times 5 5"]
@@ -79,7 +80,8 @@ def _bend_of_closeness(
     close, depth = risk * bodies.share * jnp.exp(-bodies.sharpness * distance), jnp.maximum(NEAR - distance, 0.0)
     bend = bodies.sharpness**2 * close + 6 * CONTACT * contact * depth
     fall = bodies.sharpness * close + 3 * CONTACT * contact * depth**2
-    other, points = Motion(*(field[:, None] for field in bodies.motion)), body_points(scene)
+    other = Motion(*(field[:, None] for field in bodies.motion))
+    points = body_points(jnp.asarray(scene.car_size), scene.corner)
     along, aside = points.T.reshape(2, 9, *[1] * own.x.ndim)
     dx = own.x + own.cosine * along - own.sine * aside - other.x
     dy = own.y + own.sine * along + own.cosine * aside - other.y

@@ -33,14 +33,14 @@ class LearnedReward(Structure):
         temperature: T of maximum entropy, at the same scale.
         learned: names of the weights that were learned; the others were given.
         covariance: of the logarithms of the learned weights' sizes, of the temperature and, if any, of the tails; of
-            real drivers with drivers as the independent units, of simulated ones with windows.
-        horizon: K, number of steps of 0.1 s in the windows.
+            real drivers with drivers as the independent units, of simulated ones with segments.
+        horizon: K, number of steps of 0.1 s in the segments.
         converged: whether the optimiser reached the maximum.
         iterations: of the optimiser.
-        windows: number of windows that were fitted.
-        log_likelihood: mean per window: ``train``, and ``held_out``, cross-validated by group of recordings (None if
+        windows: number of segments that were fitted.
+        log_likelihood: mean per segment: ``train``, and ``held_out``, cross-validated by group of recordings (None if
             there is only one group).
-        feature_counts: mean sums of the features over a window: ``human``, and ``model``, expected under the reward.
+        feature_counts: mean sums of the features over a segment: ``human``, and ``model``, expected under the reward.
         provenance: data, groups of recordings, and versions of the software.
         tails: nu of `ms_highway.irl.maximum_entropy`, None for a normal distribution.
         drivers: what was learned seconds ahead; None from simulated demonstrations.

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.runtime.arrays import SameArray
 
 SLOWEST = 1.0  # m/s, least speed of a follower in its headway
@@ -112,5 +113,4 @@ def leaders(
     """
     xp = others.__array_namespace__()
     distance = others[..., None, :, 0] - x[..., None]
-    ahead = counts & (distance > 0) & (xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach)
-    return xp.argmin(xp.where(ahead, distance, xp.inf), axis=-1), xp.any(ahead, axis=-1)
+    return nearest_ahead(distance, counts & (xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach))

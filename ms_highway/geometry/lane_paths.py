@@ -5,7 +5,6 @@ Lanes need not meet where one follows the other, and their curvature jumps there
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, StraightLane
@@ -13,11 +12,10 @@ from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
 
-from ms_highway.geometry.path import BEHIND, SPACING, Path, wrapped
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Rows, arc_lengths, resample, wrapped
 
 Point = Float[np.ndarray, "2"]
 Row = Float[np.ndarray, "samples"]
-Rows = Float[np.ndarray, "rows samples"]
 Points = Float[np.ndarray, "samples 2"]
 
 FINE = 0.5
@@ -29,50 +27,28 @@ MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
 SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m
 SHARPEST = 0.19  # 1/m
 NEAR = 20.0  # m, along a curve, in which a car is looked for
-TIGHTEST = 0.2  # of the radius of a bend, that a car is away from its centre at least
-
-
-def from_heading(heading: Any, x: Any, y: Any) -> tuple[Any, Any]:
-    """Return how far a displacement leads ahead and to the right of a heading, numbers or arrays."""
-    cosine, sine = np.cos(heading), np.sin(heading)
-    return cosine * x + sine * y, cosine * y - sine * x
-
-
-def along_bend(bend: float, ahead: float, aside: float) -> tuple[float, float]:
-    """Return the way along a curve, from a point of a known curvature, and the distance to its right, of a place.
-
-    Args:
-        bend: the curvature there [1/m].
-        ahead: how far ahead the place is, along the tangent of the point [m].
-        aside: how far to the right of that [m].
-    """
-    step = ahead / max(1 - bend * aside, TIGHTEST)
-    return step, aside - bend * ahead * step / 2
 
 
 @dataclass(frozen=True)
-class Curve:
+class LaneCurve:
     """A smooth curve along lanes.
 
     Attributes:
-        samples: x, y, heading (unwrapped), curvature and way of points `FINE` apart. The way is the sum of the
-            lengths of the lanes passed and the longitudinal coordinate on the present one [m].
+        curve: sampled every `FINE` metres, from s = 0 on.
+        ways: of the samples: the sum of the lengths of the lanes passed, and the longitudinal coordinate on the present
+            one [m].
     """
 
-    samples: Rows
+    curve: Curve
+    ways: Row
 
-    def gather(self, rows: Rows, s: Row) -> Rows:
-        """Interpolate rows that belong to the curve's samples at distances from its beginning [m]."""
-        place = np.clip(s / FINE, 0.0, rows.shape[1] - 1.001)
-        low = place.astype(int)
-        share, left = place - low, rows[:, low]
-        return left + share * (rows[:, low + 1] - left)
-
-    def path(self, s: float, knots: int) -> Path:
-        """Return the path whose s = 0 is at a distance from the curve's beginning [m]; its heading there is wrapped."""
-        x, y, heading, curvature = self.gather(self.samples[:4], s - BEHIND + SPACING * np.arange(knots))
+    def path(self, s: float, knots: int) -> Curve:
+        """Return the curve whose s = 0 is at a distance from this one's beginning [m]; its heading there is wrapped."""
+        own = self.curve
+        places = s - BEHIND + SPACING * np.arange(knots)
+        x, y, heading, curvature = own.interpolate(np.stack([own.x, own.y, own.heading, own.curvature]), places)
         here = heading[int(BEHIND / SPACING)]
-        return Path(*np.stack([x, y, heading + wrapped(here) - here, curvature]).astype(np.float32))
+        return Curve(*np.stack([x, y, heading + wrapped(here) - here, curvature]).astype(np.float32))
 
     def project(self, position: Point, heading: float, way: float) -> tuple[float, float, float]:
         """Return distance from the curve's beginning, distance to its right and heading relative to it.
@@ -80,21 +56,17 @@ class Curve:
         Args:
             position: of a car [m].
             heading: of it [rad].
-            way: near which it is [m].
+            way: near which it is [m]: lanes may cross themselves.
         """
-        ways = self.samples[4]
-        low = min(int(np.searchsorted(ways, way - NEAR)), ways.size - 2)
-        high = max(int(np.searchsorted(ways, way + NEAR)), low + 1)
-        delta = position[:, None] - self.samples[:2, low:high]
-        nearest = int(np.argmin((delta**2).sum(axis=0)))
-        _, _, along, bend, _ = self.samples[:, low + nearest]
-        ahead, aside = from_heading(along, *delta[:, nearest])
-        step, d = along_bend(bend, ahead, aside)
-        return float((low + nearest) * FINE + step), float(d), float(wrapped(heading - along - bend * step))
+        low = min(int(np.searchsorted(self.ways, way - NEAR)), self.ways.size - 2)
+        high = max(int(np.searchsorted(self.ways, way + NEAR)), low + 2)
+        x, y = position
+        s, d, turned = self.curve.part(low, high).project(x, y, heading)
+        return float(s), float(d), float(turned)
 
     def way(self, s: float) -> float:
         """Return the way at a distance from the curve's beginning [m]."""
-        return float(np.interp(s, FINE * np.arange(self.samples.shape[1]), self.samples[4]))
+        return float(self.curve.interpolate(self.ways, s))
 
 
 def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
@@ -108,7 +80,7 @@ def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, R
 
 def join_lanes(
     lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float] = SMOOTHING
-) -> Curve:
+) -> LaneCurve:
     """Return the curve along lanes, between two ways; it goes straight on beyond the last one.
 
     A Hermite spline through positions and headings on the lanes bridges the joints. Averages along it, weighted as by a
@@ -134,32 +106,24 @@ def join_lanes(
         parts.append((end + beyond, lane.position(lane.length, 0.0) + straight, np.full(beyond.shape, heading)))
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
     for width in widths:
-        curve = _smooth(raw, width)
-        if np.abs(curve[3]).max() <= SHARPEST:
+        smooth = _smooth(raw, width)
+        if np.abs(smooth.curve.curvature).max() <= SHARPEST:
             break
-    return Curve(curve)
+    return smooth
 
 
 def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
     """Return x, y and way of points every `FINE` metres of a Hermite spline."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    along = arc_lengths(points.T)
     spline = CubicHermiteSpline(along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1))
     dense = np.arange(0.0, along[-1], FINE)
-    return _resampled(np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]))
+    return resample(np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]), FINE)
 
 
-def _resampled(rows: Rows) -> Rows:
-    """Resample rows, the first two of which are positions, at equal distances."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:2])))])
-    even = np.arange(0.0, along[-1], FINE)
-    return np.stack([np.interp(even, along, row) for row in rows])
-
-
-def _smooth(raw: Rows, width: float) -> Rows:
-    """Return a curve's samples, smoothed over a width [m], without the margins at both ends."""
+def _smooth(raw: Rows, width: float) -> LaneCurve:
+    """Return a curve, smoothed over a width [m], without the margins at both ends."""
     once = gaussian_filter1d(raw[:2], width / FINE, mode="nearest")
     twice = gaussian_filter1d(once, width / FINE, mode="nearest")
     cut = int(0.9 * MARGIN / FINE)
-    x, y, way = _resampled(np.concatenate([2 * once - twice, raw[2:]])[:, cut:-cut])
-    heading = np.unwrap(np.arctan2(np.gradient(y), np.gradient(x)))
-    return np.stack([x, y, heading, np.gradient(heading, FINE), way])
+    x, y, ways = resample(np.concatenate([2 * once - twice, raw[2:]])[:, cut:-cut], FINE)
+    return LaneCurve(Curve.through(x, y, 0.0, FINE), ways)

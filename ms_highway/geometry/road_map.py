@@ -14,8 +14,8 @@ from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from scipy.spatial import cKDTree
 
-from ms_highway.geometry.lane_paths import COARSE, SMOOTHING, Curve, Point, Points, Row, join_lanes, samples
-from ms_highway.geometry.path import wrapped
+from ms_highway.geometry.curve import wrapped
+from ms_highway.geometry.lane_paths import COARSE, SMOOTHING, LaneCurve, Point, Points, Row, join_lanes, samples
 
 
 class Spot(NamedTuple):
@@ -187,7 +187,7 @@ class Chain:
         return shape.position(place, 0), shape.heading_at(place)
 
     @kept
-    def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING) -> Curve:
+    def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING) -> LaneCurve:
         """Return the curve along the lanes near a block, a number of `BLOCK` lengths, smoothed as in `join_lanes`."""
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
         return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high, widths)

@@ -1,4 +1,4 @@
-"""Learn a human's reward from recordings: windows, maximum entropy, prediction, evaluation.
+"""Learn a human's reward from recordings: demonstrations, maximum entropy, prediction, evaluation.
 
 Imports `ms_highway.recorded` and what stands below it.
 """
@@ -8,6 +8,18 @@ from typing import Literal, TypeAlias
 Others: TypeAlias = Literal["predicted", "recorded", "coasting"]
 """Motion of the other cars: predicted together with the driver; as recorded, which leaks the future; at constant
 velocity."""
+
+Driver: TypeAlias = Literal["keyboard", "maxent"]
+
+DRIVERS = {
+    "keyboard": "a person, with the arrow keys",
+    "maxent": "knows where the other cars go, and draws its controls, segment by segment, from "
+    "p(u) ~ exp(R(u) / temperature)",
+}
+"""Name and description of each driver."""
+
+TEMPERATURE = 1e-3
+"""Of the driver ``maxent``, in reward; controls then vary by up to 0.005 1/m and 3 m/s^2."""
 
 SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")
 """Weights that are learned from simulated demonstrations."""

@@ -1,4 +1,4 @@
-"""Evaluate learned drivers on recordings, beside the predictors of `ms_highway.irl.predictors`."""
+"""Evaluate learned drivers on recordings, beside the peers of `ms_highway.irl.prediction`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -8,21 +8,21 @@ import numpy as np
 from scipy import optimize, stats
 
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.neighbours import leaders
 from ms_highway.game.reward import RewardModel
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl import Others
-from ms_highway.irl.arrays import Flags, Parameters, Paths, Steps, Values
 from ms_highway.irl.learning import folds
-from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, window_log_likelihoods
-from ms_highway.irl.moments import AT, HORIZONS, Moments, cut_moments
-from ms_highway.irl.outlook import expected_path, log_density, region_level
-from ms_highway.irl.predictors import PREDICTORS, Prediction, check_drivers, prediction
-from ms_highway.irl.recordings.recording import Recording
+from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, segment_log_likelihoods
+from ms_highway.irl.mixture import Mixture, Steps, density_level, expected_path, log_density
+from ms_highway.irl.prediction import PREDICTORS, check_drivers, predict_with
+from ms_highway.irl.recording import Flags, Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
-from ms_highway.irl.windows import Windows, driver_game, regular_windows
+from ms_highway.irl.segments import Segments, cut_segments, driver_game
+from ms_highway.irl.snapshots import AT, HORIZONS, Paths, Snapshots, cut_snapshots
+from ms_highway.numerics.estimation import Parameters
+from ms_highway.runtime.arrays import Vector
 from ms_highway.runtime.progress import Progress, silent
 
 MISS = 2.0  # m
@@ -38,19 +38,18 @@ LEADER = 50.0  # m ahead, from centre to centre
 LEAST_DEVIATION, MOST = 1e-6, 1e3  # of scaled controls; and of tails
 
 ByHorizon = dict[str, float]
-SITUATIONS = ("distance", "log_p")
 
 
 class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
     """How well drivers were predicted: plain numbers, by horizon in seconds.
 
     Attributes:
-        predictors: what `measures` returns, by predictor.
+        predictors: what `metrics` returns, by predictor.
         situations: mean ``distance`` [m] and ``log_p`` of each predictor, by driving regime, see `driving_regimes`; and
             ``windows``, the number of drivers.
-        likelihood: mean log p of the scaled controls in windows of half a second (see
+        likelihood: mean log p of the scaled controls in segments of half a second (see
             `ms_highway.irl.maximum_entropy`) under the learned reward (``model``) and at ``constant_velocity``, and the
-            number of ``windows``.
+            number of segments, ``windows``.
         windows: number of predictions.
         tracks: number of drivers.
         others: see `ms_highway.irl.Others`.
@@ -66,8 +65,8 @@ class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
     folds: Sequence[dict[str, Any]] = ()
 
 
-class Judged(NamedTuple):
-    """What became of every prediction, NaN where the driver was not seen.
+class Errors(NamedTuple):
+    """Errors of predictions after each step, NaN where the driver was not seen.
 
     Attributes:
         distance: from the expected to the recorded position [m].
@@ -80,15 +79,15 @@ class Judged(NamedTuple):
     level: Steps
 
 
-def outcomes(prediction: Prediction, recorded: Paths) -> Judged:
+def prediction_errors(mixture: Mixture, recorded: Paths) -> Errors:
     """Compare predicted distributions with recorded positions."""
     positions = recorded.astype(np.float32)
-    distance = np.linalg.norm(expected_path(prediction.modes) - recorded, axis=-1)
-    return Judged(distance, np.asarray(log_density(*prediction, positions)), region_level(*prediction, positions))
+    distance = np.linalg.norm(expected_path(mixture.modes) - recorded, axis=-1)
+    return Errors(distance, np.asarray(log_density(mixture, positions)), density_level(mixture, positions))
 
 
-def measures(found: Judged) -> dict[str, ByHorizon]:
-    """Return what a predictor is worth, by horizon in seconds, over the drivers that are seen until then.
+def metrics(errors: Errors) -> dict[str, ByHorizon]:
+    """Return the metrics of a predictor by horizon in seconds, over the drivers that are seen until then.
 
     Returns:
         ``fde``: mean distance at the horizon [m]; ``ade``: mean distance up to it [m]; ``rmse``: root mean square of
@@ -97,17 +96,17 @@ def measures(found: Judged) -> dict[str, ByHorizon]:
         that holds 50 % of the probability.
     """
     rows: dict[str, ByHorizon] = {}
-    for horizon in HORIZONS:
-        seen = np.isfinite(found.distance[:, 10 * horizon - 1])
+    for horizon, at in zip(HORIZONS, AT, strict=True):
+        seen = np.isfinite(errors.distance[:, at])
         if not seen.any():
             continue
-        until, log_p, level = (part[seen, : 10 * horizon] for part in found)
-        last = until[:, -1]
-        values = {"fde": last, "ade": until, "rmse": last**2, "miss": last > MISS, "log_p": log_p[:, -1]}
-        values |= {f"inside {percent}": level[:, -1] < percent / 100 for percent in LEVELS}
-        for kind, value in values.items():
-            mean = np.sqrt(value.mean()) if kind == "rmse" else value.mean()
-            rows.setdefault(kind, {})[str(horizon)] = float(mean)
+        distance, log_p, level = (part[seen, at] for part in errors)
+        values = {"fde": distance, "ade": errors.distance[seen, : at + 1], "rmse": distance**2}
+        values |= {"miss": distance > MISS, "log_p": log_p}
+        values |= {f"inside {percent}": level < percent / 100 for percent in LEVELS}
+        for name, value in values.items():
+            mean = np.sqrt(value.mean()) if name == "rmse" else value.mean()
+            rows.setdefault(name, {})[str(horizon)] = float(mean)
     return rows
 
 
@@ -126,7 +125,7 @@ def evaluate(
         recordings: all recordings; for a cross-validation, they are split by group, and so by driver.
         reward: that was learned; for a cross-validation, the weights to learn and those given.
         others: motion of the other cars in predictions, see `ms_highway.irl.Others`.
-        horizon: K, the length of windows in steps; a learned reward has its own.
+        horizon: K, the length of segments in steps; a learned reward has its own.
         parts: the number of folds of a cross-validation.
         progress: called with a message when a part begins.
 
@@ -134,61 +133,61 @@ def evaluate(
         ValueError: if a learned reward has no drivers, a cross-validation has one fold only, no driver was seen for
             long enough, or a fit does not converge.
     """
-    given: tuple[LearnedReward, LearnedDrivers] | None = None
+    learned: Fit | LearnedReward
+    fit: Fit | None = None
     if isinstance(reward, LearnedReward):
-        given, model, horizon = (reward, check_drivers(reward.drivers)), reward.model, reward.horizon
+        learned, drivers, model, horizon = reward, check_drivers(reward.drivers), reward.model, reward.horizon
     else:
         model = reward
-    progress("cutting windows")
-    moments, windows = cut_moments(recordings), regular_windows(recordings, horizon)
-    groups = np.union1d(windows.group, moments.group)
-    if not given and min(parts, len(groups)) < 2:
+    progress("cutting segments")
+    snapshots, segments = cut_snapshots(recordings), cut_segments(recordings, horizon)
+    groups = np.union1d(segments.group, snapshots.group)
+    cross_validated = not isinstance(reward, LearnedReward)
+    if cross_validated and min(parts, len(groups)) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
-    held_out = [groups] if given else folds(groups, parts)
-    progress(f"differentiating {len(windows)} windows")
-    derivatives = differentiate(windows, model.names)
-    likely, fold = np.empty(len(windows)), np.zeros(len(moments), dtype=int)
-    judged: dict[str, list[Judged]] = {name: [] for name in PREDICTORS}
+    progress(f"differentiating {len(segments)} segments")
+    derivatives = differentiate(segments, model.names)
+    likelihoods, fold = np.empty(len(segments)), np.zeros(len(snapshots), dtype=int)
+    errors: list[dict[str, Errors]] = []
     weights: list[dict[str, Any]] = []
-    fit: Fit | None = None
-    known: Fit | LearnedReward
+    held_out = folds(groups, parts if cross_validated else 1)
     for number, names in enumerate(held_out):
-        held, driven = np.isin(windows.group, names), np.isin(moments.group, names)
-        if given:
-            known, drivers = given
-        else:
+        tested, predicted = np.isin(segments.group, names), np.isin(snapshots.group, names)
+        if cross_validated:
             progress(f"learning, fold {number + 1} of {len(held_out)}")
-            known = fit = fit_weights(derivatives.of(~held), model, fit)
-            drivers = learn_drivers(moments, ~driven, intervals=False)
+            learned = fit = fit_weights(derivatives.of(~tested), model, fit)
+            drivers = learn_drivers(snapshots, ~predicted, intervals=False)
             weights.append({"weights": fit.weights, "temperature": fit.temperature, "drivers": drivers.weights})
-        progress(f"predicting {driven[moments.which].sum()} drivers")
-        likely[held], fold[driven] = window_log_likelihoods(derivatives.of(held), known), number
-        for name, outcome in judged.items():
-            outcome.append(outcomes(prediction(name, moments, drivers, others), moments.recorded))
-    found = {name: moments.by_fold(fold, outcome) for name, outcome in judged.items()}
-    likelihood = {"model": likely, "constant_velocity": kept_log_likelihoods(windows)}
+        progress(f"predicting {predicted[snapshots.which].sum()} drivers")
+        likelihoods[tested] = segment_log_likelihoods(derivatives.of(tested), learned)
+        fold[predicted] = number
+        mixtures = {name: predict_with(name, snapshots, drivers, others) for name in PREDICTORS}
+        errors.append({name: prediction_errors(mixture, snapshots.recorded) for name, mixture in mixtures.items()})
+    by_name = snapshots.by_fold(fold, errors)
+    found: dict[str, Errors] = {name: by_name[name] for name in PREDICTORS}
+    likelihood = {"model": likelihoods, "constant_velocity": constant_velocity_log_likelihoods(segments)}
     return Evaluation(
-        predictors={name: measures(outcome) for name, outcome in found.items()},
-        situations=by_regime(found, moments),
-        likelihood={name: float(values.mean()) for name, values in likelihood.items()} | {"windows": len(windows)},
-        windows=len(moments.which),
-        tracks=len(np.unique(moments.drivers(moments.track))),
+        predictors={name: metrics(each) for name, each in found.items()},
+        situations=metrics_by_regime(found, snapshots),
+        likelihood={name: float(values.mean()) for name, values in likelihood.items()} | {"windows": len(segments)},
+        windows=len(snapshots.which),
+        tracks=len(np.unique(snapshots.drivers(snapshots.track))),
         others=others,
         folds=tuple(weights),
     )
 
 
-def driving_regimes(moments: Moments) -> dict[str, Flags]:
+def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     """Return which predicted drivers are in each regime, by name; a driver may be in several, or in none.
 
     A *lane change* is 1.5 m to the side within 3 s; *braking* and *accelerating* are more than 1 m/s^2 on average over
     that time; *slow* is below 5 m/s at the start; *no leader* is none within 50 m in the own lane at the start;
     *following* is a leader and none of the other regimes.
     """
-    start, later = moments.drivers(moments.now), moments.tracks(moments.future)[:, 10 * HORIZON - 1]
-    others, reach = moments.now[moments.which], moments.lane_width[moments.which] / 2
+    start, later = snapshots.drivers(snapshots.now), snapshots.drivers(snapshots.future[:, 10 * HORIZON - 1])
+    others, reach = snapshots.now[snapshots.which], snapshots.lane_width[snapshots.which] / 2
     near = (others[..., 0] - start[:, :1] < LEADER)[:, None]
     _, led = leaders(start[:, :1], start[:, 1:2], others, near, reach[:, None, None])
     change = (later[:, 3] - start[:, 3]) / HORIZON
@@ -202,41 +201,39 @@ def driving_regimes(moments: Moments) -> dict[str, Flags]:
     return {**found, "following": ~np.any(list(found.values()), axis=0)}
 
 
-def by_regime(found: Mapping[str, Judged], moments: Moments) -> dict[str, dict[str, dict[str, ByHorizon]]]:
+def metrics_by_regime(found: Mapping[str, Errors], snapshots: Snapshots) -> dict[str, dict[str, dict[str, ByHorizon]]]:
     """Return the means of each predictor by what is measured, regime and horizon; see `Evaluation.situations`.
 
     Args:
         found: by predictor.
-        moments: of the drivers; those seen for less than 3 s are left out.
+        snapshots: of the drivers; those seen for less than 3 s are left out.
     """
-    reached = np.isfinite(moments.recorded[..., 0])[:, AT]
-    rows: dict[str, dict[str, dict[str, ByHorizon]]] = {kind: {} for kind in SITUATIONS}
-    for regime, chosen in driving_regimes(moments).items():
+    reached = np.isfinite(snapshots.recorded[..., 0])[:, AT]
+    rows: dict[str, dict[str, dict[str, ByHorizon]]] = {"distance": {}, "log_p": {}}
+    for regime, chosen in driving_regimes(snapshots).items():
         some = chosen & reached[:, HORIZONS.index(HORIZON)]
         if not some.any():
             continue
-        counts = {str(at): float(reached[some, place].sum()) for place, at in enumerate(HORIZONS)}
+        counts = {str(at): float(number) for at, number in zip(HORIZONS, reached[some].sum(axis=0), strict=True)}
         for kind, row in rows.items():
             row[regime] = {"windows": counts}
-            for name, outcome in found.items():
-                means = np.asarray(getattr(outcome, kind))[some][:, AT]
-                row[regime][name] = {
-                    at: float(np.nanmean(means[:, place])) for place, at in enumerate(counts) if counts[at]
-                }
+            for name, errors in found.items():
+                values = zip(counts.items(), getattr(errors, kind)[some][:, AT].T, strict=True)
+                row[regime][name] = {at: float(np.nanmean(value)) for (at, number), value in values if number}
     return rows
 
 
-def kept_log_likelihoods(windows: Windows) -> Values:
-    """Return log p of the scaled controls in every window, if spread around those that keep the velocity.
+def constant_velocity_log_likelihoods(segments: Segments) -> Vector:
+    """Return log p of the scaled controls in every segment, if spread around those that keep the velocity.
 
     Independent but for their common scale: a multivariate Student t distribution, as drivers have whose reward is
-    learned. Its two scales and its tails are fitted to the same windows, an advantage over a learned reward.
+    learned. Its two scales and its tails are fitted to the same segments, an advantage over a learned reward.
     """
-    scale = np.asarray(driver_game(windows, {}).planner.control_scale, dtype=float)
-    off = (windows.controls - keep_velocity(PAPER_DYNAMICS, windows.start)[:, None]) / scale
+    scale = np.asarray(driver_game(segments, {}).planner.control_scale, dtype=float)
+    off = (segments.controls - keep_velocity(PAPER_DYNAMICS, segments.start)[:, None]) / scale
     n, steps, _ = off.shape
 
-    def each(logarithms: Parameters) -> Values:
+    def each(logarithms: Parameters) -> Vector:
         scaled, tails = (off / np.exp(logarithms[:2])).reshape(n, -1), np.exp(logarithms[2])
         return stats.multivariate_t.logpdf(scaled, df=tails, shape=np.eye(2 * steps)) - steps * logarithms[:2].sum()
 

@@ -8,9 +8,9 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward, shipped
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.irl.moments import STEPS, Moments
-from ms_highway.irl.outlook import expected_path
-from ms_highway.irl.predictors import check_drivers, prediction
+from ms_highway.irl.mixture import expected_path
+from ms_highway.irl.prediction import check_drivers, predict_with
+from ms_highway.irl.snapshots import STEPS, Snapshots
 from ms_highway.planning.learned_driving import PAST
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
@@ -61,7 +61,7 @@ def predict(
         lanes: lateral position of each lane's centre [m].
         speed_limit: of the road, which drivers' desired speeds follow [m/s].
         seconds: how far ahead, from 0.1 to 5 s.
-        predictor: of `ms_highway.irl.predictors.PREDICTORS`: ``"model"``, the learned drivers; ``"idm"``, highway-env's
+        predictor: of `ms_highway.irl.prediction.PREDICTORS`: ``"model"``, the learned drivers; ``"idm"``, highway-env's
             Intelligent Driver Model; ``"fitted_idm"``, that model fitted to the same drivers; ``"constant_velocity"``.
         sizes: length and width of all cars, or of each [cars, 2] [m].
         lane_width: of a lane [m].
@@ -88,10 +88,10 @@ def predict(
             raise ValueError(f"{name} is {value!r}; give a positive number")
     if not TIME_STEP <= seconds <= STEPS * TIME_STEP:
         raise ValueError(f"seconds are {seconds!r}; give a number from {TIME_STEP:g} to {STEPS * TIME_STEP:g}")
-    moment = _moment(past, np.sort(centres), np.broadcast_to(bodies, (cars, 2)), lane_width, speed_limit)
+    snapshot = _snapshot(past, np.sort(centres), np.broadcast_to(bodies, (cars, 2)), lane_width, speed_limit)
     learned = learned or shipped("us101")
     drivers = check_drivers(learned.drivers if isinstance(learned, LearnedReward) else learned)
-    modes, spread = prediction(predictor, moment, drivers)
+    modes, spread = predict_with(predictor, snapshot, drivers)
     steps = round(seconds / TIME_STEP)
     weights, means = np.asarray(modes.probability)[:cars], np.asarray(modes.path)[:cars, :, :steps]
     freedom, scales = np.asarray(spread.freedom(steps)), np.asarray(spread.scales(means.shape[1], steps))
@@ -104,11 +104,13 @@ def predict(
     return Forecast(TIME_STEP * np.arange(1, steps + 1), weights, means, covariances, mean, covariance)
 
 
-def _moment(past: np.ndarray, lanes: np.ndarray, sizes: np.ndarray, lane_width: float, speed_limit: float) -> Moments:
-    """Return the moment of these cars, and of unseen ones that fill the arrays, all of them to be predicted."""
+def _snapshot(
+    past: np.ndarray, lanes: np.ndarray, sizes: np.ndarray, lane_width: float, speed_limit: float
+) -> Snapshots:
+    """Return the snapshot of these cars, and of unseen ones that fill the arrays, all of them to be predicted."""
     more, before = -past.shape[1] % ROOM, PAST + 1 - len(past)
     seen = np.pad(past, ((before, 0), (0, more), (0, 0)), constant_values=np.nan)
     whole, numbers = np.pad(sizes, ((0, more), (0, 0)), constant_values=1.0), np.arange(seen.shape[1])
     future = np.full((STEPS, *seen.shape[1:]), np.nan)
     parts = seen, future, whole, lanes, lane_width, speed_limit, np.ones(len(numbers), bool), numbers, 0
-    return Moments(*(np.asarray(part)[None] for part in parts))
+    return Snapshots(*(np.asarray(part)[None] for part in parts))

@@ -1,6 +1,6 @@
-"""Learn a reward from recordings: cut windows, fit all of them, cross-validate, count features."""
+"""Learn a reward from recordings: cut them into segments, fit all of these, cross-validate, count features."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -14,13 +14,13 @@ from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS
-from ms_highway.irl.arrays import Controls, Numbers, Values
-from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, window_log_likelihoods
-from ms_highway.irl.moments import cut_moments
-from ms_highway.irl.recordings.demonstrators import optimal
-from ms_highway.irl.recordings.recording import Recording
+from ms_highway.irl.demonstrator import optimal
+from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, segment_log_likelihoods
+from ms_highway.irl.recording import Controls, Numbers, Recording
 from ms_highway.irl.seconds_ahead import learn_drivers
-from ms_highway.irl.windows import Windows, driver_game, regular_windows, with_window
+from ms_highway.irl.segments import Segments, cut_segments, driver_game, with_segment
+from ms_highway.irl.snapshots import cut_snapshots
+from ms_highway.runtime.arrays import Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.progress import Progress, silent
 
@@ -33,7 +33,7 @@ SIMULATED = RewardModel(
 """Learned from simulated demonstrations: the weights that every driver in the paper has.
 
 The weight of leaving the road is given: drivers on the road carry no information about it, and those who slide along
-its edge none that derivatives contain, see `ms_highway.irl.windows.regular`.
+its edge none that derivatives contain, see `ms_highway.irl.segments.regular`.
 """
 
 REAL = RewardModel(REAL_WEIGHTS, {"comfort_acceleration": COMFORT_GIVEN}, tails=True)
@@ -60,32 +60,32 @@ def learn_reward(
     Args:
         recordings: the recordings to learn from.
         model: the weights to learn and those given.
-        horizon: K, the length of the windows in steps.
+        horizon: K, the length of the segments in steps.
         source: name of the data, for the provenance.
         validations: number of folds of the cross-validated likelihood.
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if no window is regular, the weights diverge, or a fit does not converge.
+        ValueError: if no segment is regular, the weights diverge, or a fit does not converge.
     """
-    progress("cutting windows")
-    windows = regular_windows(recordings, horizon)
-    progress(f"differentiating {len(windows)} windows")
-    derivatives = differentiate(windows, model.names)
+    progress("cutting segments")
+    segments = cut_segments(recordings, horizon)
+    progress(f"differentiating {len(segments)} segments")
+    derivatives = differentiate(segments, model.names)
     progress("fitting")
     real = recordings[0].measured
-    found = fit_weights(derivatives, model, drivers=windows.driver if real else None)
-    held_out, parts = [], folds(windows.group, validations)
+    found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
+    held_out, parts = [], folds(segments.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
-        chosen = np.isin(windows.group, names)
+        chosen = np.isin(segments.group, names)
         progress(f"cross-validating, {number} of {len(parts)}")
         rest = fit_weights(derivatives.of(~chosen), model, found)
-        held_out.append(window_log_likelihoods(derivatives.of(chosen), rest))
+        held_out.append(segment_log_likelihoods(derivatives.of(chosen), rest))
     if real:
-        moments = cut_moments(recordings)
-        drivers = learn_drivers(moments, np.ones(len(moments), dtype=bool), progress=progress)
+        snapshots = cut_snapshots(recordings)
+        drivers = learn_drivers(snapshots, np.ones(len(snapshots), dtype=bool), progress=progress)
     progress("counting features")
-    counts = {"human": derivatives.features.mean(axis=0), "model": expected_features(windows, found)}
+    counts = {"human": derivatives.features.mean(axis=0), "model": expected_features(segments, found)}
     return LearnedReward(
         weights=found.weights,
         temperature=found.temperature,
@@ -94,7 +94,7 @@ def learn_reward(
         horizon=horizon,
         converged=True,
         iterations=found.iterations,
-        windows=len(windows),
+        windows=len(segments),
         log_likelihood={
             "train": found.log_likelihood,
             "held_out": float(np.concatenate(held_out).mean()) if held_out else None,
@@ -111,32 +111,23 @@ def learn_reward(
     )
 
 
-def best_controls(windows: Windows, sharp_weights: Mapping[str, float]) -> Controls:
-    """Return the controls of a local optimum of a reward in every window, see `optimal`.
-
-    Args:
-        windows: start, road and recorded neighbours of each driver.
-        sharp_weights: weights of the reward by name, divided by the temperature.
-    """
-    return in_batches(partial(_best_controls, driver_game(windows, sharp_weights)), windows)
-
-
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
-def _best_controls(game: Game, window: Windows) -> Controls:
-    best = optimal(with_window(game, window), window.start, observe(window.others))
+def best_controls(game: Game, segment: Segments) -> Controls:
+    """Return the unscaled controls of a local optimum of a `driver_game` in segments, see `optimal`."""
+    best = optimal(with_segment(game, segment), segment.start, observe(segment.others))
     return best.controls * game.planner.control_scale
 
 
-def expected_features(windows: Windows, found: Fit) -> Values:
-    """Return the features' expected sums over a window under the fit's distribution of controls, mean over windows.
+def expected_features(segments: Segments, found: Fit) -> Vector:
+    """Return the features' expected sums over a segment under the fit's distribution of controls, mean over segments.
 
     To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, the eigenvalues
     of -H bounded as in the fit.
     """
     sharp = {name: weight / found.temperature for name, weight in found.weights.items()}
-    best = replace(windows, controls=best_controls(windows, sharp))
-    derivatives = differentiate(best, found.model.names)
+    best = in_batches(partial(best_controls, driver_game(segments, sharp)), segments)
+    derivatives = differentiate(replace(segments, controls=best), found.model.names)
     theta = np.array([found.weights[name] for name in found.model.names])
     values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature)
     values = np.maximum(values, found.model.floor / found.temperature)

@@ -1,10 +1,10 @@
 """Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
 
-A driver is modelled as drawing the controls u of a window, in the planner's scaled units, from
+A driver is modelled as drawing the controls u of a segment, in the planner's scaled units, from
 
     p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
 
-with the features along the window, comfort among them, and the other cars moving as recorded. Laplace's
+with the features along the segment, comfort among them, and the other cars moving as recorded. Laplace's
 approximation of the integral around what the driver did gives, with the gradient g and the Hessian H of R / T there
 (Levine and Koltun 2012, Eq. 4),
 
@@ -13,8 +13,8 @@ approximation of the integral around what the driver did gives, with the gradien
 The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
 theta: the features' derivatives are computed once, and a fit then takes seconds.
 
-Real drivers are mostly near an optimum, and now and then far from it. Their temperature varies from window to window, T
-times an inverse-gamma variable of ``nu / 2`` and ``nu / 2``, which makes p a multivariate Student t distribution with
+Real drivers are mostly near an optimum, and now and then far from it. Their temperature varies from segment to segment,
+T times an inverse-gamma variable of ``nu / 2`` and ``nu / 2``, which makes p a multivariate Student t distribution with
 nu degrees of freedom, its *tails*::
 
     log p(u) = -(nu + d) / 2 log(1 - g^T H^-1 g / nu) + log det(-H) / 2
@@ -36,25 +36,26 @@ from scipy import optimize
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
-from ms_highway.irl.arrays import Flags, Numbers, Parameters, Scalar, Values
-from ms_highway.irl.windows import Windows, driver_game, features_along
-from ms_highway.numerics.estimation import grouped_covariance, slope_differences
+from ms_highway.irl.recording import Flags, Numbers
+from ms_highway.irl.segments import Segments, driver_game, summed_features
+from ms_highway.numerics.estimation import Parameters, grouped_covariance, slope_differences
 from ms_highway.numerics.second_derivatives import floored
+from ms_highway.runtime.arrays import Scalar, Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
-MANY = 600  # windows, of which half as many are fitted first
+MANY = 600  # segments; of more, a fit to about 300 comes first
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
-TOLERANCE = 1e-3  # of the slope of the objective per window, in a fit that has converged
+TOLERANCE = 1e-3  # of the slope of the objective per segment, in a fit that has converged
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
 
 
 class FeatureDerivatives(NamedTuple):
-    """The features' derivatives in the d scaled controls of n windows, at the recorded controls.
+    """The features' derivatives in the d scaled controls of n segments, at the recorded controls.
 
     Attributes:
-        features: phi, summed along each window.
+        features: phi, summed along each segment.
         gradients: first derivatives.
         hessians: second derivatives.
     """
@@ -64,7 +65,7 @@ class FeatureDerivatives(NamedTuple):
     hessians: Float[Any, "n names d d"]
 
     def of(self, chosen: Flags) -> "FeatureDerivatives":
-        """Return the derivatives in the chosen windows."""
+        """Return the derivatives in the chosen segments."""
         return FeatureDerivatives(*(part[chosen] for part in self))
 
 
@@ -76,9 +77,9 @@ class Fit:
         model: the weights that were learned and those given.
         logarithms: of the learned weights' sizes, of the temperature T and, in a model with tails, of nu.
         covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior; if drivers are
-            given, `grouped_covariance`, as the windows of one driver are not independent.
+            given, `grouped_covariance`, as the segments of one driver are not independent.
         iterations: of the optimiser.
-        log_likelihood: mean over the windows.
+        log_likelihood: mean over the segments.
         weights: all of them, by name.
         temperature: T, the spread of the drivers around the optimum, in units of the reward.
         tails: degrees of freedom nu, None for a normal distribution.
@@ -94,55 +95,55 @@ class Fit:
     tails: float | None
 
 
-def differentiate(windows: Windows, names: tuple[str, ...]) -> FeatureDerivatives:
-    """Return the derivatives of these features in every window.
+def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivatives:
+    """Return the derivatives of these features in every segment.
 
     Raises:
         ValueError: if a derivative is not finite.
     """
-    game = driver_game(windows, {}, names)
+    game = driver_game(segments, {}, names)
     columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
-    parts = in_batches(lambda batch: [part[:, columns] for part in _differentiate(game, batch)], windows)
+    parts = in_batches(lambda batch: [part[:, columns] for part in _differentiate(game, batch)], segments)
     derivatives = FeatureDerivatives(*(part.astype(np.float64) for part in parts))
     for part in derivatives:
         if not np.isfinite(part).all():
-            window = int(np.argwhere(~np.isfinite(part))[0][0])
-            start = windows.start[window]
-            raise ValueError(f"the features of window {window} have no finite derivatives; it starts at {start}")
+            segment = int(np.argwhere(~np.isfinite(part))[0][0])
+            start = segments.start[segment]
+            raise ValueError(f"the features of segment {segment} have no finite derivatives; it starts at {start}")
     return derivatives
 
 
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
-def _differentiate(game: Game, window: Windows) -> FeatureDerivatives:
+def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
     """Return the derivatives of all features and of `COMFORT`, so that one compilation serves any choice of them."""
 
     def along(controls: jax.Array) -> jax.Array:
-        return features_along(game, window, controls.reshape(-1, 2))
+        return summed_features(game, segment, controls.reshape(-1, 2))
 
-    controls, slope = (window.controls / game.planner.control_scale).ravel(), jax.jacrev(along)
+    controls, slope = (segment.controls / game.planner.control_scale).ravel(), jax.jacrev(along)
     return FeatureDerivatives(along(controls), slope(controls), jax.jacfwd(slope)(controls))
 
 
 @jax.jit
 def log_likelihoods(
     derivatives: FeatureDerivatives,
-    theta: Values,
+    theta: Vector,
     temperature: float | Scalar,
     floor: float,
     tails: float | Scalar | None = None,
-) -> Values:
-    """Return Laplace's log p of the scaled controls in every window; eigenvalues of -H are at least ``floor / T``.
+) -> Vector:
+    """Return Laplace's log p of the scaled controls in every segment; eigenvalues of -H are at least ``floor / T``.
 
     Args:
-        derivatives: of the features in every window.
+        derivatives: of the features in every segment.
         theta: weights of these features.
         temperature: T.
         floor: least curvature of -R.
         tails: nu, None for a normal distribution.
     """
 
-    def window(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def segment(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
         slope, bend = pair
         lowest, d = floor / temperature, len(slope)
         high = jnp.isfinite(jnp.linalg.cholesky(bend - lowest * jnp.eye(d))).all()  # then nothing is floored
@@ -155,11 +156,11 @@ def log_likelihoods(
 
     slope = jnp.einsum("f,nfd->nd", theta, derivatives.gradients) / temperature
     bend = -jnp.einsum("f,nfde->nde", theta, derivatives.hessians) / temperature
-    return jax.lax.map(window, (slope, bend))
+    return jax.lax.map(segment, (slope, bend))
 
 
-def window_log_likelihoods(derivatives: FeatureDerivatives, found: Fit | LearnedReward) -> Values:
-    """Return `log_likelihoods` of the scaled controls in every window under a reward, in double precision."""
+def segment_log_likelihoods(derivatives: FeatureDerivatives, found: Fit | LearnedReward) -> Vector:
+    """Return `log_likelihoods` of the scaled controls in every segment under a reward, in double precision."""
     with double_precision():
         theta = jnp.array([found.weights[name] for name in found.model.names])
         data = FeatureDerivatives(*map(jnp.asarray, derivatives))
@@ -173,16 +174,16 @@ def fit_weights(
     drivers: Numbers | None = None,
     strict: bool = True,
 ) -> Fit:
-    """Fit the weights and the temperature that make windows most likely under a weak prior, in double precision.
+    """Fit the weights and the temperature that make segments most likely under a weak prior, in double precision.
 
     The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
-    deviation 4. Where the windows carry no information about a weight, its prior remains, and the covariance shows it.
+    deviation 4. Where the segments carry no information about a weight, its prior remains, and the covariance shows it.
 
     Args:
         derivatives: of the features `RewardModel.names`, in their order.
         model: the weights to learn and those given.
-        near: a fit to start from; by default, with more than 600 windows, a fit of about 300 of them.
-        drivers: number of each window's driver, for the covariance; by default, all windows are independent.
+        near: a fit to start from; by default, with more than 600 segments, a fit of about 300 of them.
+        drivers: number of each segment's driver, for the covariance; by default, all segments are independent.
         strict: whether to refuse a fit that has not converged.
 
     Raises:
@@ -213,16 +214,16 @@ def fit_weights(
             raise ValueError(f"the fit has not converged after {found.nit} iterations, at {weights}; {remedy}")
         covariance = np.linalg.pinv(number * (hessian + hessian.T) / 2, hermitian=True)
         if drivers is not None:
-            covariance = grouped_covariance(covariance, np.asarray(_scores(top, *data)), drivers)
+            covariance = grouped_covariance(covariance, np.asarray(_segment_scores(top, *data)), drivers)
         likely = float(_loss(top, *data)[0][1].mean())
     temperature, *tails = np.exp(top[learned:]).tolist()
     return Fit(model, top, covariance, int(found.nit), likely, weights, temperature, *(tails or [None]))
 
 
-def _each(
+def _segment_likelihoods(
     logarithms: Parameters, derivatives: FeatureDerivatives, floor: float, signs: Parameters, given: Parameters
-) -> Values:
-    """Return log p of every window under logarithms of the learned weights' sizes, the temperature and perhaps nu."""
+) -> Vector:
+    """Return log p of every segment under logarithms of the learned weights' sizes, the temperature and perhaps nu."""
     sizes, learned = jnp.exp(logarithms), len(signs)
     temperature, *tails = sizes[learned:]
     return log_likelihoods(derivatives, jnp.concatenate([signs * sizes[:learned], given]), temperature, floor, *tails)
@@ -230,10 +231,10 @@ def _each(
 
 @jit_quickly
 @partial(jax.value_and_grad, has_aux=True)
-def _loss(logarithms: Parameters, *data: Any) -> tuple[Scalar, Values]:
-    """Return minus the mean log p under the prior, and log p of each window."""
-    each = _each(logarithms, *data)
+def _loss(logarithms: Parameters, *data: Any) -> tuple[Scalar, Vector]:
+    """Return minus the mean log p under the prior, and log p of each segment."""
+    each = _segment_likelihoods(logarithms, *data)
     return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each
 
 
-_scores = jit_quickly(jax.jacfwd(_each))  # slopes of log p of each window [n, parameters]
+_segment_scores = jit_quickly(jax.jacfwd(_segment_likelihoods))  # slopes of log p of each segment [n, parameters]

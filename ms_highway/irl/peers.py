@@ -1,7 +1,6 @@
 """Predictors of the literature: constant velocity, and the Intelligent Driver Model (IDM).
 
-Under IDM, cars steer to the centre of the lane that they are in at first, as highway-env's do. The part of the desired
-gap that depends on speeds is at least 0 (Treiber et al. 2000); highway-env squares a negative one, of who falls behind.
+Under IDM, cars steer to the centre of the lane that they are in at first, as highway-env's do.
 """
 
 from dataclasses import replace
@@ -12,24 +11,24 @@ from jax import numpy as jnp
 
 from ms_highway.game.neighbours import leaders
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.irl.arrays import CarFlags, CarStates, Parameters, Paths, Scalar
-from ms_highway.irl.moments import AT, SCALES, STEPS, Moments, lanes_of
-from ms_highway.irl.outlook import Modes, one_mode
-from ms_highway.numerics.estimation import minimum
+from ms_highway.irl.mixture import Modes, one_mode
+from ms_highway.irl.recording import CarFlags, CarStates
+from ms_highway.irl.snapshots import AT, SCALES, STEPS, Paths, Snapshots, lane_numbers
+from ms_highway.numerics.estimation import Parameters, minimum
+from ms_highway.planning.car_following import idm_acceleration
+from ms_highway.runtime.arrays import Scalar
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.structures import Finite, Structure, pytree
 
-EXPONENT = 4.0  # of the speed
-STRONGEST = 6.0  # m/s^2, acceleration
 AXLES = 2.5  # m, half the length from which highway-env steers
 SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # of the largest slip angle, the sine
 SINE = np.sin(np.pi / 4)  # of the largest heading
 EVALUATIONS = 50
 
 
-def steady_motion(moments: Moments) -> Modes:
+def predict_constant_velocity(snapshots: Snapshots) -> Modes:
     """Predict drivers that keep their speed and heading."""
-    x, y, heading, speed = moments.drivers(moments.now).T[..., None]
+    x, y, heading, speed = snapshots.drivers(snapshots.now).T[..., None]
     distance = speed * TIME_STEP * np.arange(1, STEPS + 1)
     return one_mode(np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading)], axis=-1))
 
@@ -68,62 +67,68 @@ FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
 """Parameters that a fit starts from."""
 
 
-def idm(moments: Moments, parameters: IdmParameters) -> Modes:
-    """Predict drivers who follow their leaders by IDM in their present lane, all cars of a moment together."""
-    return one_mode(moments.drivers(np.asarray(_roll_out(parameters, _starts(moments)))))
+def predict_idm(snapshots: Snapshots, parameters: IdmParameters) -> Modes:
+    """Simulate all cars of each snapshot by IDM in their present lanes; return the paths of the drivers."""
+    return one_mode(snapshots.drivers(np.asarray(_compiled_positions(parameters, _present_only(snapshots)))))
 
 
-def fit_idm(moments: Moments, evaluations: int = EVALUATIONS) -> IdmParameters:
-    """Fit the parameters that predict best, in closed loop, all cars of a moment together.
+def fit_idm(snapshots: Snapshots, evaluations: int = EVALUATIONS) -> IdmParameters:
+    """Fit the parameters that predict best, in closed loop, all cars of a snapshot together.
 
     Minimises ``sqrt(1 + (error / scale)^2)`` of the positions along and across the road after 1, 2, 3 and 5 s, by
     L-BFGS over the logarithms of the parameters.
 
     Args:
-        moments: to fit to; the only use of their future.
+        snapshots: to fit to; the only use of their future.
         evaluations: of the error, at most.
     """
-    positions = np.moveaxis(moments.future[:, AT, :, :2], 1, 2)
-    known = np.isfinite(positions).all(axis=-1) & moments.predicted[..., None]
+    positions = np.moveaxis(snapshots.future[:, AT, :, :2], 1, 2)
+    known = np.isfinite(positions).all(axis=-1) & snapshots.predicted[..., None]
     first = np.log(jax.tree.leaves(FIRST_IDM)[:7])
     given = map(jnp.asarray, (np.nan_to_num(positions), known))
-    return IdmParameters(*np.exp(minimum(_error, first, _starts(moments), *given, maxfun=evaluations)).tolist())
+    return IdmParameters(
+        *np.exp(minimum(_mean_idm_error, first, _present_only(snapshots), *given, maxfun=evaluations)).tolist()
+    )
 
 
 @jit_quickly
 @jax.value_and_grad
-def _error(logarithms: Parameters, moments: Moments, positions: CarStates, known: CarFlags) -> Scalar:
+def _mean_idm_error(logarithms: Parameters, snapshots: Snapshots, positions: CarStates, known: CarFlags) -> Scalar:
     """Return the robust error, averaged over all known positions."""
-    paths = _rolled(IdmParameters(*jnp.exp(logarithms)), moments)[:, :, AT]
+    paths = _positions(IdmParameters(*jnp.exp(logarithms)), snapshots)[:, :, AT]
     off = jnp.where(known[..., None], paths - positions, 0.0) / jnp.array(SCALES)
     return jnp.sum(jnp.sqrt(1 + off**2) - 1) / jnp.sum(known)
 
 
-def _starts(moments: Moments) -> Moments:
-    """Return the moments without what IDM does not look at, for JAX."""
-    now = replace(moments, past=moments.past[:, -1:], future=moments.future[:, :0])
+def _present_only(snapshots: Snapshots) -> Snapshots:
+    """Return the snapshots without what IDM does not look at, for JAX."""
+    now = replace(snapshots, past=snapshots.past[:, -1:], future=snapshots.future[:, :0])
     return jax.tree.map(jnp.asarray, now)
 
 
-def _rolled(parameters: IdmParameters, moments: Moments) -> Paths:
+def _positions(parameters: IdmParameters, snapshots: Snapshots) -> Paths:
     """Return the positions of all cars after each step [n, cars, 50, 2]."""
-    start, length = jnp.nan_to_num(moments.now), moments.sizes[..., 0]
-    present = jnp.isfinite(moments.now).all(axis=-1)[:, None]
-    lane = jnp.take_along_axis(moments.lanes, lanes_of(moments.lanes, start[..., 1]), axis=-1)
-    reach = moments.lane_width[:, None, None] / 2 + parameters.margin
-    desired = jnp.clip(jnp.maximum(start[..., 3], parameters.speed), 0.01, moments.speed_limit[:, None])
+    start, length = jnp.nan_to_num(snapshots.now), snapshots.sizes[..., 0]
+    present = jnp.isfinite(snapshots.now).all(axis=-1)[:, None]
+    lane = jnp.take_along_axis(snapshots.lanes, lane_numbers(snapshots.lanes, start[..., 1]), axis=-1)
+    reach = snapshots.lane_width[:, None, None] / 2 + parameters.margin
+    desired = jnp.clip(jnp.maximum(start[..., 3], parameters.speed), 0.01, snapshots.speed_limit[:, None])
 
     def go(state: CarStates, _: None) -> tuple[CarStates, CarStates]:
         x, y, heading, speed = jnp.moveaxis(state, -1, 0)
         leader, follows = leaders(x, lane, state, present, reach)
         ahead = jnp.take_along_axis(state, leader[..., None], axis=1)
         lengths = (length + jnp.take_along_axis(length, leader, axis=1)) / 2
-        distance = jnp.maximum(ahead[..., 0] - x - parameters.lengths * lengths, 0.01)
-        closing = speed - ahead[..., 3] * jnp.cos(ahead[..., 2] - heading)
-        comfortable = 2 * jnp.sqrt(parameters.acceleration * parameters.braking)
-        gap = parameters.gap + jnp.maximum(speed * (parameters.headway + closing / comfortable), 0.0)
-        interaction = jnp.where(follows, (gap / distance) ** 2, 0.0)
-        acceleration = parameters.acceleration * (1 - (speed / desired) ** EXPONENT - interaction)
+        acceleration = idm_acceleration(
+            speed,
+            desired,
+            jnp.where(follows, ahead[..., 0] - x - parameters.lengths * lengths, jnp.inf),
+            ahead[..., 3] * jnp.cos(ahead[..., 2] - heading),
+            parameters.headway,
+            parameters.gap,
+            parameters.acceleration,
+            parameters.braking,
+        )
 
         moving = jnp.maximum(speed, 0.01)
         aim = jnp.arcsin(jnp.clip((lane - y) / (parameters.settling * moving), -SINE, SINE))
@@ -132,11 +137,11 @@ def _rolled(parameters: IdmParameters, moments: Moments) -> Paths:
             x + TIME_STEP * speed * jnp.cos(heading + slip),
             y + TIME_STEP * speed * jnp.sin(heading + slip),
             heading + TIME_STEP * speed * jnp.sin(slip) / AXLES,
-            jnp.maximum(speed + TIME_STEP * jnp.clip(acceleration, -STRONGEST, STRONGEST), 0.0),
+            jnp.maximum(speed + TIME_STEP * acceleration, 0.0),
         ]
         return jnp.stack(moved, axis=-1), jnp.stack(moved[:2], axis=-1)
 
     return jnp.moveaxis(jax.lax.scan(go, start, None, length=STEPS)[1], 0, 2)
 
 
-_roll_out = jit_quickly(_rolled)
+_compiled_positions = jit_quickly(_positions)

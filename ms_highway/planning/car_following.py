@@ -2,6 +2,7 @@
 
 from jax import numpy as jnp
 
+from ms_highway.geometry.curve import namespace
 from ms_highway.runtime.arrays import Numbers
 
 FAR = 1e3
@@ -27,9 +28,14 @@ def idm_acceleration(
     gap: Numbers,
     ahead: Numbers,
     headway: float | Numbers = HEADWAY,
-    standstill: float = STANDSTILL,
+    standstill: float | Numbers = STANDSTILL,
+    strongest: float | Numbers = COMFORTABLE,
+    braking: float | Numbers = BRAKING,
 ) -> Numbers:
-    """Return the acceleration of a follower, by default with highway-env's parameters.
+    """Return the acceleration of a follower, by default with highway-env's parameters; arrays of NumPy or JAX.
+
+    The part of the desired gap that depends on speeds is at least 0, as in the paper; highway-env squares a negative
+    one, of who falls behind.
 
     Args:
         speed: of the follower [m/s].
@@ -38,8 +44,11 @@ def idm_acceleration(
         ahead: speed of that car [m/s].
         headway: desired time gap [s].
         standstill: desired gap of standing cars, between bumpers or centres as the gap is [m].
+        strongest: acceleration from standstill on a free road [m/s^2].
+        braking: comfortable deceleration [m/s^2].
     """
-    closing = speed * (speed - ahead) / (2 * (COMFORTABLE * BRAKING) ** 0.5)
-    desired = standstill + jnp.maximum(speed * headway + closing, 0.0)
-    free = 1 - (speed / jnp.maximum(wanted, 0.1)) ** 4
-    return jnp.clip(COMFORTABLE * (free - (desired / jnp.maximum(gap, 0.5)) ** 2), -HARDEST, COMFORTABLE)
+    closing = speed * (speed - ahead) / (2 * (strongest * braking) ** 0.5)
+    xp = namespace(speed, wanted, gap, ahead)
+    desired = standstill + xp.maximum(speed * headway + closing, 0.0)
+    free = 1 - (speed / xp.maximum(wanted, 0.1)) ** 4
+    return xp.maximum(strongest * (free - (desired / xp.maximum(gap, 0.5)) ** 2), -HARDEST)

@@ -19,6 +19,7 @@ from jax import numpy as jnp
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, constant_velocity, swap_players
 from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_traced_step
+from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.planning.car_following import FAR, idm_acceleration
 from ms_highway.planning.joint import Answering, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start, plan_against
@@ -152,10 +153,10 @@ def following_control(game: Game, state: State) -> Control:
     """Return the control, not scaled, of car 1 if it follows the car ahead by the Intelligent Driver Model."""
     scene, own, others = game.scene, state[1], jnp.concatenate([state[:1], state[2:]])
     offset = others[:, :2] - own[:2]
-    ahead = (offset[:, 0] > 0) & (jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2)
-    gaps = jnp.where(ahead, offset[:, 0] - jnp.asarray(scene.car_size)[0], FAR)
+    leader, leads = nearest_ahead(offset[:, 0], jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2)
+    gap = jnp.where(leads, offset[leader, 0] - jnp.asarray(scene.car_size)[0], FAR)
     limit = jnp.asarray(game.humans.speed_limit)
-    change = idm_acceleration(own[3], limit, gaps.min(), others[gaps.argmin(), 3], HEADWAY, STANDSTILL)
+    change = idm_acceleration(own[3], limit, gap, others[leader, 3], HEADWAY, STANDSTILL)
     return keep_velocity(game.dynamics, own).at[1].add(change)
 
 

@@ -21,7 +21,7 @@ SECOND = 10
 NOBODY = 60.0
 """Distance to a leader that is not seen [m]."""
 
-EVERY = 2  # steps between the moments of the past at which plans are compared with what drivers did
+EVERY = 2  # steps between the times in the past at which plans are compared with what drivers did
 CLIPPED = 3.0  # standard deviations, of surprises by which traits are updated
 FARTHEST = 1.5  # of the logarithm of a trait from the median's
 FAR = 1e4  # m behind, where cars are that are not seen

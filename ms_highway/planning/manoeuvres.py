@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion, keep_velocity, step, within_grip
 from ms_highway.game.game import Game
+from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
 
 FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
@@ -56,8 +57,8 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     lanes, length = jnp.asarray(game.scene.lanes), jnp.asarray(game.scene.car_size)[0]
     present, places = _nearest(lanes, car[1]), jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
     x, speed = others.x, others.speed
-    ahead = (places == places[:, None]) & (x[:, 0] > x[:, :1])
-    leader, leads = _first(ahead, x[:, 0]), ahead.any(axis=1)[:, None]
+    leader, leads = nearest_ahead(x[:, 0] - x[:, :1], places == places[:, None])
+    leads = leads[:, None]
     of_lane = places == lanes[:, None]
     last, taken = _first(of_lane, x[:, 0]), of_lane.any(axis=1)[:, None]
     kept = car[0] + car[3] * game.dynamics.time_step * jnp.arange(1, 1 + x.shape[1])

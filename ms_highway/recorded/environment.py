@@ -1,26 +1,23 @@
 """Recorded: drive on a recorded road, among those who were recorded there."""
 
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
-from highway_env.road.road import RoadNetwork
-from highway_env.vehicle.objects import Obstacle as RoadObstacle
 from msgspec import Meta, Struct
 
 from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
-from ms_highway.recorded.learned_traffic import Learned
-from ms_highway.recorded.network import Axes, network_of
-from ms_highway.recorded.problem import Surface, Task
-from ms_highway.recorded.scenario import SHIPPED, Lanelet, Points, TrafficRecording, open_recording
-from ms_highway.recorded.straight_road import StraightRoad
-from ms_highway.recorded.traffic import Idm, RecordedRoad, Replay, Traffic, sized
+from ms_highway.recorded.learned_traffic import LearnedRoad
+from ms_highway.recorded.problem import Task
+from ms_highway.recorded.scenario import SHIPPED, Points, TrafficRecording, open_recording
+from ms_highway.recorded.straight_road import map_of
+from ms_highway.recorded.traffic import IdmRoad, RecordedRoad, sized
 from ms_highway.road.stock import GoalEnv
 
 EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
-TRAFFIC: dict[str, type[Traffic]] = {"learned": Learned, "replay": Replay, "idm": Idm}
-"""Kinds of traffic by name."""
+TRAFFIC = {"learned": LearnedRoad, "replay": RecordedRoad, "idm": IdmRoad}
+"""Roads with all kinds of traffic, by name."""
 
 OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
 SLOWEST = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
@@ -36,24 +33,6 @@ class RecordedSettings(Struct, frozen=True):
     collision_reward: Number
     off_road_reward: Number
     progress_reward: Number
-
-
-class RoadShape(NamedTuple):
-    """What the lanelets of a recording make, the same in all its episodes."""
-
-    network: RoadNetwork
-    straight: StraightRoad
-    surface: Surface
-
-    @classmethod
-    def of(cls, lanelets: tuple[Lanelet, ...]) -> "RoadShape":
-        """Return the shape of the road of lanelets.
-
-        Raises:
-            ValueError: for lanelets that cannot be driven, with the reason.
-        """
-        straight = StraightRoad.of(lanelets)
-        return cls(network_of(lanelets, straight.axes), straight, Surface(lanelets, straight.axes))
 
 
 class RecordedEnv(ConfiguredEnv, GoalEnv):
@@ -81,6 +60,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
 
     Attributes:
         scenario: the recording.
+        axes: of the road in the map.
         task: of the ego.
         goal: where and when the ego has to be, None if its goal is only a time.
         success, off_road: whether the goal has been reached, and the road left.
@@ -88,7 +68,6 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
 
     settings_type = RecordedSettings
     scenario: TrafficRecording
-    _shape: RoadShape
     types = {  # noqa: RUF012
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
@@ -126,53 +105,35 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             raise ValueError(f"{scenario.source}: {error}") from error
 
     def _build(self, scenario: TrafficRecording) -> None:
-        task = Task.of(scenario, self.settings.ego)
-        shape = self._shape if scenario is getattr(self, "scenario", None) else RoadShape.of(scenario.lanelets)
-        axes, road = shape.straight.axes, RecordedRoad(shape.network, np_random=self.np_random)
+        task, (axes, network, straight) = Task.of(scenario, self.settings.ego), map_of(scenario)
         x, y, orientation, speed = task.problem.start
         position, heading = axes.pose(x, y, orientation)
-        lane = road.network.get_lane(road.network.get_closest_lane_index(position, heading))
+        lane = network.get_lane(network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
-        for item in scenario.obstacles:
-            stands = RoadObstacle(road, *axes.pose(*item.pose))
-            sized(stands, item.size)
-            road.objects.append(stands)
-        vehicle = self.action_type.vehicle_class(road, position, heading=heading, speed=speed)
+        road = TRAFFIC[self.settings.traffic](scenario, task.problem.time, task.track, self.np_random)
+        vehicle = sized(self.action_type.vehicle_class(road, position, heading=heading, speed=speed), task.size)
         vehicle.check_collisions = False
-        sized(vehicle, task.size)
-        road.vehicles = [vehicle]
-        begin = task.problem.time
-        road.traffic = TRAFFIC[self.settings.traffic](scenario, shape.straight, road, task.track, begin)
-        self.scenario, self.task, self.road, self._shape = scenario, task, road, shape
-        self.goal, self.desired_speed = task.appointment(road.network, axes), max(speed, SLOWEST)
+        road.vehicles.insert(0, vehicle)
+        self.scenario, self.task, self.road, self.axes = scenario, task, road, axes
+        self.goal, self.desired_speed = task.timed_goal(network, axes), max(speed, SLOWEST)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
-        self._along = shape.straight.along(vehicle)
-
-    @property
-    def axes(self) -> Axes:
-        """Of the road in the map."""
-        return self._shape.straight.axes
+        self._along = straight.along(vehicle)
 
     @property
     def goal_areas(self) -> list[Points]:
         """Corners of the areas of all goals that have a place."""
         return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
 
-    @property
-    def step_of_recording(self) -> int:
-        """The step of the recording that the road is at."""
-        return self.task.problem.time + self.steps
-
     def _simulate(self, action: Any = None) -> None:
         """Let everybody act and move for a step, and judge where that has led the ego."""
         super()._simulate(action)
-        along = self._shape.straight.along(self.vehicle)
+        ego, straight = self.vehicle, map_of(self.scenario).straight
+        along = straight.along(ego)
         self.progress, self._along = along - self._along, along
-        ego = self.vehicle
-        self.off_road |= not self._shape.surface.holds(ego)
+        self.off_road |= not straight.covers(ego.polygon()[:-1])
         orientation, point = float(self.axes.orientations(ego.heading)), self.axes.points(ego.position)
-        reached = self.task.is_reached(self.step_of_recording, point, orientation, ego.speed)
+        reached = self.task.is_reached(self.road.now, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
 
     def _rewards(self, action: Any) -> dict[str, float]:
@@ -190,16 +151,17 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         return bool(self.success or self.vehicle.crashed or self.off_road)
 
     def _is_truncated(self) -> bool:
-        return self.step_of_recording >= self.task.last
+        return self.road.now >= self.task.last
 
     def _info(self, obs: Any, action: Any = None) -> Config:
+        waiting = {track.number for track in self.road.waiting}
         return super()._info(obs, action) | {
             "is_success": self.success,
             "recorded": {
-                "step": self.step_of_recording,
+                "step": self.road.now,
                 "success": self.success,
                 "collision": bool(self.vehicle.crashed),
                 "off_road": self.off_road,
-                "waiting": np.isin([track.number for track in self.scenario.tracks], self.road.traffic.waiting),
+                "waiting": np.array([track.number in waiting for track in self.scenario.tracks]),
             },
         }

@@ -1,163 +1,216 @@
-"""Move the others in recorded traffic as learned drivers, who react to the ego and to each other."""
+"""Drive the vehicles of a recording as learned drivers, who react to the ego and to each other."""
 
-from functools import cached_property
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Bool, Float, Int
 
+from ms_highway.game.learned_drivers import Drivers
 from ms_highway.game.learned_reward import shipped
+from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.planning.learned_driving import PAST, SECOND, moved, seen_states, shown_traits
-from ms_highway.recorded.scenario import SPEED_LIMIT
-from ms_highway.recorded.straight_road import States
-from ms_highway.recorded.traffic import CLEAR, Traffic
+from ms_highway.planning.learned_driving import PAST, SECOND, Cars, States, moved, seen_states, shown_traits
+from ms_highway.recorded.scenario import KEPT, SPEED_LIMIT, RecordedTrack, TrafficRecording
+from ms_highway.recorded.straight_road import map_of
+from ms_highway.recorded.traffic import CLEAR, DrivenRoad, GuidedVehicle
 from ms_highway.runtime.compilation import jit_quickly
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
-CLOSING = 1.0  # s, for which a faster car behind has to fit into the gap besides
+CLOSING = 1.0  # s, for which a gap in the lane beside has to be long enough at the present speeds
 LOOK_AHEAD = 2.0  # s, after which a car will be in the lane that it was recorded in, if it begins to change now
-FORCED = 40.0  # m before the end of a lane, from which who has to leave it cares for no one behind
-SETTLING = 1.0  # s, in which who has nobody ahead goes as fast as it was recorded there
-STOPPED = 1.0  # m, gap that is kept to who stands ahead
-CALM, HARDEST = 1.5, 8.0  # m/s^2, of braking that is left to what was learned, and of any
-BEGUN = 0.3  # m towards a lane, from which a change to it is not given up
+SETTLING = 1.0  # s, in which a car without a leader becomes as fast as it was recorded at its place
+STOPPED = 1.0  # m, gap to a standing leader
+CALM, HARDEST = 1.5, 8.0  # m/s^2, of braking that is left to the learned reward, and of any braking
+BEGUN = 0.3  # m, lateral progress after which a lane change is not given up
 
 
-class Learned(Traffic):
-    """Learned drivers, who react to the ego and to each other, by the traits that each shows in its first second.
+class RecordedWay(NamedTuple):
+    """A track on the straight road.
 
-    They change lanes where they were recorded to, as soon as there is room. Who has nobody ahead in sight goes as fast
-    as it was recorded at that place: those ahead of it were not recorded.
+    Attributes:
+        x: places at which it was recorded, ascending [times, m].
+        lanes: numbers of the lanes that it was in there [times].
+        states: x, y, heading and speed [times, 4].
     """
 
-    def __init__(self, *given: Any) -> None:
-        """Prepare traffic, see `Traffic`."""
-        super().__init__(*given)
-        drivers = shipped("us101").drivers
-        assert drivers is not None  # the package's own file
-        self.drivers = drivers.bare
-        self.count = len(self.tracks) + 1
-        self.count += -self.count % ROOM
-        sizes = np.ones((self.count, 2))
-        sizes[: len(self.everyone)] = [track.size for track in self.everyone]
-        self.surroundings = _Lanes(sizes, self.straight.lane_width, SPEED_LIMIT)
-        self.paths = [self.straight.path(track) for track in self.everyone]
-        self.ways = [np.maximum.accumulate(path[:, 0]) + 1e-6 * np.arange(len(path)) for path in self.paths]
-
-    @cached_property
-    def traits(self) -> np.ndarray:
-        """What each driver is like, by its first second among all who were recorded then [cars, 3].
-
-        Not before the first step: no environment computes before that.
-        """
-        traits, last = np.zeros((self.count, 3), np.float32), max(track.last for track in self.everyone)
-        states = np.full((last + SECOND + 1, self.count, 4), np.nan, np.float32)
-        for place, (track, path) in enumerate(zip(self.everyone, self.paths, strict=True)):
-            states[track.samples[:, 0].astype(int), place] = path
-        for first in {track.first for track in self.tracks}:
-            past = np.full((PAST + 1, self.count, 4), np.nan, np.float32)
-            past[PAST - SECOND :] = states[first : first + SECOND + 1]
-            shown = np.asarray(_shown(self.drivers, self.surroundings, past))
-            begun = [place for place, track in enumerate(self.tracks) if track.first == first]
-            traits[begun] = shown[begun]
-        return traits
-
-    def move(self) -> None:
-        """Move those on the road for a step, let those leave who have reached its end, and others enter."""
-        states = self._states()
-        side, wanted = self._wishes(states)
-        given = self.drivers, self.surroundings, self.traits
-        after, led = _driven(*given, side, wanted, states)
-        if side.any():  # who changes lanes minds who is ahead in its own, too
-            kept, behind = _driven(*given, np.zeros_like(side), wanted, states)
-            slower = behind & (kept[:, 3] < after[:, 3])
-            after[slower, 0], after[slower, 3] = kept[slower, 0], kept[slower, 3]
-            led |= slower
-        most = np.full(self.count, np.inf)
-        for place in [place for place in self.vehicles if not led[place]]:
-            x, _, _, speed = states[place]
-            usual = np.interp(x, self.ways[place], self.paths[place][:, 3])
-            most[place] = speed + (usual - speed) * TIME_STEP / SETTLING
-        _slow_down(after, most)
-        drivers = [place for place in self.vehicles if self.tracks[place].drives]
-        poses = zip(*self.straight.bend(after[drivers].astype(float)), strict=True)
-        for place, pose in zip(drivers, poses, strict=True):
-            self.vehicles[place].put(*pose, after[place, 3])
-        self._move_on(lambda place: after[place, 0] > self.end)
-
-    def _states(self) -> States:
-        """Return the states on the straight road of all cars, the ego's after them; NaN where there is none."""
-        states = np.full((self.count, 4), np.nan, np.float32)
-        cars = self.vehicles | dict(enumerate(self.egos, len(self.tracks)))
-        states[[*cars]] = self.straight.states(cars.values())
-        replayed = [place for place in self.vehicles if not self.tracks[place].drives]
-        states[replayed, 3] *= np.maximum(np.cos(states[replayed, 2]), 0.0)  # who crosses does not drive ahead
-        self.surroundings.sizes[[*cars]] = [(vehicle.LENGTH, vehicle.WIDTH) for vehicle in cars.values()]
-        return states
-
-    def _wishes(self, states: States) -> tuple[np.ndarray, np.ndarray]:
-        """Return how many lanes to the right each changes now, and the middle of the lane that it wants."""
-        width, lanes = self.straight.lane_width, self._lanes(states[:, 1])
-        side = np.zeros(self.count, dtype=np.int32)
-        for place in self.vehicles:
-            path, (x, y, _, speed), lane = self.paths[place], states[place], lanes[place]
-            later = min(int(np.searchsorted(self.ways[place], x + LOOK_AHEAD * speed)), len(path) - 1)
-            wish = int(np.sign(self._lanes(path[later, 1]) - lane))
-            begun = wish * (y - lane * width) > BEGUN
-            if wish and self.tracks[place].drives and (begun or self._has_room(states, place, lane, lane + wish)):
-                side[place] = wish
-        return side, ((lanes + side) * width).astype(np.float32)
-
-    def _lanes(self, y: np.ndarray) -> np.ndarray:
-        """Return the number of the lane at lateral positions, any where nobody is."""
-        return np.rint(np.nan_to_num(y) / self.straight.lane_width).clip(0, len(self.straight.there) - 1).astype(int)
-
-    def _has_room(self, states: States, place: int, lane: int, other: int) -> bool:
-        """Return whether there is room for a driver in another lane."""
-        x, _, _, speed = states[place]
-        inside = np.abs(states[:, 1] - other * self.straight.lane_width) < self.straight.lane_width / 2 + BEGUN
-        inside[place] = False
-        ahead, lengths = states[:, 0] - x, (self.surroundings.sizes[:, 0] + self.surroundings.sizes[place, 0]) / 2
-        closing = np.where(ahead > 0, speed - states[:, 3], states[:, 3] - speed)
-        needed = CLEAR + CLOSING * np.maximum(closing, 0.0) * (not self.straight.lane_ends(lane, x, FORCED))
-        return not bool((inside & (np.abs(ahead) - lengths < needed)).any())
+    x: Float[np.ndarray, "times"]
+    lanes: Int[np.ndarray, "times"]
+    states: Float[np.ndarray, "times 4"]
 
 
-class _Lanes(NamedTuple):
+class LearnedVehicle(GuidedVehicle):
+    """A learned driver who follows a way. Its road computes the steps of all of them at once."""
+
+    way: RecordedWay
+
+    def wishes(self, x: float, lane: int, speed: float) -> tuple[float, float]:
+        """Return the lane change that it wants (-1 left, 0 none, 1 right), and its speed without a leader [m/s]."""
+        later = min(int(np.searchsorted(self.way.x, x + LOOK_AHEAD * speed)), len(self.way.x) - 1)
+        return np.sign(self.way.lanes[later] - lane), np.interp(x, self.way.x, self.way.states[:, 3])
+
+
+class Surroundings(NamedTuple):
     """What learned drivers drive in, see `ms_highway.planning.learned_driving.Surroundings`."""
 
-    sizes: np.ndarray
+    sizes: Float[Any, "cars 2"]
     lane_width: float
     speed_limit: float
 
 
-def _driven(*given: Any) -> tuple[States, np.ndarray]:
-    """Return all states after a step, and who has a leader; who would run into it brakes as hard as it has to.
+class Wishes(NamedTuple):
+    """What drivers want besides what was learned of them.
 
-    What is learned in dense traffic does not stop behind who stands.
+    Attributes:
+        lane: number of the lane that each is in.
+        side: lanes to the right that it wants to change to, -1, 0 or 1.
+        usual: speed without a leader [m/s].
     """
-    states = given[-1]
-    after, leader = jax.tree.map(np.array, _moved(*given))
-    speed, gap = states[:, 3], np.maximum(leader.gap - STOPPED, 0.1)
-    needed = np.where(leader.there, (speed**2 - np.maximum(leader.speed, 0.0) ** 2) / (2 * gap), 0.0)
-    slowest = np.where(needed > CALM, speed - np.minimum(needed, HARDEST) * TIME_STEP, np.inf)
-    touching = leader.there & (leader.gap < STOPPED)
-    slowest = np.where(touching, np.maximum(leader.speed, speed - HARDEST * TIME_STEP), slowest)
-    _slow_down(after, slowest)
-    return after, leader.there
+
+    lane: Cars
+    side: Cars
+    usual: Cars
 
 
-def _slow_down(after: States, most: np.ndarray) -> None:
-    """Let cars be at most so fast after a step, never backwards, and less far along the road."""
-    less = np.minimum(np.maximum(most, 0.0), after[:, 3]) - after[:, 3]
-    after[:, 0] += less * TIME_STEP / 2
-    after[:, 3] += less
+class LearnedRoad(DrivenRoad):
+    """A road on which learned drivers drive, by the traits that each shows in its first second.
+
+    They change lanes where they were recorded to, as soon as there is room. A car that has nobody ahead in sight goes
+    as fast as it was recorded at that place: those ahead of it were not recorded.
+    """
+
+    vehicle_type = LearnedVehicle
+
+    def make(self, track: RecordedTrack) -> Any:
+        """Return the vehicle of a track where it enters."""
+        vehicle = super().make(track)
+        vehicle.way = ways_of(self.recording)[track.number]
+        return vehicle
+
+    def act(self) -> None:
+        """Let all vehicles decide what to do in the next step."""
+        super().act()
+        straight, traits, cars = map_of(self.recording).straight, traits_of(self.recording), self.vehicles
+        around = _surroundings(self.recording)
+        count = len(around.sizes)
+        states, logarithms = np.full((count, 4), np.nan, np.float32), np.zeros((count, 3))
+        wishes = Wishes(*np.zeros((3, count)))
+        poses = straight.poses_of(cars)
+        states[: len(cars)] = straight.states(poses, np.array([car.speed for car in cars]))
+        wishes.lane[: len(cars)] = straight.numbers[poses.lane]
+        for place, car in enumerate(cars):
+            around.sizes[place] = car.LENGTH, car.WIDTH
+            x, _, heading, speed = states[place]
+            if isinstance(car, LearnedVehicle):
+                wishes.side[place], wishes.usual[place] = car.wishes(x, wishes.lane[place], speed)
+                logarithms[place] = traits[car.track.number]
+            elif not getattr(car, "follows_lanes", True):  # such as a pedestrian, who crosses
+                states[place, 3] *= max(np.cos(heading), 0.0)
+        after = np.asarray(_driven(learned_drivers(), around, logarithms, wishes, states), float)
+        for place, car in enumerate(cars):
+            if isinstance(car, LearnedVehicle):
+                _, _, heading, speed = after[place]
+                pose = straight.moved(poses, place, after[place, :2] - states[place, :2], heading)
+                car.coming = *pose, float(speed)
 
 
-_moved = jit_quickly(
-    lambda drivers, around, traits, side, wanted, states: moved(
-        drivers, around, traits, side, wanted, seen_states(states)
-    )
-)
-_shown = jit_quickly(shown_traits)
+@lru_cache(KEPT)
+def ways_of(recording: TrafficRecording) -> dict[int, RecordedWay]:
+    """Return the ways of all tracks of a recording, by number."""
+    axes, _, straight = map_of(recording)
+    ways = {}
+    for track in recording.tracks:
+        _, x, y, orientations, speeds = track.samples.T
+        poses = straight.poses(axes.positions(np.stack([x, y], axis=-1)), axes.headings(orientations))
+        states = straight.states(poses, speeds)
+        ascending = np.maximum.accumulate(states[:, 0]) + 1e-6 * np.arange(len(states))
+        ways[track.number] = RecordedWay(ascending, straight.numbers[poses.lane], states)
+    return ways
+
+
+@lru_cache(KEPT)
+def traits_of(recording: TrafficRecording) -> dict[int, Float[np.ndarray, "3"]]:
+    """Return the logarithms of the traits of all who were recorded, by number, see `shown_traits`.
+
+    They are estimated from the first second of each track, among all that were recorded then.
+    """
+    tracks, around, traits = recording.tracks, _surroundings(recording), dict[int, np.ndarray]()
+    last = max(track.last for track in tracks)
+    states = np.full((PAST + last + 1, len(around.sizes), 4), np.nan, np.float32)  # from 2 s before the first step on
+    for place, track in enumerate(tracks):
+        around.sizes[place] = track.size
+        states[PAST - SECOND + track.samples[:, 0].astype(int), place] = ways_of(recording)[track.number].states
+    for first in {track.first for track in tracks}:
+        past = states[first : first + PAST + 1].copy()
+        past[: PAST - SECOND] = np.nan
+        shown = np.asarray(_shown(learned_drivers(), around, past))
+        traits |= {track.number: shown[place] for place, track in enumerate(tracks) if track.first == first}
+    return traits
+
+
+@cache
+def learned_drivers() -> Drivers:
+    """Return what was learned of drivers on US-101."""
+    drivers = shipped("us101").drivers
+    assert drivers is not None  # the package's own file
+    return drivers.bare
+
+
+def _surroundings(recording: TrafficRecording) -> Surroundings:
+    """Return surroundings for all tracks and an ego, who have no sizes yet."""
+    cars = len(recording.tracks) + 1
+    return Surroundings(np.ones((cars + -cars % ROOM, 2)), map_of(recording).straight.lane_width, SPEED_LIMIT)
+
+
+def _drive(drivers: Drivers, around: Surroundings, traits: Any, wishes: Wishes, states: States) -> States:
+    """Return the states of all cars after a step.
+
+    A driver begins to change lanes if there is room, and minds the leaders of both lanes then. What is learned in dense
+    traffic does not stop behind a standing car, so drivers also brake as hard as they have to.
+    """
+    now = seen_states(states)
+    _, y, _, speed = now.T
+    begun = wishes.side * (y - wishes.lane * around.lane_width) > BEGUN
+    side = jnp.where(begun | _has_room(around, wishes, now), wishes.side, 0.0)
+    wanted = (wishes.lane + side) * around.lane_width
+
+    def driven(side: Cars) -> tuple[States, Bool[Any, "cars"]]:
+        after, leader = moved(drivers, around, traits, side, wanted, now)
+        return _slowed(after, _safe_speed(speed, leader)), leader.there
+
+    (after, kept), (led, led_here) = jax.vmap(driven)(jnp.stack([side, jnp.zeros_like(side)]))
+    alone = speed + (wishes.usual - speed) * TIME_STEP / SETTLING
+    most = jnp.where(led_here, kept[:, 3], jnp.where(led, jnp.inf, alone))
+    return _slowed(after, most)
+
+
+def _has_room(around: Surroundings, wishes: Wishes, states: States) -> Bool[Any, "cars"]:
+    """Return whether there is room for each driver in the lane that it wants to change to."""
+    x, y, _, speed = states.T
+    other, lengths = (wishes.lane + wishes.side) * around.lane_width, around.sizes[:, 0]
+    inside = jnp.abs(y - other[:, None]) < around.lane_width / 2 + BEGUN
+    ahead = x - x[:, None]
+    gap = jnp.abs(ahead) - (lengths + lengths[:, None]) / 2
+    closing = jnp.maximum(jnp.sign(ahead) * (speed[:, None] - speed), 0.0)
+    blocks = inside & (gap < CLEAR + CLOSING * closing) & ~jnp.eye(len(x), dtype=bool)
+    return ~blocks.any(axis=1)
+
+
+def _safe_speed(speed: Cars, leader: Leader) -> Cars:
+    """Return the highest speed after a step with which a driver does not hit its leader, if braking that hard can."""
+    hardest = speed - HARDEST * TIME_STEP
+    needed = (speed**2 - jnp.maximum(leader.speed, 0.0) ** 2) / (2 * jnp.maximum(leader.gap - STOPPED, 0.1))
+    braking = jnp.where(needed > CALM, jnp.maximum(speed - needed * TIME_STEP, hardest), jnp.inf)
+    most = jnp.where(leader.gap < STOPPED, jnp.maximum(leader.speed, hardest), braking)
+    return jnp.where(leader.there, most, jnp.inf)
+
+
+def _slowed(after: States, most: Cars) -> States:
+    """Return states after a step of cars that are at most so fast after it, never backwards."""
+    less = jnp.minimum(jnp.maximum(most, 0.0), after[:, 3]) - after[:, 3]
+    return after.at[:, 0].add(less * TIME_STEP / 2).at[:, 3].add(less)
+
+
+_driven, _shown = jit_quickly(_drive), jit_quickly(shown_traits)

@@ -9,8 +9,7 @@ from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
 from highway_env.utils import get_class_path
 
-from ms_highway.geometry.lane_paths import along_bend, from_heading
-from ms_highway.geometry.path import wrapped
+from ms_highway.geometry.curve import Curve, wrapped
 from ms_highway.recorded.lane_coordinates import Values, dense, fits, side_by_side
 from ms_highway.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 
@@ -76,43 +75,34 @@ class SampledLane(AbstractLane):
         """Make a lane.
 
         Args:
-            centres: positions, about `STEP` apart [points, 2].
+            centres: positions, evenly spaced [points, 2].
             widths: at these [m].
             line_types: of its left and its right edge, highway-env's.
             speed_limit: [m/s].
         """
         self.centres, self.widths = np.asarray(centres, dtype=float), np.asarray(widths, dtype=float)  # JSON has lists
-        self.places = np.r_[0.0, np.cumsum(np.hypot(*np.diff(self.centres, axis=0).T))]
-        tangents = np.gradient(self.centres, self.places, axis=0)
-        self.headings = np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0]))
-        self.bends = np.gradient(self.headings, self.places)
-        self.length, self.speed_limit = float(self.places[-1]), speed_limit
+        spacing = np.hypot(*np.diff(self.centres, axis=0).T).mean()
+        x, y = self.centres.T
+        self.curve = Curve.through(x, y, spacing=float(spacing))
+        self.length, self.speed_limit = float(self.curve.end), speed_limit
         self.line_types, self.forbidden, self.priority = list(line_types), False, 0
 
     def position(self, longitudinal: float, lateral: float) -> np.ndarray:
         """Return the position at lane coordinates [m]."""
-        inside = min(max(longitudinal, 0.0), self.length)
-        heading, beyond = self.heading_at(inside), longitudinal - inside
-        x, y = (np.interp(inside, self.places, part) for part in self.centres.T)
-        cosine, sine = np.cos(heading), np.sin(heading)
-        return np.array([x + beyond * cosine - lateral * sine, y + beyond * sine + lateral * cosine])
+        return np.array(self.curve.place(longitudinal, lateral)[:2])
 
     def heading_at(self, longitudinal: float) -> float:
         """Return the heading at a place [rad]."""
-        return float(np.interp(longitudinal, self.places, self.headings))
+        return float(self.curve.interpolate(self.curve.heading, longitudinal))
 
     def width_at(self, longitudinal: float) -> float:
         """Return the width at a place [m]."""
-        return float(np.interp(longitudinal, self.places, self.widths))
+        return float(self.curve.interpolate(self.widths, longitudinal))
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
         """Return the place along the lane and the distance to the right of its middle [m]."""
-        delta = position - self.centres
-        nearest = int(np.argmin((delta**2).sum(axis=1)))
-        ahead, aside = from_heading(self.headings[nearest], *delta[nearest])
-        inside = 0 <= self.places[nearest] + ahead <= self.length
-        step, right = along_bend(self.bends[nearest] if inside else 0.0, ahead, aside)
-        return float(self.places[nearest] + step), float(right)
+        along, right = self.curve.locate(np.asarray(position, dtype=float))
+        return float(along), float(right)
 
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":
@@ -173,14 +163,14 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
     parts = [_last(line, BRIDGED) for line in before] + [centre] + [_last(line[::-1], BRIDGED)[::-1] for line in after]
     limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
     for smooth in itertools.chain(fits(np.concatenate(parts)), fits(centre)):
-        along = smooth.locate(centre).x
-        first, last = np.clip(along[[0, -1]], 0.0, smooth.length)
+        along, _ = smooth.locate(centre)
+        first, last = along[0], along[-1]
         places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
         order = np.argsort(along, kind="stable")
         widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
-        lane = SampledLane(axes.positions(smooth.curve(places)), widths, lines, limit)
-        found = np.array([lane.local_coordinates(position) for position in axes.positions(dense(centre))])
-        off = max(np.abs(found[:, 1]).max(), -found[:, 0].min(), found[:, 0].max() - lane.length)
+        lane = SampledLane(axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)), widths, lines, limit)
+        along, aside = lane.curve.locate(axes.positions(dense(centre)))
+        off = max(np.abs(aside).max(), -along.min(), along.max() - lane.length)
         if off <= WITHIN:
             return lane
     raise ValueError(

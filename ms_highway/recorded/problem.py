@@ -1,19 +1,17 @@
 """What the ego has to do: from a start, be in a goal's region in time."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
 from highway_env.utils import rect_corners
-from highway_env.vehicle.kinematics import Vehicle
 from matplotlib.path import Path
 
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.geometry.road_map import Spot
 from ms_highway.recorded.network import Axes
-from ms_highway.recorded.scenario import GoalRegion, Lanelet, Points, Problem, RecordedTrack, TrafficRecording
-from ms_highway.road.appointment import Appointment
+from ms_highway.recorded.scenario import GoalRegion, Points, Problem, RecordedTrack, TrafficRecording
+from ms_highway.road.timed_goal import TimedGoal
 
 CAR_SIZE = 4.508, 1.610
 """Length and width of the car of planning problems, CommonRoad's second vehicle, a BMW 320i [m]."""
@@ -22,8 +20,6 @@ LATE = 20  # steps after a recorded vehicle was at its last position, until whic
 LENGTH_OF_GOAL = 4.0  # m, along the road, of the region around that position
 SAME_LANE = 3.0  # m, its width
 FULL_TURN = 2 * np.pi
-ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
-SEAM = 0.1  # m, by which lanelets are widened to each side, as their edges hardly touch
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ class Task:
         """Return whether one of the goals is reached, by the middle of the ego, in the map's axes."""
         return any(_is_in(goal, step, point, orientation, speed) for goal in self.problem.goals)
 
-    def appointment(self, network: RoadNetwork, axes: Axes) -> Appointment | None:
+    def timed_goal(self, network: RoadNetwork, axes: Axes) -> TimedGoal | None:
         """Return where to be and when, since the start, for the first goal that has a place; None without one."""
         for goal in self.problem.goals:
             if goal.area is None:
@@ -87,7 +83,7 @@ class Task:
             index = network.get_closest_lane_index(position, heading)
             place, _ = network.get_lane(index).local_coordinates(position)
             times = [max(TIME_STEP * (time - self.problem.time), 0.0) for time in goal.times]
-            return Appointment(Spot(index, place), position, (times[0], times[1]), goal.speeds or (0.0, np.inf))
+            return TimedGoal(Spot(index, place), position, (times[0], times[1]), goal.speeds or (0.0, np.inf))
         return None
 
 
@@ -106,39 +102,3 @@ def _is_in(goal: GoalRegion, step: int, point: Points, orientation: float, speed
     heads = not goal.headings or (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
     there = goal.area is None or bool(Path(goal.area).contains_points([point])[0])
     return in_time and as_fast and heads and there
-
-
-class Surface:
-    """The surface that lanelets cover, and straight on beyond its ends.
-
-    Args:
-        lanelets: of the road.
-        axes: of highway-env.
-    """
-
-    def __init__(self, lanelets: Iterable[Lanelet], axes: Axes) -> None:
-        known = {lanelet.number for lanelet in lanelets}
-        self._polygons = []
-        for lanelet in lanelets:
-            left, right = axes.positions(lanelet.left), axes.positions(lanelet.right)
-            if not known & set(lanelet.before):
-                left, right = (_extended(line[::-1])[::-1] for line in (left, right))
-            if not known & set(lanelet.after):
-                left, right = _extended(left), _extended(right)
-            self._polygons.append(Path(_widened(left, right)))
-
-    def holds(self, vehicle: Vehicle) -> bool:
-        """Return whether all corners of a vehicle are on the surface."""
-        corners = vehicle.polygon()[:-1]
-        return bool(np.any([polygon.contains_points(corners) for polygon in self._polygons], axis=0).all())
-
-
-def _extended(line: Points) -> Points:
-    direction = line[-1] - line[np.any(line != line[-1], axis=1)][-1]
-    return np.vstack([line, line[-1] + direction / np.linalg.norm(direction) * ONWARD])
-
-
-def _widened(left: Points, right: Points) -> Points:
-    across = right - left
-    across = across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9) * SEAM
-    return np.vstack([left - across, (right + across)[::-1]])

@@ -33,7 +33,7 @@ class Lanelet(msgspec.Struct, frozen=True):
         before: lanelets that lead to it.
         after: lanelets that it leads to.
         beside: the lanelets to its left and right, None without one.
-        same_way: whether traffic goes the same way on these, None without one.
+        opposite: those of them on which traffic goes the other way.
         limit: of speed [m/s], None without one.
     """
 
@@ -43,7 +43,7 @@ class Lanelet(msgspec.Struct, frozen=True):
     before: tuple[int, ...] = ()
     after: tuple[int, ...] = ()
     beside: tuple[int | None, int | None] = (None, None)
-    same_way: tuple[bool | None, bool | None] = (None, None)
+    opposite: tuple[int, ...] = ()
     limit: float | None = None
 
     @property
@@ -124,7 +124,7 @@ class Problem(msgspec.Struct, frozen=True):
     goals: tuple[GoalRegion, ...]
 
 
-class TrafficRecording(msgspec.Struct, frozen=True):
+class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
     """A recording of traffic.
 
     Attributes:
@@ -144,6 +144,9 @@ class TrafficRecording(msgspec.Struct, frozen=True):
     tracks: tuple[RecordedTrack, ...]
     obstacles: tuple[Obstacle, ...] = ()
     problems: tuple[Problem, ...] = ()
+
+    def __deepcopy__(self, memo: object) -> "TrafficRecording":
+        return self  # what never changes is shared by copies of environments
 
     def track(self, number: int) -> RecordedTrack | None:
         """Return the track with a number, None without one."""

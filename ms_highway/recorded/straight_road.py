@@ -1,158 +1,156 @@
-"""Straighten a recorded road: lanes become parallel lines of one width, on which learned drivers drive."""
+"""Describe vehicles by the lanes that they are in, as on a straight road of parallel lanes of one width."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
-from jaxtyping import Bool, Float
-from scipy.interpolate import BSpline, make_interp_spline
+from jaxtyping import Float, Int
 
-from ms_highway.geometry.path import wrapped
-from ms_highway.recorded.lane_coordinates import LaneCoordinates, Values, measure_road, side_by_side
-from ms_highway.recorded.network import Axes
-from ms_highway.recorded.scenario import Lanelet, Points, RecordedTrack
+from ms_highway.geometry.curve import wrapped
+from ms_highway.geometry.road_map import Lane, road_map
+from ms_highway.recorded.lane_coordinates import Values
+from ms_highway.recorded.network import Axes, network_of
+from ms_highway.recorded.scenario import KEPT, Points, TrafficRecording
 
-STEP = 2.0  # m, between the places at which lanes are measured
-CLOSEST = 1.5  # m between the middles of two lanes, where they join or part
-BEYOND = 1000.0  # m, beyond the outermost lanes, up to which places are mapped
-NEARBY = 1.0  # m, along the road, to each side of a place, by which the slope of a lane is measured
+ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
+SEAM = 0.1  # m, by which lanes are widened to each side: their edges hardly touch
 
-States = Float[np.ndarray, "cars 4"]
+States = Float[np.ndarray, "n 4"]
 
 
-@dataclass(frozen=True)
-class StraightRoad:
-    """A road with n lanes, numbered from the left, whose middles are at 0, 1, ..., n - 1 widths.
-
-    A position is x, along the road, and y, to the right of the leftmost lane's middle; between the middles of two
-    lanes, y is stretched.
+class LanePoses(NamedTuple):
+    """Poses of n vehicles, each in the coordinates of the lane that is nearest in position and heading.
 
     Attributes:
-        axes: of highway-env.
-        coordinates: along the road and across it, in the map.
-        centres: lateral positions of all lanes in these coordinates, from the way along the road [places, lanes].
-        there: whether each lane exists, every `STEP` metres [lanes, places].
-        lane_width: [m].
+        lane: number of the lane in ``StraightRoad.lanes``.
+        along: distance from the beginning of the lane [m].
+        aside: distance to the right of its centre [m].
+        heading: relative to the lane, to the right [rad].
+    """
+
+    lane: Int[np.ndarray, "n"]
+    along: Values
+    aside: Values
+    heading: Values
+
+
+class StraightRoad:
+    """The lanes of a network as parallel lines, at 0, 1, ... widths to the right of the leftmost one.
+
+    On the straight road, x is the distance along the road, y that to the right of the leftmost lane's centre, and
+    headings are relative to the lane. Where lanes side by side differ in length, x is scaled to their mean.
+
+    Args:
+        network: of highway-env.
+
+    Attributes:
+        lanes: all lanes of the network.
+        numbers: of each lane, from the left; a lane that follows another one has its number [lanes].
+        starts: place along the road at which each lane begins [lanes].
+        lane_width: median width of the lanes [m].
+    """
+
+    def __init__(self, network: RoadNetwork) -> None:
+        self.lanes = [*road_map(network).lanes.values()]
+        found: dict[Lane, tuple[int, float]] = {}
+        for lane in self.lanes:
+            if lane not in found:  # separate roads have no lanes in common, nor next to each other
+                _number(lane, 2 + max((number for number, _ in found.values()), default=-2), self.lanes, found)
+        numbers, starts = zip(*map(found.__getitem__, self.lanes), strict=True)
+        self.numbers, self.starts = np.array(numbers) - min(numbers), np.array(starts)
+        self.lane_width = float(np.median([lane.shape.width_at(lane.length / 2) for lane in self.lanes]))
+
+    def poses(self, positions: Points, headings: Values) -> LanePoses:
+        """Return poses in highway-env's axes in the coordinates of lanes."""
+        every = np.array([lane.shape.curve.project(*positions.T, headings) for lane in self.lanes])  # [lanes, 3, n]
+        along, aside, heading = every.swapaxes(0, 1)
+        beyond = np.maximum(along - [[lane.length] for lane in self.lanes], 0.0) + np.maximum(-along, 0.0)
+        nearest = (np.abs(aside) + beyond + np.abs(heading)).argmin(axis=0)  # as highway-env measures distances
+        return LanePoses(nearest, *every[nearest, :, np.arange(len(positions))].T)
+
+    def poses_of(self, vehicles: Collection[Vehicle]) -> LanePoses:
+        """Return the poses of vehicles in the coordinates of lanes."""
+        positions, headings = zip(*((vehicle.position, vehicle.heading) for vehicle in vehicles), strict=True)
+        return self.poses(np.array(positions), np.array(headings))
+
+    def states(self, poses: LanePoses, speeds: Values) -> States:
+        """Return states x, y, heading and speed on the straight road."""
+        x, y = np.empty_like(speeds), np.empty_like(speeds)
+        for car, (lane, along, aside, _) in enumerate(zip(*poses, strict=True)):
+            own = self.lanes[lane]
+            x[car] = self.starts[lane] + along * _length(own) / own.length
+            y[car] = self.lane_width * (self.numbers[lane] + aside / own.shape.width_at(along))
+        return np.stack([x, y, poses.heading, speeds], axis=-1)
+
+    def along(self, vehicle: Vehicle) -> float:
+        """Return the place of a vehicle along the road [m]."""
+        return float(self.states(self.poses_of([vehicle]), np.zeros(1))[0, 0])
+
+    def covers(self, points: Points) -> bool:
+        """Return whether all points are on lanes, or straight on beyond the ends of the road."""
+        inside = np.zeros(len(points), bool)
+        for lane in self.lanes:
+            along, aside = lane.shape.curve.locate(points)
+            first, last = 0.0 if lane.preceding else -ONWARD, lane.length + (0.0 if lane.following() else ONWARD)
+            widths = lane.shape.curve.interpolate(lane.shape.widths, along)
+            inside |= (first <= along) & (along <= last) & (np.abs(aside) <= widths / 2 + SEAM)
+        return bool(inside.all())
+
+    def moved(self, poses: LanePoses, car: int, step: Points, heading: float) -> tuple[Points, float]:
+        """Return position and heading of a car in highway-env's axes after a step.
+
+        Args:
+            poses: of all cars before.
+            car: number of the car.
+            step: along its lane and to the right [2, m].
+            heading: after the step, relative to the lane [rad].
+        """
+        shape, along = self.lanes[poses.lane[car]].shape, poses.along[car] + step[0]
+        return shape.position(along, poses.aside[car] + step[1]), float(wrapped(shape.heading_at(along) + heading))
+
+
+class RecordedMap(NamedTuple):
+    """What the lanelets of a recording make.
+
+    Attributes:
+        axes: of highway-env in the map of the recording.
+        network: of the lanes.
+        straight: the same lanes, straightened.
     """
 
     axes: Axes
-    coordinates: LaneCoordinates
-    centres: BSpline
-    there: Bool[np.ndarray, "lanes places"]
-    lane_width: float
-
-    @classmethod
-    def of(cls, lanelets: tuple[Lanelet, ...]) -> "StraightRoad":
-        """Measure the road that lanelets make.
-
-        Raises:
-            ValueError: if it is none, or goes in two directions.
-        """
-        road, numbers = measure_road(lanelets), _lane_numbers(side_by_side(lanelets))
-        places = STEP * np.arange(int(road.coordinates.length / STEP) + 2)
-        centres = np.full((1 + max(numbers.values()), len(places)), np.nan)
-        for lanelet in lanelets:
-            located, lane = road.coordinates.locate(lanelet.centre), numbers[lanelet.number]
-            if located.x[-1] < located.x[0]:
-                raise ValueError(
-                    f"lanelet {lanelet.number} goes against the others; only roads of one direction can be driven here"
-                )
-            inside = (places >= located.x.min() - STEP) & (places <= located.x.max() + STEP)
-            order = np.argsort(located.x, kind="stable")
-            centres[lane, inside] = np.interp(places[inside], located.x[order], located.y[order])
-        middles = make_interp_spline(places, _spread(centres).T, k=1)
-        return cls(Axes.of(lanelets), road.coordinates, middles, np.isfinite(centres), road.lane_width)
-
-    @property
-    def lanes(self) -> Values:
-        """Lateral position of the middle of each lane [m]."""
-        return self.lane_width * np.arange(len(self.there))
-
-    def lane_ends(self, lane: int, x: float, within: float) -> bool:
-        """Return whether a lane ends within a distance ahead of a place [m]."""
-        place = min(max(round(x / STEP), 0), self.there.shape[1] - 1)
-        return not self.there[lane, place : place + round(within / STEP)].all()
-
-    def straighten(self, points: Points, orientations: Values, speeds: Values) -> States:
-        """Return states x, y, heading and speed on the straight road of poses in the map."""
-        x, across, along = self.coordinates.locate(points)
-        y = _mapped(across, self._middles(x), self.lanes[:, None])
-        return np.stack([x, y, wrapped(along - orientations - self._slope(x, y)), speeds], axis=-1)
-
-    def path(self, track: RecordedTrack) -> States:
-        """Return the states of a track on the straight road."""
-        return self.straighten(track.samples[:, 1:3], *track.samples[:, 3:].T)
-
-    def states(self, vehicles: Collection[Vehicle]) -> States:
-        """Return the states of highway-env's vehicles on the straight road."""
-        positions, headings, speeds = zip(
-            *((item.position, item.heading, item.speed) for item in vehicles), strict=True
-        )
-        return self.straighten(self.axes.points(positions), self.axes.orientations(headings), np.array(speeds))
-
-    def bend(self, states: States) -> tuple[Points, Values]:
-        """Return positions and headings in highway-env of states on the straight road."""
-        x, y, heading, _ = states.T
-        points, along = self.coordinates.place(x, self._bent(x, y))
-        return self.axes.positions(points), self.axes.headings(along - heading - self._slope(x, y))
-
-    def along(self, vehicle: Vehicle) -> float:
-        """Return the place along the road of a vehicle of highway-env [m]."""
-        return float(self.coordinates.locate(self.axes.points([vehicle.position])).x[0])
-
-    def _middles(self, x: Values) -> np.ndarray:
-        """Return the lateral positions of all lanes at some places [lanes, places]."""
-        return self.centres(np.clip(x, 0.0, STEP * (self.there.shape[1] - 1))).T
-
-    def _bent(self, x: Values, y: Values) -> Values:
-        return _mapped(y, self.lanes[:, None], self._middles(x))
-
-    def _slope(self, x: Values, y: Values) -> Values:
-        """Return the angle to the road's direction, to the right, of a line along the lanes."""
-        return np.arctan2(self._bent(x + NEARBY, y) - self._bent(x - NEARBY, y), 2 * NEARBY)
+    network: RoadNetwork
+    straight: StraightRoad
 
 
-def _mapped(values: Values, known: np.ndarray, images: np.ndarray) -> Values:
-    """Map each value linearly between known values, ascending in the first axis; beyond the outermost, shift it."""
-    both = np.broadcast_arrays(known, images)
-    known, images = (np.vstack([part[:1] - BEYOND, part, part[-1:] + BEYOND]) for part in both)
-    columns = np.arange(len(values))
-    low = np.clip((values >= known).sum(axis=0) - 1, 0, len(known) - 2)
-    step, image_step = (part[low + 1, columns] - part[low, columns] for part in (known, images))
-    return images[low, columns] + (values - known[low, columns]) / step * image_step
+@lru_cache(KEPT)
+def map_of(recording: TrafficRecording) -> RecordedMap:
+    """Return the map of a recording.
+
+    Raises:
+        ValueError: for lanelets that cannot be driven, with the reason.
+    """
+    if not recording.lanelets:
+        raise ValueError("there are no lanelets on which cars drive; give a recording of a road")
+    axes = Axes.of(recording.lanelets)
+    network = network_of(recording.lanelets, axes)
+    return RecordedMap(axes, network, StraightRoad(network))
 
 
-def _spread(centres: np.ndarray) -> np.ndarray:
-    """Fill in lanes where they do not exist, as far from their neighbours as where they do, and keep lanes apart."""
-    places = np.arange(centres.shape[1])
-
-    def filled(values: np.ndarray) -> np.ndarray:
-        known = np.isfinite(values)
-        return np.interp(places, places[known], values[known])
-
-    longest, whole = int(np.isfinite(centres).sum(axis=1).argmax()), np.empty_like(centres)
-    whole[longest] = filled(centres[longest])
-    for lane in range(longest + 1, len(centres)):
-        whole[lane] = whole[lane - 1] + filled(centres[lane] - whole[lane - 1])
-    for lane in reversed(range(longest)):
-        whole[lane] = whole[lane + 1] + filled(centres[lane] - whole[lane + 1])
-    least = CLOSEST * np.arange(len(centres))[:, None]
-    return np.maximum.accumulate(whole - least) + least
+def _length(lane: Lane) -> float:
+    """Return the mean length of a lane and those beside it [m]."""
+    return float(np.mean([beside.length for beside in lane.siblings]))
 
 
-def _lane_numbers(roads: list[list[Lanelet]]) -> dict[int, int]:
-    """Return the number of each lanelet's lane, from 0 at the left; a lanelet that follows another keeps its number."""
-    places = {lanelet.number: (road, place) for road in roads for place, lanelet in enumerate(road)}
-    numbers: dict[int, int] = {}
-    for first in roads:
-        queue = [(first[0].number, 0)]
-        for found, number in queue:
-            if found in numbers or found not in places:
-                continue
-            road, place = places[found]
-            for own, lanelet in enumerate(road, number - place):
-                numbers[lanelet.number] = own
-                queue += [(other, own) for other in (*lanelet.after, *lanelet.before)]
-    least = min(numbers.values())
-    return {lanelet: number - least for lanelet, number in numbers.items()}
+def _number(first: Lane, number: int, lanes: list[Lane], found: dict[Lane, tuple[int, float]]) -> None:
+    """Find number and start of a lane and of all lanes that are connected with it."""
+    queue = [(first, number, 0.0)]
+    for lane, number, start in queue:
+        if lane not in found:
+            found[lane] = number, start
+            queue += [(beside, number + beside.number - lane.number, start) for beside in lane.siblings]
+            queue += [(after, number, start + _length(lane)) for after in lane.following()]
+            queue += [(before, number, start - _length(before)) for before in lanes if lane in before.following()]

@@ -1,194 +1,172 @@
-"""Move the others in recorded traffic: what all kinds share, who goes as it went, and highway-env's IDM and MOBIL."""
+"""Let the vehicles of a recording enter a road, drive there and leave it, as they were recorded or by IDM."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from highway_env.vehicle.objects import RoadObject
+from highway_env.vehicle.objects import Obstacle, RoadObject
 
-from ms_highway.geometry.lane_paths import from_heading
+from ms_highway.geometry.bodies import separation
+from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
-from ms_highway.recorded.straight_road import StraightRoad
+from ms_highway.recorded.straight_road import map_of
 
-BEYOND = 30.0  # m behind the end of the road, where cars leave it
-CLEAR = 2.0  # m, to who is where a car enters, and at least between cars in the lane that one changes to
+BEYOND = 30.0  # m past the end of the road, where vehicles leave it
+CLEAR = 2.0  # m that have to be free ahead of and behind a vehicle that enters
 
 
-class RecordedVehicle(Vehicle):
-    """A vehicle that its traffic moves."""
+class GuidedVehicle(Vehicle):
+    """A vehicle whose state after a step is given.
 
-    number: int
+    Attributes:
+        coming: position, heading and speed after the step.
+    """
+
+    coming: tuple[np.ndarray, float, float]
 
     def act(self, action: Any = None) -> None:
-        """Do nothing: the traffic decides."""
+        """Do nothing: the action is given."""
 
     def step(self, dt: float) -> None:
-        """Do nothing: the traffic has moved it."""
-
-    def put(self, position: np.ndarray, heading: float, speed: float) -> None:
-        """Put it somewhere."""
-        self.position, self.heading, self.speed = np.array(position), float(heading), float(speed)
+        """Move to the given state."""
+        self.position, self.heading, self.speed = self.coming
         self.on_state_update()
 
 
-class Traffic(ABC):
-    """The others on a road, from a step of a recording on.
+class RecordedRoad(Road):
+    """A road for the vehicles of a recording. Only egos collide, where bodies overlap.
+
+    Vehicles enter where and when they were recorded to. One that drives by itself waits until the place is free, and
+    leaves at the end of the road.
+
+    Args:
+        recording: of the traffic.
+        begin: step of the recording to begin at.
+        left_out: number of the track whose place the ego takes; None for all tracks.
+        np_random: for drivers that draw random numbers.
 
     Attributes:
-        tracks: of those that may be there.
-        waiting: numbers of those that should have entered, but found somebody in their place.
+        now: the present step of the recording.
+        coming: tracks of the vehicles that have not entered yet.
     """
 
-    vehicle_type: ClassVar[type] = RecordedVehicle
+    vehicle_type: ClassVar[type[Vehicle]] = GuidedVehicle
+    vehicles: list[Any]
 
-    def __init__(
-        self,
-        scenario: TrafficRecording,
-        straight: StraightRoad,
-        road: Road,
-        left_out: int | None,
-        step: int,
-    ) -> None:
-        """Put the vehicles on the road that were recorded there at a step.
-
-        Args:
-            scenario: the recording.
-            straight: its road, straightened.
-            road: of highway-env.
-            left_out: number of the track whose place the ego takes; None for all.
-            step: of the recording.
-        """
-        self.step = step
-        self.straight, self.axes, self.road = straight, straight.axes, road
-        self.tracks = tuple(track for track in scenario.tracks if track.number != left_out)
-        self.everyone = *self.tracks, *(track for track in scenario.tracks if track.number == left_out)
-        self.vehicles: dict[int, Vehicle] = {}  # by the place of their track
-        self.waiting: tuple[int, ...] = ()
-        self._entered: set[int] = set()
-        for place, track in enumerate(self.tracks):
-            if track.last < step:
-                self._entered.add(place)
-            elif track.first <= step:
-                self._enter(place, step)
+    def __init__(self, recording: TrafficRecording, begin: int, left_out: int | None, np_random: Any) -> None:
+        self.axes, network, _ = map_of(recording)
+        super().__init__(network, np_random=np_random)
+        self.recording, self.begin, self.now = recording, begin, begin
+        self.coming = [track for track in recording.tracks if track.number != left_out and track.last >= begin]
+        for item in recording.obstacles:
+            self.objects.append(sized(Obstacle(self, *self.axes.pose(*item.pose)), item.size))
+        self._let_enter()
 
     @property
-    def egos(self) -> list[Vehicle]:
-        """Vehicles on the road that are none of its own."""
-        return [vehicle for vehicle in self.road.vehicles if vehicle not in self.vehicles.values()]
+    def waiting(self) -> list[RecordedTrack]:
+        """Tracks of the vehicles that should have entered already, but found another vehicle in their place."""
+        return [track for track in self.coming if track.first <= self.now]
 
     @property
-    def end(self) -> float:
-        """Where cars leave the road, along it [m]."""
-        return self.straight.coordinates.length + BEYOND
+    def others(self) -> list[Vehicle]:
+        """The vehicles of the recording, each with its ``track``."""
+        return [vehicle for vehicle in self.vehicles if hasattr(vehicle, "track")]
 
-    @abstractmethod
-    def move(self) -> None:
-        """Move those on the road for a step, let those leave who have reached its end, and others enter."""
-
-    def _is_replayed(self, track: RecordedTrack) -> bool:
-        """Return whether a track is replayed, as all pedestrians and other road users outside lanes are."""
-        return not track.drives
-
-    def _move_on(self, leaves: Callable[[int], bool]) -> None:
-        """Count the step, let vehicles leave and enter, and move replayed vehicles."""
-        self.step += 1
-        for place in list(self.vehicles):
-            track = self.tracks[place]
-            if track.last < self.step if self._is_replayed(track) else leaves(place):
-                self.road.vehicles.remove(self.vehicles.pop(place))
-        self.waiting = ()
-        for place, track in enumerate(self.tracks):
-            if place not in self._entered and track.first <= self.step:
-                if self._is_replayed(track) or self._is_free(track):
-                    self._enter(place, track.first)
-                else:
-                    self.waiting += (track.number,)
-        for place, vehicle in self.vehicles.items():
-            if self._is_replayed(self.tracks[place]):
-                *pose, speed = sampled(self.tracks[place], self.step)
-                vehicle.put(*self.axes.pose(*pose), speed)
-
-    def _is_free(self, track: RecordedTrack) -> bool:
-        """Return whether nobody is in the place where a track begins, nor right before or behind it."""
-        position, heading = self.axes.pose(*track.samples[0, 1:4])
-        for other in self.road.vehicles:
-            ahead, aside = from_heading(heading, *(other.position - position))
-            length, width = (other.LENGTH + track.size[0]) / 2, (other.WIDTH + track.size[1]) / 2
-            if abs(ahead) - length < CLEAR and abs(aside) < width:
-                return False
+    def replays(self, track: RecordedTrack) -> bool:
+        """Return whether a track is replayed, whatever the ego does."""
         return True
 
-    def _enter(self, place: int, step: int) -> None:
-        """Put the vehicle of a track on the road where it was at a step."""
-        track = self.tracks[place]
-        *pose, speed = sampled(track, step)
-        kind = RecordedVehicle if self._is_replayed(track) else self.vehicle_type
-        vehicle = kind(self.road, *self.axes.pose(*pose), speed)
-        vehicle.number, vehicle.check_collisions, vehicle.follows_lanes = track.number, False, track.drives
-        sized(vehicle, track.size)
-        self.road.vehicles.append(vehicle)
-        self.vehicles[place] = vehicle
-        self._entered.add(place)
-
-
-def sized(item: RoadObject, size: tuple[float, float]) -> None:
-    """Give something on a road a length and a width [m]."""
-    item.LENGTH, item.WIDTH = map(float, size)
-    item.diagonal = float(np.hypot(*size))
-
-
-def sampled(track: RecordedTrack, step: float) -> np.ndarray:
-    """Return x, y, orientation and speed of a track at a step, interpolated where it was not seen."""
-    times, x, y, orientation, speed = track.samples.T
-    return np.array([np.interp(step, times, part) for part in (x, y, np.unwrap(orientation), speed)])
-
-
-class Replay(Traffic):
-    """Everybody goes where it went, whatever the ego does."""
-
-    def move(self) -> None:
-        """Move those on the road for a step, and let others leave and enter as they were recorded to."""
-        self._move_on(lambda _: False)
-
-    def _is_replayed(self, track: RecordedTrack) -> bool:
-        return True
-
-
-class Idm(Traffic):
-    """highway-env's IDM and MOBIL drive, each at most as fast as it was recorded."""
-
-    vehicle_type = IDMVehicle
-
-    def move(self) -> None:
-        """Let those leave who have reached the end of the road, and others enter; vehicles move by themselves."""
-        self._move_on(lambda place: self.straight.along(self.vehicles[place]) > self.end)
-
-    def _enter(self, place: int, step: int) -> None:
-        super()._enter(place, step)
-        self.vehicles[place].target_speed = max(float(self.tracks[place].samples[:, 4].max()), 1.0)
-
-
-class RecordedRoad(Road):
-    """A road on which traffic moves the others, and only the egos collide, where their bodies overlap."""
-
-    traffic: Traffic
+    def act(self) -> None:
+        """Let all vehicles decide what to do in the next step."""
+        super().act()
+        for vehicle in self.others:
+            if self.replays(vehicle.track):
+                vehicle.coming = self.recorded_state(vehicle.track, self.now + 1)
 
     def step(self, dt: float) -> None:
-        """Move everybody for ``dt`` seconds, and let others enter and leave."""
-        before = list(self.vehicles)
-        self.traffic.move()
-        for vehicle in before:
+        """Move all vehicles for ``dt`` seconds, and let vehicles enter and leave."""
+        for vehicle in self.vehicles:
             vehicle.step(dt)
-        for ego in self.traffic.egos:
+        self.now += 1
+        self.vehicles = [vehicle for vehicle in self.vehicles if not self._has_left(vehicle)]
+        self._let_enter()
+        for ego in [vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")]:
             for other in (*self.vehicles, *self.objects):
                 if other is not ego and overlap(ego, other):
                     ego.crashed = other.crashed = True
 
+    def recorded_state(self, track: RecordedTrack, step: int) -> tuple[np.ndarray, float, float]:
+        """Return position, heading and speed at a step of a track, interpolated where it was not seen."""
+        times, x, y, orientation, speed = track.samples.T
+        *pose, now = (float(np.interp(step, times, part)) for part in (x, y, np.unwrap(orientation), speed))
+        return *self.axes.pose(*pose), now
+
+    def make(self, track: RecordedTrack) -> Vehicle:
+        """Return the vehicle of a track where it enters."""
+        kind = GuidedVehicle if self.replays(track) else self.vehicle_type
+        vehicle = sized(kind(self, *self.recorded_state(track, self.begin)), track.size)
+        vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = track, False, track.drives
+        return vehicle
+
+    def _let_enter(self) -> None:
+        for track in self.waiting:
+            vehicle = self.make(track)
+            if self.replays(track) or self.now == self.begin or self._is_free_for(vehicle):
+                self.vehicles.append(vehicle)
+                self.coming.remove(track)
+
+    def _is_free_for(self, vehicle: Vehicle) -> bool:
+        """Return whether no other vehicle is where a vehicle enters, nor right ahead of or behind it."""
+        for other in self.vehicles:
+            x, y = other.position - vehicle.position
+            ahead, aside = rotated(x, y, vehicle.heading)
+            gap = abs(ahead) - (other.LENGTH + vehicle.LENGTH) / 2
+            if gap < CLEAR and abs(aside) < (other.WIDTH + vehicle.WIDTH) / 2:
+                return False
+        return True
+
+    def _has_left(self, vehicle: Vehicle) -> bool:
+        """Return whether a vehicle is past the end of its track, or of the road if it drives by itself."""
+        if not hasattr(vehicle, "track"):
+            return False
+        if self.replays(vehicle.track):
+            return vehicle.track.last < self.now
+        place, _ = vehicle.lane.local_coordinates(vehicle.position)
+        return place > vehicle.lane.length + BEYOND and not self.network.graph.get(vehicle.lane_index[1])
+
+
+class DrivenRoad(RecordedRoad):
+    """A road on which vehicles drive by themselves, and other road users, such as pedestrians, are replayed."""
+
+    def replays(self, track: RecordedTrack) -> bool:
+        """Return whether a track is replayed, whatever the ego does."""
+        return not track.drives
+
+
+class IdmRoad(DrivenRoad):
+    """A road on which vehicles drive by highway-env's IDM and MOBIL, each at most as fast as it was recorded."""
+
+    vehicle_type = IDMVehicle
+
+    def make(self, track: RecordedTrack) -> Vehicle:
+        """Return the vehicle of a track where it enters."""
+        vehicle = super().make(track)
+        vehicle.target_speed = max(float(track.samples[:, 4].max()), 1.0)
+        return vehicle
+
+
+def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
+    """Give something on a road a length and a width [m], and return it."""
+    item.LENGTH, item.WIDTH = map(float, size)
+    item.diagonal = float(np.hypot(*size))
+    return item
+
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two things on a road overlap."""
-    return bool(RoadObject._is_colliding(one, other, 0.0)[0])
+    (pose, size), (other_pose, sizes) = (
+        ((*item.position, item.heading), (item.LENGTH, item.WIDTH)) for item in (one, other)
+    )
+    return bool(separation(pose, size, other_pose, sizes) < 0)

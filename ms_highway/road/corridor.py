@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
-from scipy.spatial import cKDTree
 
-from ms_highway.geometry.lane_paths import FINE, Curve, Row, Rows, from_heading, samples
+from ms_highway.geometry.curve import Curve, Rows
+from ms_highway.geometry.lane_paths import COARSE, FINE, LaneCurve, Row, samples
 from ms_highway.geometry.road_map import Chain, Goal, Lane, kept
 from ms_highway.road.scene import LANES
 
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
+STEEPEST = 0.7  # cosine of the angle between a lane and the route, below which it counts as this
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
 DRIVEN = (6.0,)  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
 PAVED_STEP, PAVED_STEPS, PAVED_EVERY = 0.5, 16, 4  # m and number of steps aside, and samples along, of what is paved
@@ -32,13 +33,13 @@ class Corridor:
         open: where the lanes may be driven on.
     """
 
-    curve: Curve
+    curve: LaneCurve
     rows: Rows
     open: Bool[np.ndarray, "lanes samples"]
 
     def at(self, s: Row) -> dict[str, Any]:
         """Return what a ``RoadScene`` has of the lanes at distances from the curve's beginning [m]."""
-        rows = self.curve.gather(self.rows, s).astype(np.float32)
+        rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
         return {"lanes": rows[:LANES], "edges": rows[EDGES], "paved": rows[PAVED], "open": self.open[:, nearest]}
 
@@ -47,7 +48,7 @@ class Corridor:
 def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return what is around the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN)
-    ways = curve.samples[4]
+    ways = curve.ways
     rows, is_open, low = np.zeros((LANES + 4, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
     lanes, edges = rows[:LANES], rows[EDGES]
     for until, section in _sections(chain, goal, ways[-1]):
@@ -61,23 +62,23 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
         found = []
         for place, lane in enumerate(section):
             if lane:
-                beside = lanes[place, here] = _beside(curve, here, lane) if place != 1 else lanes[place, here]
+                beside = lanes[place, here] = _beside(curve.curve, here, lane) if place != 1 else lanes[place, here]
                 inside = is_open[place, here] = ~(np.abs(beside) >= NEARBY * width)
                 found.append(np.where(inside, beside, 0.0))
         for lane, step in ((section[0], -1), (section[2], 1)):
             outermost = lane and _outermost(lane, step)
             if outermost and outermost is not lane:
-                found.append(_beside(curve, here, outermost))
+                found.append(_beside(curve.curve, here, outermost))
         found = found or [lanes[1, here]]
         edges[:, here] = np.min(found, axis=0) - width / 2, np.max(found, axis=0) + width / 2
     rows = _filled(rows)
-    rows[PAVED] = _paved(curve, goal, rows[EDGES])
+    rows[PAVED] = _paved(curve.curve, goal, rows[EDGES])
     return Corridor(curve, rows, is_open)
 
 
 def _paved(curve: Curve, goal: Goal, edges: Rows) -> Rows:
     """Return how far there are lanes beside a curve to the left and to the right [m]: to the road's edges at least."""
-    x, y, heading = curve.samples[:3, ::PAVED_EVERY, None]
+    x, y, heading = (values[::PAVED_EVERY, None] for values in (curve.x, curve.y, curve.heading))
     aside = PAVED_STEP * np.arange(1, PAVED_STEPS + 1) * np.array([[-1.0], [1.0]])[..., None]
     points = np.stack([x - aside * np.sin(heading), y + aside * np.cos(heading)], axis=-1)
     steps = np.cumprod(goal.roads.paves(points), axis=-1).sum(axis=-1)
@@ -130,12 +131,14 @@ def _outermost(lane: Lane, step: int) -> Lane:
 
 def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN before and after it."""
-    x, y, heading = curve.samples[:3, here]
-    points = np.stack([x, y], axis=-1)
-    ends = sorted(lane.shape.local_coordinates(points[end])[0] for end in (0, -1))
+    x, y, heading = curve.x[here], curve.y[here], curve.heading[here]
+    ends = sorted(lane.shape.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1))
     low, high = max(ends[0] - AROUND, 0.0), min(ends[1] + AROUND, lane.length)
-    _, centres, along = samples(lane.shape, *((low, high) if high - low > AROUND else (0.0, lane.length)))
-    _, nearest = cKDTree(centres).query(points)
-    ahead, aside = from_heading(heading, *(centres[nearest] - points).T)
-    lateral = aside - ahead * np.clip(np.tan(along[nearest] - heading), -1.0, 1.0)
-    return np.where(np.abs(ahead) < BEYOND, lateral, np.nan)
+    margin = COARSE if lane.length < 2 * COARSE else 0.0  # for two samples at least
+    whole = -margin, lane.length + margin
+    _, centres, along = samples(lane.shape, *((low, high) if high - low > AROUND else whole))
+    along = np.unwrap(along)
+    shape = Curve(centres[:, 0], centres[:, 1], along, np.gradient(along, COARSE), 0.0, COARSE)
+    s, d, turned = shape.project(x, y, heading)
+    outside = np.maximum(-s, s - shape.end)
+    return np.where(outside < BEYOND, -d / np.maximum(np.cos(turned), STEEPEST), np.nan)

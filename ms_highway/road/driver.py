@@ -1,5 +1,6 @@
 """Drive on a road: observe, choose how to predict each car, plan, follow the plan or fall back."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
@@ -8,15 +9,15 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.choice.rule import Rule, decide, first_memory
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.fallback import LATE, PLANNED, STATUSES, fallback_status
 from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.road.constants import IDM, MODELS, NAIVE, RoadPlanning, RoadWeights
-from ms_highway.road.plan import LastPlan, Proposed, RoadPlan, answer_road, no_plan, propose_road
-from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN
-from ms_highway.road.rungs import RungChoice
-from ms_highway.road.scene import TRAFFIC, Places, RoadScene, Traffic
+from ms_highway.road.constants import IDM, MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
+from ms_highway.road.plan import Proposed, RoadPlan, answer_road, no_plan, propose_road
+from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
+from ms_highway.road.scene import TRAFFIC, Places, RoadScene
 from ms_highway.runtime.arrays import Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.forks import refuse_after_fork
@@ -29,13 +30,13 @@ BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constr
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 REPEATS = 9  # plans that are timed for the costs of models
 
-proposed_for, answered_by = jit_quickly(propose_road), jit_quickly(answer_road)
-"""Proposals and answers to them, each compiled once for all scenes, rungs, limits and weights."""
+proposed_for, answered_by, decided = jit_quickly(propose_road), jit_quickly(answer_road), jit_quickly(decide)
+"""Proposals, answers to them and decisions, each compiled once for all scenes, models, limits and weights."""
 
 
-def plan_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, rungs: Rungs, last: LastPlan) -> RoadPlan:
-    """Return the plan with a model for each of the others, by both."""
-    return answered_by(proposed_for(scene, planning, weights, rungs, last), rungs)
+def plan_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, models: Rungs, last: LastPlan) -> RoadPlan:
+    """Return the best plan once the others have answered the proposals, given the number of the model of each."""
+    return answered_by(proposed_for(scene, planning, weights, models, last), models)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,26 +69,30 @@ class RoadStep(ControlStep):
 class RoadDriver:
     """Drive a robot on any road, one step at a time.
 
-    Where its choice has a budget, a plan that is late is followed from the next step on; in its own step, the last one
-    or, without one, braking drives.
+    A plan that is later than the budget is followed from the next step on; in its own step, the last plan or, without
+    one, braking drives.
 
     Attributes:
         planning: limits and wishes; may be replaced between steps.
-        choice: of the models that predict others.
+        rule_at: returns the rule that chooses the models, given the costs of `MODELS`.
         weights: what counts.
         costs: of models; None to measure them in the first step with others, which noise may change.
+        budget: time of a decision and a plan [s].
     """
 
     planning: RoadPlanning
-    choice: RungChoice
+    rule_at: Callable[[Costs], Rule]
     weights: RoadWeights = field(default_factory=RoadWeights)
     costs: Costs | None = SHIPPED_COSTS
+    budget: float = np.inf
 
     def __post_init__(self) -> None:
+        self._rule = self.rule_at(self.costs or SHIPPED_COSTS)
         self.reset()
 
     def reset(self) -> None:
         """Forget the last plan, before a new episode."""
+        self._memory = first_memory(self._rule, TRAFFIC)
         self._last = no_plan(self.planning)
         self._left = 0  # controls of the last plan that are left, the executed one included
         self._speeds: dict[int, float] = {}  # of others at the last look, by their names
@@ -97,20 +102,26 @@ class RoadDriver:
         refuse_after_fork()
         start = perf_counter()
         scene = self._with_accelerations(scene)
-        costs, compiling = timed(self._prepared, scene)
-        plan, rungs, worth, planning = self._chosen(scene, costs, perf_counter() - start - compiling)
+        _, compiling = timed(self._prepare, scene)
+        rule, gains = self._rule, np.full((TRAFFIC, len(MODELS)), np.nan)
+        first = models = self._models(scene, self._first_rungs())
+        proposed, proposing = timed(self._proposed, scene, models)
+        if rule.estimates:
+            rule = rule.deciding_in(lambda: perf_counter() - start - compiling - proposing)
+            gains[:, NAIVE + 1 :] = np.asarray(proposed.worth)[:, None]
+            models = self._models(scene, np.asarray(decided(rule, None, self._memory, proposed.worth).memory.rungs))
+        plan, answering = timed(self._answered, proposed, first, models)
+        planning = proposing + answering
         deciding = perf_counter() - start - compiling - planning
-        late = deciding + planning > 1e-3 * self.choice.milliseconds
-        controls, status, source = self._followed(plan, late)
+        controls, status, source = self._followed(plan, deciding + planning > self.budget)
         path = plan.path[: len(controls) if status in (PLANNED, LATE) else 0]
         predicted = scene.present & (len(path) > 0)
-        gains = np.tile(worth[:, None], len(MODELS))
-        gains[:, NAIVE] = np.nan
+        self._memory = self._memory._replace(step=self._memory.step + 1)
         return RoadStep(
             controls[0].astype(float),
             controls,
             plan.predictions[:, : len(path)],
-            tuple(np.where(predicted, np.array(MODELS)[rungs], "").tolist()),
+            tuple(np.where(predicted, np.array(MODELS)[models], "").tolist()),
             planning,
             deciding,
             compiling,
@@ -131,34 +142,41 @@ class RoadDriver:
         accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
         return replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
 
-    def _chosen(self, scene: RoadScene, costs: Costs, spent: float) -> tuple[RoadPlan, Rungs, Traffic, float]:
-        """Return the plan, the rung of each of the others, what their answers are worth, and its planning time."""
-        rungs, worth = self._rungs(scene, np.zeros(TRAFFIC), costs, spent), np.full(TRAFFIC, np.nan)
-        proposed, planning = timed(self._proposed, scene, rungs)
-        if self.choice.looks:
-            worth = np.asarray(proposed.worth)
-            first, rungs = rungs, self._rungs(scene, worth, costs, spent)
-            if ((rungs <= IDM) & (rungs != first)).any():  # what optimises is predicted anew anyway
-                proposed, again = timed(self._proposed, scene, rungs)
-                planning += again
-        plan, answering = timed(self._answered, proposed, rungs)
-        return plan, rungs, worth, planning + answering
+    def _first_rungs(self) -> Rungs:
+        """Return the rungs for judging proposals: the first of the ladder, or those of a fixed order."""
+        memory = self._memory
+        return memory.rungs if self._rule.estimates else self._rule.decide(None, memory, None).memory.rungs
 
-    def _rungs(self, scene: RoadScene, worth: Traffic, costs: Costs, spent: float) -> Rungs:
-        """Return the rung of each of the others, whose answers are worth this much [reward]."""
-        chosen = self.choice.choose(worth, costs, spent)
-        return np.where(scene.moving & scene.present, chosen, NAIVE).astype(np.int32)
+    def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
+        """Return the numbers of the models of all cars; those that cannot move are predicted by the first one."""
+        numbers = np.array([MODELS.index(model.name) for model in self._rule.ladder], np.int32)
+        return np.where(scene.moving, numbers[rungs], NAIVE).astype(np.int32)
 
-    def _proposed(self, scene: RoadScene, rungs: Rungs) -> Proposed:
-        return proposed_for(scene, self.planning, self.weights, rungs, self._last)
+    def _proposed(self, scene: RoadScene, models: Rungs) -> Proposed:
+        return proposed_for(scene, self.planning, self.weights, models, self._last)
 
-    def _answered(self, proposed: Proposed, rungs: Rungs) -> RoadPlan:
-        """Return the best plan, answered by those who optimise their reward, if there are any."""
-        plan = answered_by(proposed, rungs) if (rungs > IDM).any() else proposed.plan
-        return jax.tree.map(np.asarray, plan)
+    def _answered(self, proposed: Proposed, first: Rungs, models: Rungs) -> RoadPlan:
+        """Return the best plan, judged again where models are not those of the proposals or somebody optimises."""
+        again = (models != first).any() or (models == TOM).any()
+        return jax.tree.map(np.asarray, answered_by(proposed, models) if again else proposed.plan)
 
-    def _planned(self, scene: RoadScene, rungs: Rungs) -> RoadPlan:
-        return self._answered(self._proposed(scene, rungs), rungs)
+    def _prepare(self, scene: RoadScene) -> None:
+        """Compile and, for a rule that estimates gains, measure what models cost once there are others."""
+        models = np.outer(range(len(MODELS)), scene.moving).astype(np.int32)
+        warm_up(plan_of, scene, self.planning, self.weights, models[0], self._last)
+        if self.costs is None and self._rule.estimates and models.any():
+
+            def planned(each: Rungs) -> RoadPlan:
+                return self._answered(self._proposed(scene, each), each, each)
+
+            # Noise only adds to times, and not to all repeats.
+            seconds = np.min([[timed(planned, each)[1] for each in models] for _ in range(REPEATS)], axis=0)
+            seconds[: IDM + 1] = seconds[: IDM + 1].min()  # one program
+            self.costs = Costs(float(seconds[0]), np.maximum.accumulate(seconds - seconds[0]) / models[1].sum())
+            self._rule = self.rule_at(self.costs)
+            self._memory = first_memory(self._rule, TRAFFIC)
+        if self._rule.estimates:
+            warm_up(decided, self._rule, None, self._memory, np.zeros(TRAFFIC, np.float32))
 
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
         """Return the controls to follow, the number of their status and their source; keep what is left of the plan."""
@@ -173,15 +191,3 @@ class RoadDriver:
             return rest.controls, LATE if status == PLANNED else status, source
         hardest = plan.broken and wanted[0, 1] < -BRAKING_SHARE * grip
         return wanted, status, "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
-
-    def _prepared(self, scene: RoadScene) -> Costs:
-        """Compile, and return what models cost, measured once there are others if the choice looks at it."""
-        others = np.asarray(scene.moving & scene.present)
-        rungs = np.outer(range(len(MODELS)), others).astype(np.int32)
-        warm_up(plan_of, scene, self.planning, self.weights, rungs[0], self._last)
-        if self.costs is None and self.choice.looks and others.any():
-            # Noise only adds to times, and not to all repeats.
-            seconds = np.min([[timed(self._planned, scene, each)[1] for each in rungs] for _ in range(REPEATS)], axis=0)
-            seconds[: IDM + 1] = seconds[: IDM + 1].min()  # one program
-            self.costs = Costs(float(seconds[0]), np.maximum.accumulate(seconds - seconds[0]) / others.sum())
-        return self.costs or Costs(0.0, np.zeros(len(MODELS)))

@@ -8,8 +8,8 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
+from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.geometry.lane_paths import Point
-from ms_highway.geometry.path import BEHIND, SPACING
 from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, road_map
 from ms_highway.road.corridor import corridor
 from ms_highway.road.scene import KNOTS, RoadScene

@@ -11,11 +11,11 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.lane_paths import Point
-from ms_highway.road.appointment import Appointment, RobotGoal, destination_for
 from ms_highway.road.driver import RoadDriver, RoadStep
-from ms_highway.road.motion import SLIP
 from ms_highway.road.observation import observe_road
 from ms_highway.road.scene import RoadScene
+from ms_highway.road.simulation import SLIP
+from ms_highway.road.timed_goal import RobotGoal, TimedGoal, destination_for
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.road_view import at_constant_speed
 
@@ -162,7 +162,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         """Plan if it is time for it; ignore actions."""
         due = self._elapsed + self.frame / 2 >= PERIOD
         if action is None and self.driver is not None and due and not self.crashed:
-            if isinstance(self.goal, Appointment):
+            if isinstance(self.goal, TimedGoal):
                 self.goal.guide(self.driver, self, self.time)
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)

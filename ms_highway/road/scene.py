@@ -11,7 +11,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.geometry.path import Knots, Path
+from ms_highway.geometry.curve import Curve, Knots
 from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
 
 KNOTS, TRAFFIC_KNOTS = 96, 64
@@ -24,6 +24,19 @@ TRAFFIC = 20
 """Number of paths of others that plans look at."""
 
 Sizes = Float[Any, "*cars 2"]
+Steps = Float[Any, "*shape steps"]
+States = Float[Any, "*plans steps 4"]
+Lane = Int[Any, "*plans"]
+Plans = Float[Any, "plans"]
+PlanFlags = Bool[Any, "plans"]
+EachCar = Float[Any, "*plans traffic"]
+EachFlag = Bool[Any, "*plans traffic"]
+EachStep = Float[Any, "*plans traffic steps"]
+Values = Float[Any, "lanes places speeds"]
+
+World = Float[Any, "*shape 4 steps"]
+"""x, y, heading and speed of cars after each step, in world coordinates."""
+
 Traffic = Float[Any, "traffic"]
 Flags = Bool[Any, "traffic"]
 Places = Int[Any, "traffic"]
@@ -54,11 +67,11 @@ class RoadScene:
         gaps: distance of centres to that car [m].
         owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
         names: number of the car that each path belongs to, the same as long as the car is in sight; -1 where none does.
-        moving: which of the others can move; obstacles cannot.
+        moving: which of the others can move; obstacles and absent ones cannot.
         accelerations: of others since the last look, 0 of new ones [m/s^2].
     """
 
-    route: Path
+    route: Curve
     lanes: Knots
     open: Knots
     edges: Knots
@@ -68,7 +81,7 @@ class RoadScene:
     robot: Car
     size: Sizes
     applied: Sizes
-    paths: Path
+    paths: Curve
     states: State
     sizes: Sizes
     present: Flags

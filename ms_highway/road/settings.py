@@ -1,27 +1,27 @@
 """Read the configuration of a driver for stock environments."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct, ValidationError, convert
 
+from ms_highway.choice.budget import Budget
+from ms_highway.choice.rule import Rule, always
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
 from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import human_model
 from ms_highway.road.constants import MODELS, RoadPlanning
 from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
 from ms_highway.road.robot import MARGIN
-from ms_highway.road.rungs import BudgetedRungs, FixedRung, PricedRungs, RungChoice
+from ms_highway.road.rules import Bounds, Priced
 from ms_highway.runtime import retired
 
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
 """What drives, as in ``config["driver"]``."""
 
-NUMBERED: dict[str, tuple[Callable[..., RungChoice], str]] = {
-    "priced": (PricedRungs, "its price, such as priced:0.1"),
-    "budget": (BudgetedRungs, "its milliseconds, such as budget:5"),
-}
+NUMBERED = {"priced": "its price, such as priced:0.1", "budget": "its milliseconds, such as budget:5"}
 Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
 COSTS = "say 'shipped', 'measured', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
 IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, {MODELS[0]} among them"
@@ -75,33 +75,47 @@ class RoadSettings(Struct, frozen=True):
         refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), MODELS)
         if MODELS[0] not in self.ladder or self.ladder != tuple(rung for rung in MODELS if rung in self.ladder):
             raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
-        self.choice()
+        self._choice()
 
-    def choice(self) -> RungChoice:
-        """Return what chooses the rungs.
+    def _choice(self) -> tuple[str, Any]:
+        """Return the kind of the driver, and its model, price or milliseconds.
 
         Raises:
             ValueError: for an unknown driver.
         """
         kind, _, rest = self.driver.partition(":")
         message = f"config['driver'] is {self.driver!r}"
-        if self.budget is not None:
-            if self.driver != "priced":
-                raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
-            return BudgetedRungs(self.budget, self.ladder)
+        if self.budget is not None and self.driver != "priced":
+            raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
         if self.driver == "priced":
-            return PricedRungs(self.price, self.ladder)
+            return ("priced", self.price) if self.budget is None else ("budget", self.budget)
         if kind in NUMBERED:
-            rule, wanted = NUMBERED[kind]
             try:
-                return rule(convert(rest, NotNegative, strict=False), self.ladder)
+                return kind, convert(rest, NotNegative, strict=False)
             except ValidationError:
-                raise ValueError(f"{message}; it needs {wanted}, as a number from 0") from None
-        if kind == "fixed" and rest in MODELS:
-            if rest in self.ladder:
-                return FixedRung(rest)
+                raise ValueError(f"{message}; it needs {NUMBERED[kind]}, as a number from 0") from None
+        if kind != "fixed" or rest not in MODELS:
+            raise ValueError(f"{message}; choose one of {', '.join(map(repr, DRIVERS))}")
+        if rest not in self.ladder:
             raise ValueError(f"{message}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it")
-        raise ValueError(f"{message}; choose one of {', '.join(map(repr, DRIVERS))}")
+        return kind, rest
+
+    def rule(self, costs: Costs) -> Rule:
+        """Return the rule that chooses the models.
+
+        Models are left out that a later one on the ladder replaces at no cost.
+
+        Args:
+            costs: of each of `ms_highway.road.constants.MODELS`.
+        """
+        kind, value = self._choice()
+        if kind == "fixed":
+            return always(human_model(value))
+        seconds = [costs.each[MODELS.index(name)] for name in self.ladder]
+        kept = [place for place, each in enumerate(seconds) if each < min(seconds[place + 1 :], default=np.inf)]
+        ladder = tuple(human_model(self.ladder[place]) for place in kept)
+        costs = Costs(costs.base, np.array(seconds)[kept])
+        return Budget(Bounds(ladder), costs, value / 1e3, 1.0) if kind == "budget" else Priced(ladder, costs, value)
 
     def planning(self, desired_speed: float) -> RoadPlanning:
         """Return limits and wishes of plans.
@@ -113,7 +127,9 @@ class RoadSettings(Struct, frozen=True):
 
     def build(self, planning: RoadPlanning) -> RoadDriver:
         """Return a driver with these limits and wishes."""
+        kind, value = self._choice()
         costs = SHIPPED_COSTS if self.costs == "shipped" else None
         if isinstance(self.costs, dict):
-            costs = Costs(0.0, np.array([self.costs.get(rung, 0.0) / 1e3 for rung in MODELS]))
-        return RoadDriver(planning, self.choice(), costs=costs)
+            costs = Costs(0.0, np.array([self.costs.get(model, 0.0) / 1e3 for model in MODELS]))
+        budget = value / 1e3 if kind == "budget" else np.inf
+        return RoadDriver(planning, self.rule, costs=costs, budget=budget)

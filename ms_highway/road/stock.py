@@ -1,17 +1,15 @@
 """Know highway-env's own environments: what they ask of their car, how to take its place, and what they overwrite."""
 
-import runpy
 from collections.abc import Callable, Iterator
-from functools import cache
-from types import MappingProxyType
 from typing import Any
 
 from highway_env.envs import ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, UTurnEnv
-from highway_env.vehicle import behavior
+from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, IDMVehicle, LinearVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.road.appointment import RobotGoal
+from ms_highway.planning.car_following import BRAKING, COMFORTABLE, STANDSTILL
+from ms_highway.road.timed_goal import RobotGoal
 
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
 USUAL_SPEED = 30.0  # m/s
@@ -136,15 +134,11 @@ def _parts(whole: Any) -> Iterator[Any]:
             yield from _parts(part)
 
 
-OVERWRITTEN = MappingProxyType({"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3})
+OVERWRITTEN = {"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3}
 """What the reset of an `IntersectionEnv` sets on the class of its traffic."""
 
-
-@cache
-def _originals() -> dict[str, type]:
-    """Return the classes of `behavior` as they are before anything has changed them."""
-    fresh = runpy.run_path(behavior.__file__)
-    return {name: kind for name, kind in fresh.items() if isinstance(kind, type) and kind.__module__ == "<run_path>"}
+ORIGINAL = {"DISTANCE_WANTED": STANDSTILL, "COMFORT_ACC_MAX": COMFORTABLE, "COMFORT_ACC_MIN": -BRAKING}
+"""The same of ``IDMVehicle``, from which the other classes inherit it."""
 
 
 def restore_traffic(env: Any) -> None:
@@ -158,12 +152,10 @@ def restore_traffic(env: Any) -> None:
     """
     if isinstance(env.unwrapped, IntersectionEnv):
         return
-    for name, original in _originals().items():
-        kind = getattr(behavior, name)
-        if any(vars(kind).get(key) != value for key, value in OVERWRITTEN.items()):
-            continue
-        for key in OVERWRITTEN:
-            if key in vars(original):
-                setattr(kind, key, vars(original)[key])
-            else:
-                delattr(kind, key)
+    for kind in (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle):
+        if OVERWRITTEN.items() <= vars(kind).items():
+            for name, value in ORIGINAL.items():
+                if kind is IDMVehicle:
+                    setattr(kind, name, value)
+                else:
+                    delattr(kind, name)

@@ -1,21 +1,16 @@
-"""Predict traffic along its paths: keeping its speed, or following by the Intelligent Driver Model.
-
-All predictions run together with the robot's proposals, step by step, so that cars that follow answer the robot.
-"""
+"""Relate the road to the robot's route: where others are on it, who crosses it, what lies on it, how fast it may go."""
 
 from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
 
-from ms_highway.geometry.path import BEHIND, SPACING, Knots, Pose, interpolate, locate
-from ms_highway.planning.car_following import FAR, highest, idm_acceleration, lowest
-from ms_highway.road.arrays import EachStep, Steps
+from ms_highway.geometry.bodies import CORNERS
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
+from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
-from ms_highway.road.motion import speed_caps
-from ms_highway.road.obstruction import Obstruction, obstruction_of
-from ms_highway.road.scene import Flags, RoadScene, Traffic
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.road.scene import Flags, Lane, RoadScene, Steps, Traffic
+from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 
 STANDING = 1.0
 """Speed up to which a car stands [m/s]."""
@@ -23,15 +18,17 @@ STANDING = 1.0
 ROOM, WAITING = 0.4, 0.8
 """Distance between bodies that pass, and between the robot that waits and those who cross [m]."""
 
-SHARING, SAME_WAY, FOLLOWED, CROSSING = 0.85, 0.8, 0.7, 0.5
-"""Cosines of the angle between a car's path and the robot's route, from which it shares the lane, goes the same way,
-follows the robot if it is behind, and does not cross its way."""
+SHARING, SAME_WAY, CROSSING = 0.85, 0.8, 0.5
+"""Cosines of the angle between a car's path and the robot's route, from which it shares the lane, goes the same way
+and does not cross its way."""
 
-CORRIDOR = 3.0  # m, of the robot's way to each side
 PASSED = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
+BEND_BRAKING = 2.5  # m/s^2, before bends
+SIGHT = 30.0  # m ahead, in which obstacles are gone round
+BESIDE = 5.0  # m along the route, up to which obstacles lie beside each other
+ROUNDS = 2  # in which obstacles are added that lie beside those found
+KNOTS_IN_SIGHT = int((BEHIND + SIGHT + 10.0) / SPACING)  # of the route, 10 m more: on a loop, not the next lap
 STRIDE = 0.5  # m, between places on ways that may cross: knots move with cars, and lines would jump with knots
-SETTLING = 1.0  # s, in which cars move to the middle of their path
-SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to it
 
 
 class Ways(NamedTuple):
@@ -45,6 +42,11 @@ class Ways(NamedTuple):
     s: Knots
     d: Knots
     cosine: Knots
+
+    def at(self, along: Traffic, across: Traffic) -> Pose:
+        """Return s and d on the robot's route of others on their paths, and the cosine of the angle between the two."""
+        s, d, cosine = (jax.vmap(interpolate)(field, along) for field in self)
+        return s, d + across * cosine, cosine
 
 
 class Crossings(NamedTuple):
@@ -73,6 +75,21 @@ class Crossings(NamedTuple):
         return self.begin < FAR
 
 
+class Obstruction(NamedTuple):
+    """What cannot move in the robot's lane.
+
+    Attributes:
+        exists: whether there is anything.
+        sides: lateral positions at which the robot passes it on the left and on the right [m].
+        begin, end: positions between which it lies [m].
+    """
+
+    exists: Flag
+    sides: Vector
+    begin: Scalar
+    end: Scalar
+
+
 class Situation(NamedTuple):
     """What all plans of a step are made and judged with.
 
@@ -82,7 +99,8 @@ class Situation(NamedTuple):
         weights: what counts.
         ways: of the traffic.
         crossings: of these ways and the route.
-        caps: see `ms_highway.road.motion.speed_caps`.
+        leading: how far aside of the robot vehicles are that are ahead and go its way [m], `FAR` for others.
+        caps: see `speed_caps`.
         obstruction: of the robot's lane.
     """
 
@@ -91,6 +109,7 @@ class Situation(NamedTuple):
     weights: RoadWeights
     ways: Ways
     crossings: Crossings
+    leading: Traffic
     caps: Knots
     obstruction: Obstruction
 
@@ -98,13 +117,23 @@ class Situation(NamedTuple):
 def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights) -> Situation:
     """Compute what all plans of a step share."""
     ways = ways_of(scene)
-    crossings, caps = _crossings(scene, ways), speed_caps(scene, planning)
-    return Situation(scene, planning, weights, ways, crossings, caps, obstruction_of(scene, weights))
+    s, d, cosine = ways.at(scene.states[:, 0], scene.states[:, 1])
+    leads = (s > scene.robot[0]) & (cosine > CROSSING)
+    return Situation(
+        scene,
+        planning,
+        weights,
+        ways,
+        _crossings(scene, ways),
+        jnp.where(leads, jnp.abs(d - scene.robot[1]), FAR),
+        speed_caps(scene, planning),
+        obstruction_of(scene, weights),
+    )
 
 
 def ways_of(scene: RoadScene) -> Ways:
     """Project the paths of traffic on the robot's route."""
-    s, d, turn = locate(scene.route, scene.paths.x, scene.paths.y, scene.paths.heading)
+    s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
     return Ways(s, d, jnp.cos(turn))
 
 
@@ -118,12 +147,13 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     s, d, apart, cosine = (
         jax.vmap(interpolate, (0, None))(field, places) for field in (ways.s, ways.d, jnp.abs(ways.d), ways.cosine)
     )
-    now, inside = int(BEHIND / STRIDE), apart < CORRIDOR  # not abs(d): between knots, d may jump to its opposite
+    now = int(BEHIND / STRIDE)
+    # Not abs(d): between knots, d may jump to its opposite.
+    inside = apart < RoadWeights.corridor
     along = inside & (cosine > SHARING)
     joins = along & (s < scene.robot[0]) & (places >= 0)
     shares = along[:, now] | joins.any(axis=-1)
-    come = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0])
-    come = come & scene.moving & scene.present
+    come = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0]) & scene.moving
     aslant = (s > scene.robot[0] - PASSED) & (cosine < SHARING) & ~shares[:, None]
     across = inside & aslant
     line = lowest(s[:, 1:], across[:, 1:] & across[:, :-1]) - scene.sizes[:, 1] / 2 - WAITING
@@ -131,61 +161,45 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     return Crossings(places, s, aside, come, line, lowest(places, across), highest(places, across))
 
 
-def leads(scene: RoadScene, ways: Ways, reach: Scalar) -> Flags:
-    """Return which vehicles are ahead of the robot's rear axle, go its way, and are less than this far aside [m]."""
-    s, d, cosine = on_route(ways, scene.states[:, 0], scene.states[:, 1])
-    return (s > scene.robot[0]) & (jnp.abs(d - scene.robot[1]) < reach) & (cosine > CROSSING)
+def lane_of(values: Knots, lanes: Lane, s: Numbers) -> Numbers:
+    """Interpolate values that each lane has at the knots of the route, for plans that go to one lane each."""
+    return jax.vmap(lambda lane, s: interpolate(values[lane], s))(lanes, s)
 
 
-def follow_all(
-    scene: RoadScene, wanted: Traffic, where: Pose, speeds: Traffic, gaps: Traffic, robot: tuple[Scalar, Scalar, Scalar]
-) -> Traffic:
-    """Return the accelerations of others that follow the car ahead on their path, and the robot in their lane.
+def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Knots:
+    """Return the highest speed at each knot of the route from which gentle braking suffices for all bends ahead."""
+    bends = jnp.maximum(jnp.abs(scene.route.curvature), 1e-4)
+    allowed = jnp.minimum(planning.cornering * planning.grip / bends, planning.desired_speed**2)
+    ahead = 2 * BEND_BRAKING * SPACING * jnp.arange(len(bends))
+    return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))
 
-    Args:
-        scene: the road.
-        wanted: speeds that the drivers desire, see `desired_speeds` [m/s].
-        where: the others are, see `on_route`.
-        speeds: of the others [m/s].
-        gaps: distances of centres to the car ahead on their path, where there is one [m].
-        robot: s of its centre, its d and its speed.
+
+def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
+    """Return what cannot move in the robot's lane, by the corners of bodies in the coordinates of its route.
+
+    Bodies are where they are, and where they will have slid to: ``v' = -v``. Those in the lane count together, and so
+    does whoever lies beside them and leaves no room for the robot in between.
     """
-    s, d, speed = robot
-    gaps = jnp.where((scene.leaders >= 0) & scene.present, gaps, FAR)
-    in_lane = jnp.abs(where[1] - d) < scene.reach[:, 1] + ROOM
-    behind = jnp.where((where[0] < s) & in_lane & (where[2] > FOLLOWED), s - where[0], FAR)
-    by_leader = idm_acceleration(speeds, wanted, gaps, speeds[scene.leaders])
-    return jnp.minimum(by_leader, idm_acceleration(speeds, wanted, behind, speed))
+    along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
+    slid = speed * jnp.array([0.0, 1.0])
+    x, y, path = jax.vmap(Curve.place)(scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading))
+    ahead, aside = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)  # [traffic, 1, corners]
+    turned = path[..., None]
+    forth, sideways = rotated(ahead, aside, -turned - scene.askew[..., None])
+    in_sight = jax.tree.map(lambda knots: knots[:KNOTS_IN_SIGHT], scene.route)
+    s, d, _ = in_sight.project(x[..., None] + forth, y[..., None] + sideways, turned)
+    first, last, left, right = (bound(each, axis=(1, 2)) for each in (s, d) for bound in (jnp.min, jnp.max))
+    needed = scene.size[1] + 2 * weights.comfortable
+    own = interpolate(scene.lanes[1], first)
+    near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + SIGHT)
+    found = in_lane = near & (left < own + needed / 2) & (right > own - needed / 2)
 
+    def extent(found: Flags) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        return lowest(first, found), highest(last, found), lowest(left, found), highest(right, found)
 
-def desired_speeds(scene: RoadScene) -> Traffic:
-    """Return the speeds that others desire: the present ones, or the limit if they are much slower [m/s]."""
-    speed = scene.states[:, 3]
-    return jnp.where(speed < SLOWLY * scene.limits, scene.limits, speed)
-
-
-def accelerations_now(scene: RoadScene, ways: Ways, time_step: Scalar) -> Traffic:
-    """Return the accelerations now by the Intelligent Driver Model: the least on all ways of a car, never backwards."""
-    s, d, _, speed = jnp.asarray(scene.robot)
-    speeds = jnp.asarray(scene.states)[:, 3]
-    where = on_route(ways, scene.states[:, 0], scene.states[:, 1])
-    each = follow_all(scene, desired_speeds(scene), where, speeds, scene.gaps, (s + scene.size[0] / 2, d, speed))
-    same = scene.names[:, None] == scene.names
-    return jnp.maximum(jnp.where(same, each, jnp.inf).min(axis=1), -speeds / time_step)
-
-
-def aside(scene: RoadScene, times: Steps) -> EachStep:
-    """Return the lateral positions of others on their paths, to the middle of which they settle if they drive.
-
-    A crashed car slides where it heads, more slowly from second to second: ``v' = -v``.
-    """
-    _, now, heading, speed = scene.states.T[..., None]
-    sideways = speed * jnp.sin(heading)
-    settles = (now + (sideways + now / SETTLING) * times) * jnp.exp(-times / SETTLING)
-    return jnp.where(scene.moving[:, None], settles, now + sideways * (1 - jnp.exp(-times)))
-
-
-def on_route(ways: Ways, along: Traffic, across: Traffic) -> Pose:
-    """Return s and d on the robot's route of others on their paths, and the cosine of the angle between the two."""
-    s, d, cosine = (jax.vmap(interpolate)(field, along) for field in ways)
-    return s, d + across * cosine, cosine
+    for _ in range(ROUNDS):
+        begin, end, low, high = extent(found)
+        beside = (first < end + BESIDE) & (last > begin - BESIDE) & (left < high + needed) & (right > low - needed)
+        found = found | (near & beside)
+    begin, end, low, high = extent(found)
+    return Obstruction(in_lane.any(), jnp.stack([low - needed / 2, high + needed / 2]), begin, end)

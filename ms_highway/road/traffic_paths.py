@@ -7,12 +7,12 @@ import jax
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
-from jaxtyping import Int
 
-from ms_highway.geometry.lane_paths import Row, from_heading
-from ms_highway.geometry.path import BEHIND, SPACING, Path, wrapped
+from ms_highway.geometry.bodies import nearest_ahead
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
+from ms_highway.geometry.lane_paths import Row
 from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
-from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS
+from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 from ms_highway.runtime.arrays import Car
 
 AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, in which others are seen ahead, coming, and behind
@@ -23,15 +23,14 @@ LENGTH = 140.0  # m, of ways
 TENS = 10.0  # m, in steps of which the rest of a lane is counted
 CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
 ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
-NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
-NO_GAP = 1e3  # m, without a leader
+NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
 SLOWEST = 0.1  # m/s, of what may move
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
 NOBODY = {
-    "paths": Path(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
+    "paths": Curve(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
     "states": np.zeros(4),
     "sizes": np.array([5.0, 2.0]),
     "present": False,
@@ -41,8 +40,6 @@ NOBODY = {
     "moving": False,
 }
 """An unused row of what is known of others."""
-
-Owners = Int[np.ndarray, "traffic"]
 
 
 class Way(NamedTuple):
@@ -60,13 +57,13 @@ class Way(NamedTuple):
     car: RoadObject
     owner: int
     chain: Chain
-    path: Path
+    path: Curve
     state: Car
     limit: float
 
 
 def traffic_of(
-    vehicle: Vehicle, roads: RoadMap, route: Path, numbers: dict[RoadObject, int], intentions: bool = False
+    vehicle: Vehicle, roads: RoadMap, route: Curve, numbers: dict[RoadObject, int], intentions: bool = False
 ) -> dict[str, Any]:
     """Return what a ``RoadScene`` has of others, nearest first; of more than `TRAFFIC`, those near the route first.
 
@@ -132,7 +129,7 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
     found, own = [], roads.lanes[car.lane_index]
     if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
         x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
-        path = Path(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
+        path = Curve(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
         return [
             Way(car, owner, roads.chain((own,)), path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))
         ]
@@ -194,7 +191,7 @@ def _chains_from(lane: Lane, tens: int, legs: frozenset[tuple[str, str]]) -> lis
     return found
 
 
-def _meets(path: Path, route: Path) -> bool:
+def _meets(path: Curve, route: Curve) -> bool:
     """Return whether a path comes near the route; oncoming traffic that keeps to its own lane does not."""
     ahead = slice(int(BEHIND / SPACING) - 2, None, EVERY)
     distances = np.hypot(path.x[ahead, None] - route.x[None, ahead], path.y[ahead, None] - route.y[None, ahead])
@@ -202,23 +199,17 @@ def _meets(path: Path, route: Path) -> bool:
     return bool(((distances < CROSSING) | ((distances < NEAR_ROUTE) & ~oncoming)).any())
 
 
-def _leaders_of(paths: Path, cars: list[RoadObject], owners: Owners) -> tuple[Owners, Row]:
+def _leaders_of(paths: Curve, cars: list[RoadObject], owners: Places) -> tuple[Places, Row]:
     """Return the place of the car ahead on each path, -1 without one, and the distance to it."""
-    leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.full(TRAFFIC, NO_GAP, dtype=np.float32)
+    leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.zeros(TRAFFIC, dtype=np.float32)
     if not cars:
         return leaders, gaps
     count = len(cars)
-    positions = np.array([car.position for car in cars])  # [cars, 2]
-    x = positions[None, :, None, 0] - paths.x[:count, None, :]  # [paths, cars, knots]
-    y = positions[None, :, None, 1] - paths.y[:count, None, :]
-    nearest = np.argmin(x**2 + y**2, axis=-1)
-    rows, columns = np.arange(count)[:, None], np.arange(count)[None, :]
-    ahead, d = from_heading(paths.heading[rows, nearest], x[rows, columns, nearest], y[rows, columns, nearest])
-    s = SPACING * nearest - BEHIND + ahead
-    other = owners[:count, None] != owners[None, :count]
-    leading = other & (np.abs(d) < IN_FRONT) & (s > 0) & (s < LEADER_AHEAD)
-    distance = np.where(leading, s, NO_GAP)
-    leader = np.argmin(distance, axis=1)  # the first path of a car comes before its others
-    leaders[:count] = np.where(leading.any(axis=1), leader, -1)
-    gaps[:count] = distance[np.arange(count), leader]
+    x, y = np.array([car.position for car in cars]).T
+    s, d, _ = jax.tree.map(lambda field: field[:count], paths).project(x, y, 0.0)  # [paths, cars]
+    other = owners[:count, None] != owners[:count]
+    # The first path of a car comes before its others.
+    nearest, leads = nearest_ahead(s, other & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))
+    leaders[:count] = np.where(leads, nearest, -1)
+    gaps[:count] = np.where(leads, s[np.arange(count), nearest], 0.0)
     return leaders, gaps

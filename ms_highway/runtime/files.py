@@ -125,23 +125,6 @@ def held(directory: Path) -> Iterator[None]:
                 directory.rmdir()
 
 
-def append(path: Path, text: str) -> None:
-    """Write at the end of a file and wait until the disk has it; all, or, where that fails, nothing.
-
-    Raises:
-        OSError: naming the file, if it cannot be written.
-    """
-    with naming(path), path.open("rb+", buffering=0) as file:
-        before, rest = file.seek(0, os.SEEK_END), text.encode()
-        try:
-            while rest:  # a disk may take a part, and say at the next that it is full
-                rest = rest[file.write(rest) :]
-            os.fsync(file.fileno())
-        except OSError:
-            file.truncate(before)
-            raise
-
-
 @contextmanager
 def temporary(path: Path) -> Iterator[Path]:
     """Yield a file or directory, and remove it when the block ends or an interrupt ends the process."""

@@ -2,12 +2,14 @@
 
 import os
 import signal
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from importlib import import_module
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -133,8 +135,55 @@ def own_process(configure: Callable[[], None], modules: Sequence[str] = ()) -> P
     return ProcessPoolExecutor(1, get_context("spawn"), _prepare, (configure, cache, modules))
 
 
+def start_worker(
+    function: Callable[[Any], Any], configure: Callable[[], None], modules: Sequence[str] = ()
+) -> Connection:
+    """Start a process that calls a function of everything that it is sent, and sends back the result or the error.
+
+    It ends when the connection is closed, or this process ends in any way.
+
+    Args:
+        function: to call there.
+        configure: see `own_process`.
+        modules: see `own_process`.
+    """
+    context = get_context("spawn")
+    here, there = context.Pipe()
+    prepared = configure, jax.config.values["jax_compilation_cache_dir"], modules
+    context.Process(target=_serve, args=(there, function, *prepared), daemon=True).start()
+    there.close()
+    return here
+
+
+def _serve(connection: Connection, function: Callable[[Any], Any], *prepared: Any) -> None:
+    _prepare(*prepared)
+    with suppress(EOFError, OSError):
+        while True:
+            item = connection.recv()
+            try:
+                result = function(item)
+            except Exception as error:
+                result = error
+            connection.send(result)
+
+
+def low_latency_on_core(number: int) -> None:
+    """Keep this process to one of its processors, where the system lets a process choose, and set `low_latency`.
+
+    The first numbers stand for processors that share no core with each other.
+    """
+    if hasattr(os, "sched_setaffinity"):
+        available = sorted(os.sched_getaffinity(0))
+        files = [Path(f"/sys/devices/system/cpu/cpu{one}/topology/thread_siblings_list") for one in available]
+        cores = [file.read_text() if file.exists() else file.parts[-3] for file in files]
+        places = sorted(range(len(cores)), key=lambda place: cores[:place].count(cores[place]))
+        os.sched_setaffinity(0, {available[places[number % len(places)]]})
+    low_latency()
+
+
 def _prepare(configure: Callable[[], None], cache: str | None, modules: Sequence[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
+    warnings.simplefilter("ignore")  # it has warned of the configuration
     configure()
     if cache is not None:
         keep_compilations(Path(cache))

@@ -115,8 +115,8 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         elif not self.crashed:
             self._drive_on_road(self.controller)
 
-    def _drive_on_road(self, controller: Controller) -> None:
-        """Plan as if the lane were straight, and add its bend to the plan's first control."""
+    def _drive_on_road(self, controller: Controller) -> RoadView:
+        """Plan as if the lane were straight, and add its bend to the plan's first control; return the view."""
         view = look(self, self.route)
         self.route = self.route and view.route
         controller.game = _at(view, controller.game, self.desired_speed(view))
@@ -134,6 +134,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
             self._before = {row: states_of([car])[0] for row, car in enumerate(cars) if car is not None}
             control = self.last_step.control
         self.execute(control + np.array([view.bend, 0.0]))
+        return view
 
     def _seen_before(self, view: RoadView) -> State | None:
         """Return the states of a step ago in the coordinates of a view, absent neighbours far behind."""

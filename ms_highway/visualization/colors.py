@@ -1,10 +1,9 @@
-"""The colours of videos, as Matplotlib takes them, and of what lies below figures."""
+"""The colours of videos, as Matplotlib takes them, and the style of figures."""
 
 from collections.abc import Iterable, Iterator
 from itertools import cycle
-from typing import Literal
 
-from matplotlib.axes import Axes
+from matplotlib import rc_context
 
 from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.envs.viewer import model_color
@@ -15,6 +14,18 @@ SHADES = {
     "learned": ["#7d52c9", "#a98be0", "#cfc0ee", "#5a35a0"],
 }
 OTHER_SHADES = ["#12908e", "#62bcb9", "#a9dad8", "#0b6462"]
+
+styled = rc_context(
+    {
+        "axes.axisbelow": True,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "figure.constrained_layout.use": True,
+        "grid.color": "#eeeeee",
+        "legend.frameon": False,
+    }
+)
+"""Decorator of what draws a figure: a light grid, no frame above and to the right."""
 
 
 def color_of(model: str) -> str:
@@ -35,10 +46,3 @@ def controller_colors(controllers: Iterable[str]) -> list[str]:
         shades = left.setdefault(kind, cycle(choosing_shades(kind if kind in priced_types() else "switching")))
         colors.append(color_of(name) if is_model(name) else next(shades))
     return colors
-
-
-def light_grid(axes: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
-    """Draw a light grid below what is drawn, without a frame above and to the right."""
-    axes.grid(axis=axis, color="#eeeeee")
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)

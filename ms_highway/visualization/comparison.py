@@ -1,7 +1,5 @@
 """Tables and figures of a comparison, from its records of steps and their summary."""
 
-from string import Formatter
-
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -12,8 +10,8 @@ from ms_highway.envs.viewer import model_color
 from ms_highway.experiments.records import models_of, share_column
 from ms_highway.game.scenario import title
 from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
-from ms_highway.visualization.colors import color_of, controller_colors
-from ms_highway.visualization.tables import grid, two_digits
+from ms_highway.visualization.colors import color_of, controller_colors, styled
+from ms_highway.visualization.tables import grid, texts
 
 LEGEND_COLUMNS = 5
 PERCENT = "success", "late"  # columns that are shares
@@ -22,18 +20,18 @@ FORMS = {
     "reward/step": "{reward:.2f}",
     "90 % interval": "{reward_low:.2f}, {reward_high:.2f}",
     "reward less T": "{reward_less_t:.2f}",
-    "counted ms": "{counted_ms}",
+    "counted ms": "{counted_ms:two}",
     "plan ms": "{planning_ms:.2f}",
     "decide ms": "{decision_ms:.2f}",
-    "shares": "",
+    "": "",  # shares of models
     "collisions": "{collision_episodes} of {episodes}",
     "success": "{success:.0f} %",
     "humans under tom": "{humans_tom:.1f}",
-    "cycle ms p50, p99": "{cycle_ms_p50:.1f}, {cycle_ms_p99:.1f}",
-    "late %": "{late:.1f}",
-    "fallback steps": "{fallbacks}",
 }
-"""Headings of a summary's texts, and how they are made of its columns, without which a heading is left out."""
+"""Headings of a summary's texts, and how they are made of its columns."""
+
+SLOW_FORMS = {"cycle ms p50, p99": "{cycle_ms_p50:.1f}, {cycle_ms_p99:.1f}", "late %": "{late:.1f}"}
+"""Those of scenarios with several humans, where planning takes long."""
 
 
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
@@ -46,30 +44,21 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     rows = summaries.query("scenario == @scenario")
     models = models_of(summaries, share_column)
     models = [name for name in models if name in PAPER_MODELS or summaries[share_column(name)].any()]
-    percent = [name for name in (*PERCENT, *map(share_column, models)) if name in rows]
-    rows = rows.assign(**{name: 100 * rows[name] for name in percent})
-    rows["reward_less_t"] = rows["reward"] - 1e-3 * rows["counted_ms"]  # at a price of 1 per second
-    filled = {str(name) for name in rows if rows[name].notna().any()} | {"reward_low", "reward_high"}
-    if "success" not in filled:
-        filled -= {"late", "cycle_ms_p50"}  # of interest where plans take long
-    if not rows.get("fallbacks", rows["episodes"]).any():
-        filled.discard("fallbacks")
-    rows["counted_ms"] = rows["counted_ms"].map(two_digits)
-    shares = " / ".join(models) + " %"
-    forms = {shares if name == "shares" else name: form for name, form in FORMS.items()}
-    forms[shares] = " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
-    texts = {
-        heading: [form.format(**row) for row in rows.to_dict("records")]
-        for heading, form in forms.items()
-        if {part[1] for part in Formatter().parse(form)} - {None} <= filled
-    }
-    return pd.DataFrame(texts).replace({"nan": "", "nan, nan": "one episode"})
+    shares = rows.columns.intersection([*PERCENT, *map(share_column, models)])
+    rows = rows.assign(reward_less_t=rows["reward"] - 1e-3 * rows["counted_ms"], **100 * rows[shares])
+    forms = dict(FORMS)
+    if "success" in rows and rows["success"].notna().any():
+        forms |= SLOW_FORMS
+    if rows.get("fallbacks", rows["episodes"]).any():
+        forms["fallback steps"] = "{fallbacks}"
+    used = " / ".join(f"{{{share_column(name)}:.0f}}" for name in models)
+    forms = {name or f"{' / '.join(models)} %": form or used for name, form in forms.items()}
+    return pd.DataFrame(texts(forms, rows.to_dict("records")))
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> Table:
     """Return the summary of one scenario, to be printed; it says which controllers' T(M) is not known."""
-    texts = cells(summaries, scenario).replace(" / ", "/", regex=True)
-    shown = grid(scenario, texts.to_dict("records"))
+    shown = grid(scenario, cells(summaries, scenario).replace(" / ", "/", regex=True).to_dict("records"))
     unknown = summaries.query("scenario == @scenario and counted_ms.isna()")["controller"]
     if len(unknown):
         remedy = "put its model on the ladder, or give its seconds by costs"
@@ -83,11 +72,12 @@ def episode_count(rows: pd.DataFrame) -> str:
     return f"{most if least == most else f'{least} to {most}'} episodes per controller"
 
 
+@styled
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
     rows = summaries.query("scenario == @scenario")
     names, colors = rows["controller"], controller_colors(rows["controller"])
-    figure = Figure(figsize=(10, 4), layout="constrained")
+    figure = Figure(figsize=(10, 4))
     left, right = figure.subplots(1, 2)
     left.bar(names, rows["reward"], yerr=whiskers(rows), color=colors, capsize=4)
     left.axhline(0, color="black", linewidth=0.8)
@@ -97,7 +87,6 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     right.set(title="computation: planning, and deciding (hatched)", ylabel="mean time per step [ms]")
     for axes in (left, right):
         axes.tick_params(axis="x", rotation=20)
-        axes.spines[["top", "right"]].set_visible(False)
     figure.suptitle(f"{title(scenario)}: {episode_count(rows)}")
     return figure
 
@@ -108,6 +97,7 @@ def whiskers(rows: pd.DataFrame) -> list[list[float]]:
     return [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]
 
 
+@styled
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """Draw time per step along the episode, and the model in use, like Fig. 2 of the paper.
 
@@ -119,7 +109,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     episodes = dict(iter(rows.groupby("controller", sort=False)))
     choosing = [name for name in episodes if controller_config(name)["type"] in priced_types()]
     heights = [2.5] + [1] * len(choosing)
-    figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)), layout="constrained")
+    figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)))
     above, *panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
     for (name, own), color in zip(episodes.items(), controller_colors(episodes), strict=True):
         line = "-" if name in choosing else "--"
@@ -130,9 +120,9 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
         models = episodes[name].pivot(index="seed", columns="step", values="model")
         panel.imshow(models.map(model_color).to_numpy().tolist(), aspect="auto", interpolation="nearest")
         panel.set_title(name, loc="left", fontsize="medium")
-        panel.set_ylabel("episode")
+        panel.set(ylabel="episode", yticks=[0, len(models) - 1] if len(models) > 1 else [0])
     figure.axes[-1].set_xlabel("step (0.1 s)")
     in_use = rows.loc[rows["controller"].isin(choosing), "model"]
     used = [Patch(color=color_of(model), label=f"{model} in use") for model in cheapest_first(in_use)]
-    figure.legend(handles=[*above.lines, *used], loc="outside lower center", ncols=LEGEND_COLUMNS, frameon=False)
+    figure.legend(handles=[*above.lines, *used], loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure

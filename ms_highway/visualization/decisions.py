@@ -7,11 +7,12 @@ from matplotlib.figure import Figure
 
 from ms_highway.experiments.records import gain_column, models_of
 from ms_highway.game.scenario import title
-from ms_highway.visualization.colors import color_of
+from ms_highway.visualization.colors import color_of, styled
 
 SMALL_GAIN = 0.01
 
 
+@styled
 def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None = None) -> Figure:
     """Draw what was decided in an episode, and what it was worth; a column per episode.
 
@@ -24,7 +25,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
         episodes: of controllers that choose online, see `ms_highway.experiments.records.one_episode`.
         reference: an episode from the same start, whose reward is drawn beside.
     """
-    figure = Figure(figsize=(10, 5), layout="constrained")
+    figure = Figure(figsize=(10, 5))
     panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
     legend = {}
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
@@ -47,8 +48,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
             for step, model in zip(steps, episode["model"], strict=True):
                 span = axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
                 legend[f"{model} in use"] = span
-            axes.spines[["top", "right"]].set_visible(False)
     panels[0, 0].set_ylabel("estimated net gain")
     panels[1, 0].set_ylabel("reward per step")
-    figure.legend(legend.values(), legend, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(legend.values(), legend, loc="outside lower center", ncols=4)
     return figure

@@ -1,6 +1,9 @@
-"""The figures of a comparison: which there are, and what they show."""
+"""The figures of a comparison: which there are, what they show, and the formats of their files."""
+
+import io
 
 import pandas as pd
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers, most_informative_pair
@@ -11,6 +14,7 @@ from ms_highway.visualization.tradeoff import curve
 
 FEWEST_LAMBDAS = 3  # that make a curve
 MOST_DECIDING = 2  # controllers whose decisions are drawn beside each other
+DPI = 160
 
 CAPTIONS = {
     "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
@@ -55,3 +59,11 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
         episodes = [one_episode(records, scenario, name, seeds[0]) for name in (*deciding, *beside)]
         drawn["decisions"] = decisions(episodes[: len(deciding)], *episodes[len(deciding) :])
     return drawn
+
+
+def content(figure: Figure, kind: str = "png") -> bytes:
+    """Return the content of a file of a figure: ``png``, ``pdf`` with fonts that publishers take, or ``svg``."""
+    written = io.BytesIO()
+    with rc_context({"pdf.fonttype": 42}):  # TrueType
+        figure.savefig(written, format=kind, dpi=DPI)
+    return written.getvalue()

@@ -1,12 +1,10 @@
 """Draw one page that shows a comparison, in one file that needs nothing else."""
 
 import base64
-import io
 from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from ms_highway.envs.viewer import model_meaning
 from ms_highway.experiments.analysis.findings import answer
@@ -17,9 +15,7 @@ from ms_highway.game.scenario import title
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.comparison import cells
-from ms_highway.visualization.figures import CAPTIONS, figures
-
-DPI = 160
+from ms_highway.visualization.figures import CAPTIONS, content, figures
 
 
 def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:
@@ -44,7 +40,9 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
                 "answer": answer(results.records, summaries, scenario),
                 "headings": list(table),
                 "rows": table.to_numpy().tolist(),
-                "figures": {name: (_picture(figure), CAPTIONS[name]) for name, figure in drawn.items()},
+                "figures": {
+                    name: (_data("image/png", content(figure)), CAPTIONS[name]) for name, figure in drawn.items()
+                },
                 "film": _film(results, scenario) if videos else None,
             }
         )
@@ -88,14 +86,8 @@ def _film(results: Results, scenario: str) -> dict[str, Any]:
     }
 
 
-def _picture(figure: Figure) -> str:
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI)
-    return _data("image/png", content.getvalue())
-
-
-def _data(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+def _data(kind: str, file: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(file).decode()}"
 
 
 def _text(value: Any) -> str:

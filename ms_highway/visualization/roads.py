@@ -14,10 +14,30 @@ from scipy.stats import binomtest
 from ms_highway.experiments.analysis.summary import CONFIDENCE
 from ms_highway.planning.human_models import cheapest_first
 from ms_highway.road.constants import MODELS
-from ms_highway.visualization.tables import grid
+from ms_highway.visualization.colors import styled
+from ms_highway.visualization.tables import grid, texts
 
 Drivers = Mapping[str, Mapping[str, Any]]
 """Figures in a scene, by driver."""
+
+FORMS = {
+    "driver": "{driver}",
+    "label": "{label}",
+    "success (90 % interval)": "{success:.0f} % ({low:.0f}, {high:.0f})",
+    "collisions (at fault)": "{collisions} ({at_fault})",
+    "off road": "{off_road:.0f} %",
+    "s to goal": "{goal_seconds:.1f}",
+    "reward per step": "{reward_per_step:.3f}",
+    "m/s": "{mean_speed:.1f}",
+    "m/s² at most": "{max_acceleration:.1f}",
+    "jerk, m/s³": "{jerk:.1f}",
+    "": "",  # shares of models
+    "ms p50, p99": "{p50_ms:.1f}, {p99_ms:.1f}",
+    "late": "{late:.0f} %",
+    "traffic": "{traffic}",
+    "episodes": "{seeds[1]} from {seeds[0]} on",
+}
+"""Headings of a driver's texts, and how they are made of its figures; shares are in percent."""
 
 
 def success_interval(figures: Mapping[str, Any]) -> tuple[float, float]:
@@ -38,39 +58,24 @@ def driver_table(title: str, drivers: Drivers) -> Table:
 def driver_rows(drivers: Drivers) -> list[dict[str, str]]:
     """Return a row of texts for each driver, without columns that are empty in all rows."""
     rungs = cheapest_first([*MODELS, *(rung for one in drivers.values() for rung in one.get("rungs", ()))])
+    used = " / ".join(f"{{rungs[{rung}]:.0f}}" for rung in rungs)
+    forms = {heading or f"{' / '.join(rungs)} %": form or used for heading, form in FORMS.items()}
     rows = []
     for driver, one in drivers.items():
         low, high = success_interval(one)
-        seconds, shares, (first, count) = one.get("goal_seconds"), one.get("rungs"), one["seeds"]
-        rows.append(
-            {
-                "driver": driver,
-                "label": one["label"],
-                "success (90 % interval)": f"{100 * one['success']:.0f} % ({100 * low:.0f}, {100 * high:.0f})",
-                "collisions (at fault)": f"{one['collisions']} ({one['at_fault']})",
-                "off road": f"{100 * one['off_road']:.0f} %" if one["off_road"] else "",
-                "s to goal": "" if seconds is None else f"{seconds:.1f}",
-                "reward per step": f"{one['reward_per_step']:.3f}",
-                "m/s": f"{one['mean_speed']:.1f}",
-                "m/s² at most": f"{one['max_acceleration']:.1f}",
-                "jerk, m/s³": f"{one['jerk']:.1f}",
-                f"{' / '.join(rungs)} %": " / ".join(f"{100 * shares.get(rung, 0.0):.0f}" for rung in rungs)
-                if shares
-                else "",
-                "ms p50, p99": f"{one['p50_ms']:.1f}, {one['p99_ms']:.1f}",
-                "late": f"{100 * one['late']:.0f} %" if one.get("late") else "",
-                "traffic": one["traffic"],
-                "episodes": f"{count} from {first} on",
-            }
-        )
-    filled = [heading for heading in rows[0] if any(row[heading] for row in rows)]
-    return [{heading: row[heading] for heading in filled} for row in rows]
+        shares = {name: 100 * one[name] or None for name in ("off_road", "late") if name in one}
+        shares |= {"success": 100 * one["success"], "low": 100 * low, "high": 100 * high}
+        if own := one.get("rungs"):
+            shares["rungs"] = {rung: 100 * own.get(rung, 0.0) for rung in rungs}
+        rows.append({**one, "driver": driver, **shares})
+    return texts(forms, rows)
 
 
+@styled
 def success_figure(scenes: Mapping[str, Drivers]) -> Figure:
     """Draw the share of successful episodes of each driver, with intervals: a panel for each scene."""
     counts = [len(drivers) for drivers in scenes.values()]
-    figure = Figure(figsize=(8, 1 + 0.5 * len(counts) + 0.2 * sum(counts)), layout="constrained")
+    figure = Figure(figsize=(8, 1 + 0.5 * len(counts) + 0.2 * sum(counts)))
     panels = figure.subplots(len(counts), sharex=True, squeeze=False, height_ratios=counts)[:, 0]
     for axes, (scene, drivers) in zip(panels, scenes.items(), strict=True):
         percent = 100 * np.array([one["success"] for one in drivers.values()])

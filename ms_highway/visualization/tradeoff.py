@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from ms_highway.envs.registry import controller_settings, fixed_order_types, priced_types
 from ms_highway.game.scenario import title
-from ms_highway.visualization.colors import choosing_shades, color_of, light_grid
+from ms_highway.visualization.colors import choosing_shades, color_of, styled
 from ms_highway.visualization.comparison import episode_count, whiskers
 
 SCHEDULE_COLOR, RANDOM_COLOR, FRONTIER_COLOR = "#8a93a5", "#2e8b57", "#c2185b"
@@ -15,6 +15,7 @@ LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the 
 COUNTED = "planning per step, counted at T(M) [ms]"
 
 
+@styled
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward against computation of every controller; whiskers are the 90 % intervals, left out of schedules.
 
@@ -28,7 +29,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
     if {"planning_ms", "decision_ms"} <= set(rows):
         rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
         measures["measured_ms"] = "planning + deciding per step, measured [ms]"
-    figure = Figure(figsize=(4 + 3 * len(measures), 4.4), layout="constrained")
+    figure = Figure(figsize=(4 + 3 * len(measures), 4.4))
     panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
     for axes, (measure, label) in zip(panels, measures.items(), strict=True):
         orders = rows[rows["kind"].isin(fixed_order_types())].sort_values(measure)
@@ -39,11 +40,12 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
         _draw(axes, rows, measure)
         axes.set_xlabel(label)
     panels[0].set_ylabel("reward per step")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
     figure.suptitle(f"{title(scenario)}: reward against computation, {episode_count(rows)}")
     return figure
 
 
+@styled
 def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     """Draw reward against counted computation: what a search has found, and the controllers that stay behind it.
 
@@ -55,11 +57,12 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
         scenario: its name.
         starts: their number.
     """
-    rows = behind.query("scenario == @scenario").assign(counted_ms=1e3 * behind["counted_seconds"])
+    rows = behind.query("scenario == @scenario")
+    rows = rows.assign(counted_ms=1e3 * rows["counted_seconds"])
     found, others = (rows[(rows["kind"] == "search") == searched] for searched in (True, False))
     found, others = found.sort_values("counted_ms", ascending=False), others.drop_duplicates("controller")
-    orders = others[others["kind"].isin(("schedule", "period"))]
-    figure = Figure(figsize=(7, 4.4), layout="constrained")
+    orders = others[others["kind"].isin(fixed_order_types()) & (others["kind"] != "fixed")]
+    figure = Figure(figsize=(7, 4.4))
     axes, label = figure.subplots(), "best order of each start"
     axes.plot(orders["counted_ms"], orders["reward"], ".", color=SCHEDULE_COLOR, label="orders for all starts")
     axes.plot(found["counted_ms"], found["reward"], "D-", color=FRONTIER_COLOR, label=label)
@@ -69,7 +72,7 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     figure.suptitle(f"{title(scenario)}: the best orders of models, {starts} starts")
     searched = ", ".join(f"{price:g}" for price in found["price"])
     axes.set_title(f"diamonds, from the right: a second of planning costs {searched}", fontsize="small")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 
@@ -91,7 +94,7 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
         points(own, "s", color_of(str(name)), str(name))
     axes.margins(0.1)  # so that labels of points at the edges are inside
     axes.set_xlim(left=0)
-    light_grid(axes)
+    axes.grid()
     axes.autoscale_view()
     labelled: list[np.ndarray] = []
     for price, *place in online[["price", measure, "reward"]].to_numpy(float):

@@ -1,8 +1,7 @@
 """Drive a robot through a scene of your own: a work zone with highway-env's own collisions.
 
 The robot's controller plays a `ms_highway.Game`, which says where the lanes are and what both drive for; everything
-else is highway-env. The robot plans naively except in the steps in which it cuts in: ``tom``, ``turn``, ``tom``,
-``tom``, ``turn``. Run::
+else is highway-env. Humans keep clear of who comes into their lane, so that planning naively is enough. Run::
 
     python notebooks/examples/work_zone.py
 """

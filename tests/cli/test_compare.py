@@ -4,7 +4,9 @@ import contextlib
 import json
 import os
 import re
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import imageio.v3 as imageio
@@ -14,9 +16,11 @@ import pytest
 from commands import run
 
 from ms_highway.cli.compare import _with_learned
-from ms_highway.cli.main import build_parser
+from ms_highway.cli.main import parse
 from ms_highway.cli.options import comparison, configuration
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import columns
+from ms_highway.experiments.runner import run as run_comparison
 from ms_highway.game.learned_reward import save, shipped
 from ms_highway.runtime.files import held
 
@@ -60,15 +64,69 @@ def test_compare_writes_a_row_per_step_a_summary_and_figures(compared):
     assert not list(compared.glob("*part*"))
 
 
-def test_compare_goes_on_where_it_was_stopped(compared, begun):
-    steps = begun / "steps.csv"
-    lines = steps.read_text().splitlines(keepends=True)
-    steps.write_text("".join(lines[: 1 + 35 + 10]) + lines[46][:20])  # killed in the second episode
+def parts(directory):
+    return {*(directory / "parts").glob("[!.]*")} if (directory / "parts").exists() else set()
+
+
+@pytest.mark.slow
+def test_a_comparison_on_two_cores_that_is_killed_goes_on_and_gives_what_one_process_gives(tmp_path, monkeypatch):
+    """Nothing is lost, nothing doubled, and no process is left behind."""
+    words, alone, killed = "compare merger --controllers naive turn --seeds 40 --out", tmp_path / "1", tmp_path / "2"
+    with monkeypatch.context() as patch:
+        patch.setattr("ms_highway.experiments.runner.FEWEST", 1000)
+        run(f"{words} {alone}")
+    process = subprocess.Popen([sys.executable, "-m", "ms_highway", *f"{words} {killed}".split()])
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while len(parts(killed)) < 10:
+        assert process.poll() is None
+        time.sleep(0.01)
+    workers = [Path("/proc") / child for child in children.read_text().split()]
+    process.kill()
+    process.wait()
+    left = len(parts(killed))
+    assert 10 <= left < 80
+    assert not (killed / "steps.csv").exists()
+    while any(worker.exists() for worker in workers):
+        time.sleep(0.1)
+    counts = list(run_comparison(Comparison({"merger": ["naive", "turn"]}, 40), killed))
+    assert counts == list(range(left, 81))
+    pd.testing.assert_frame_equal(untimed(killed), untimed(alone))
+    assert not parts(killed)
+
+
+def test_compare_goes_on_from_steps_and_parts(compared, begun):
+    steps, parts = begun / "steps.csv", begun / "parts"
+    head, *lines = steps.read_text().splitlines(keepends=True)
+    steps.write_text("".join([head, *lines[:35]]))
+    parts.mkdir()
+    (parts / "3.csv").write_text("".join([head, *lines[-35:]]))
+    (parts / f".part.{'0' * 16}.1.csv").write_text(head + lines[40][:20])  # killed while it was written
     run(f"{COMPARE} {begun}")
     pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
     before = steps.read_text()
-    run(f"{COMPARE} {begun}")
+    run(f"{COMPARE} {begun} --format pdf")
     assert steps.read_text() == before
+    assert (begun / "stay_back_bars.pdf").read_bytes().startswith(b"%PDF")
+    assert not parts.exists()
+
+
+@pytest.mark.parametrize(
+    "left", [lambda lines: [*lines[:46], lines[46][:20]], lambda lines: [*lines[:20], *lines[21:]]]
+)
+def test_an_episode_that_is_not_whole_is_driven_anew(compared, begun, left):
+    """Versions that wrote step by step left such episodes when they were killed."""
+    steps = begun / "steps.csv"
+    steps.write_text("".join(left(steps.read_text().splitlines(keepends=True))))
+    run(f"{COMPARE} {begun}")
+    pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
+
+
+@pytest.mark.slow
+def test_scenarios_with_one_human_and_with_several_are_compared_together(tmp_path):
+    run(f"compare stay_back dense_merge --controllers naive --seeds 1 --out {tmp_path}")
+    summary = pd.read_csv(tmp_path / "summary.csv").set_index("scenario")
+    assert pd.isna(summary.loc["stay_back", "success"])
+    assert summary.loc["dense_merge", "success"] in (0, 1)
 
 
 @pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
@@ -103,7 +161,7 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
     ],
 )
 def test_learned_values_are_compared_by_default_where_they_suit_the_ladder(options, learned, said, capsys):
-    asked = _with_learned(comparison(build_parser().parse_args(f"compare stay_back {options}".split())))
+    asked = _with_learned(comparison(parse(f"compare stay_back {options}".split())))
     rungs = asked.controllers["stay_back"][:2]
     assert asked.controllers["stay_back"] == [*rungs, *learned, "switching:5", "switching:0.4"]
     assert said in capsys.readouterr().err
@@ -137,7 +195,8 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
     ("pattern", "replacement", "message"),
     [
         ("(?m),[^,]*$", "", "its columns are not"),
-        ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "numbers belong, in column seed"),
+        ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "texts where numbers belong, in column seed"),
+        ("(stay_back,naive,0,0,naive),[^,]*", r"\1,", "reward of naive with seed 0 is nan; it must be"),
         ("(stay_back,naive,0,0,naive),[^,]*", r"\1,1e400", "reward of naive with seed 0 is inf; it must be"),
         ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
     ],
@@ -173,16 +232,6 @@ def test_of_two_commands_that_write_to_a_directory_the_second_is_refused(compare
     assert (compared / "steps.csv").read_text() == before
 
 
-def test_compare_drives_episodes_anew_whose_records_have_holes(compared, begun):
-    head, first, *others = (begun / "steps.csv").read_text().splitlines(keepends=True)
-    cells = dict(zip(head.split(","), first.split(","), strict=True)) | {"reward": ""}
-    (begun / "steps.csv").write_text("".join([head, ",".join(cells.values()), *others]))
-    run(f"{COMPARE} {begun}")
-    order = ["controller", "seed", "step"]
-    again, before = (untimed(directory).sort_values(order, ignore_index=True) for directory in (begun, compared))
-    pd.testing.assert_frame_equal(again, before)
-
-
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -193,7 +242,7 @@ def test_compare_drives_episodes_anew_whose_records_have_holes(compared, begun):
     ],
 )
 def test_a_key_is_set_by_json_or_by_words(text, value):
-    options = build_parser().parse_args(["compare", "--set", "grip=8", "--set", text])
+    options = parse(["compare", "--set", "grip=8", "--set", text])
     assert configuration(options) == {"grip": 8, text.partition("=")[0]: value}
 
 
@@ -205,5 +254,5 @@ def test_a_key_is_set_by_json_or_by_words(text, value):
     ],
 )
 def test_without_controllers_the_ladder_and_switching_are_compared_at_the_lambdas_that_are_named(options, controllers):
-    asked = comparison(build_parser().parse_args(f"compare merger {options}".split()))
+    asked = comparison(parse(f"compare merger {options}".split()))
     assert asked.controllers == {"merger": controllers.split()}

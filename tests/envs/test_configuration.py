@@ -341,7 +341,7 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
     assert controller_config("plain+belief") == {"type": "plain", "belief": True}
     assert controller_config("dear:0.3") == {"type": "dear", "lambda": 0.3}
     assert registry.priced_types() == ["switching", "horizon", "learned", "dear"]
-    for wrong, example in (("plain:1", "plain"), ("dear", "dear:0.1")):
+    for wrong, example in (("plain:1", "plain"), ("dear", "dear:1")):
         with pytest.raises(ValueError, match=f"cannot be read; write it like {example}$"):
             controller_config(wrong)
     add_rule(type("Rule", (Plain,), {}, tag="dear"))

@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 
+import pandas as pd
 import pytest
 
 from ms_highway.experiments import directory
@@ -18,8 +19,13 @@ def test_a_comparison_that_was_stopped_in_its_first_episode_can_be_resumed(tmp_p
     assert next(run(COMPARISON, tmp_path)) == 0
     with pytest.raises(ValueError, match="holds no episodes yet"):
         read_results(tmp_path)
-    assert list(run(COMPARISON, tmp_path)) == [0, 1]
-    assert len(read_results(tmp_path).records) == len(read(COMPARISON, tmp_path)) == 40
+    runs = run(COMPARISON, tmp_path)
+    assert [next(runs), next(runs)] == [0, 1]
+    stopped = read_results(tmp_path).records
+    assert list(run(COMPARISON, tmp_path)) == [1]
+    pd.testing.assert_frame_equal(read_results(tmp_path).records, stopped)
+    pd.testing.assert_frame_equal(read(COMPARISON, tmp_path), stopped)
+    assert len(stopped) == 40
 
 
 def test_settings_that_were_given_as_other_sequences_agree(tmp_path):

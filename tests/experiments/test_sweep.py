@@ -128,43 +128,31 @@ def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(s
     assert "choose another directory" in refused(f"{SWEEP} .")
 
 
-@pytest.mark.parametrize(("kind", "copied"), [("episodes", True), ("steps", False)])
-def test_a_part_that_was_damaged_or_is_a_copy_of_another_is_named(kind, copied, swept, tmp_path, refused):
-    shutil.copytree(swept, tmp_path / "out")
-    part = tmp_path / "out" / kind / "part-000002.parquet"
-    part.write_bytes(part.with_stem("part-000001").read_bytes() if copied else part.read_bytes()[:100])
-    line = refused(f"{SWEEP} out")
-    assert "part-000002.parquet cannot be read" in line
-    assert not copied or "holds other episodes" in line
-    assert "remove it" in line
-
-
 @pytest.mark.parametrize(
-    ("kind", "column", "value"),
+    ("spoil", "said"),
     [
-        ("episodes", "reward", float("nan")),
-        ("episodes", "share_naive", 1.5),
-        ("steps", "robot_x", float("inf")),
-        ("steps", "counted_seconds", float("nan")),
+        (lambda part: part.write_bytes(part.read_bytes()[:100]), "remove it"),
+        (lambda part: shutil.copy(part.with_stem("part-000001"), part), "holds other episodes than its number says"),
+        (lambda part: changed(part, reward=float("nan")), "with seed 10 is nan; it must be from"),
+        (lambda part: changed(part, share_naive=1.5), "with seed 10 is 1.5; it must be from 0 to 1"),
+        (lambda part: changed(part, reward=None), "its columns are not those of the parts before"),
     ],
 )
-def test_a_number_that_cannot_be_in_a_part_is_named(kind, column, value, swept, tmp_path, refused):
+def test_a_part_that_was_damaged_is_named(spoil, said, swept, tmp_path, refused):
     shutil.copytree(swept, tmp_path / "out")
-    part = tmp_path / "out" / kind / "part-000002.parquet"
+    spoil(tmp_path / "out" / "episodes" / "part-000002.parquet")
+    line = refused(f"{SWEEP} out")
+    assert "part-000002.parquet cannot be read" in line
+    assert said in line
+
+
+def changed(part, **columns):
+    """Write other numbers into the first row of a part, or drop a column."""
     rows = pd.read_parquet(part)
-    rows.loc[5, column] = value
+    for name, value in columns.items():
+        rows.loc[rows.index[:1], name] = value
+        rows = rows if value is not None else rows.drop(columns=name)
     rows.to_parquet(part, index=False)
-    where = f"{rows['controller'][5]} with seed {rows['seed'][5]}"
-    assert f"part-000002.parquet cannot be read ({column} of {where} is {value}; " in refused(f"{SWEEP} out")
-
-
-def test_a_part_that_lacks_a_column_is_named(swept, tmp_path, refused):
-    shutil.copytree(swept, tmp_path / "out")
-    part = tmp_path / "out" / "episodes" / "part-000002.parquet"
-    pd.read_parquet(part).drop(columns="reward").to_parquet(part, index=False)
-    assert "part-000002.parquet cannot be read (its columns are not those of the parts before)" in refused(
-        f"{SWEEP} out"
-    )
 
 
 def test_a_file_that_pandas_would_read_with_the_parts_is_refused(swept, tmp_path, refused):

@@ -8,13 +8,12 @@ from jax import numpy as jnp
 
 from ms_highway.game.collision_risk import (
     CAR_SHARPNESS,
-    CORNERS,
-    MIDDLES,
     OBSTACLE_SHARE,
     OBSTACLE_SHARPNESS,
     collision_risk,
 )
 from ms_highway.game.dynamics import Motion, observe
+from ms_highway.geometry.bodies import CORNERS, MIDDLES
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 

@@ -8,12 +8,13 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game import curvature as bending
-from ms_highway.game.collision_risk import CAR_SHARPNESS, CONTACT, NEAR, body_points
+from ms_highway.game.collision_risk import CAR_SHARPNESS, CONTACT, NEAR
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT, build_game
 from ms_highway.game.scenarios import DENSE_MERGE, MERGER
+from ms_highway.geometry.bodies import body_points
 
 GAME = build_game(DENSE_MERGE, humans=2)
 curvature = jax.jit(bending.curvature)
@@ -82,7 +83,7 @@ def test_closeness_bends_by_the_squares_of_the_slopes_of_distances_and_their_own
     """The distance of each point of the body, written down once more, and differentiated by JAX."""
     own, other = motion(-1.5, 0.1), motion(-3.3, -0.05, x=3.0)
     weights = {"collision_risk": -1.0, "collision": -100.0}
-    px, py = body_points(GAME.scene).T
+    px, py = body_points(jnp.asarray(GAME.scene.car_size), GAME.scene.corner).T
 
     def excess(fields):
         x, y, cosine, sine = fields

@@ -21,9 +21,8 @@ from ms_highway.envs.demonstration import ABSENT, DENSITIES, KEYBOARD_ACTION, de
 from ms_highway.game.dynamics import step
 from ms_highway.game.game import rollout_reward
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.datasets import load_demonstrations
-from ms_highway.irl.recordings.demonstrations import actions, record
-from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS, maxent, optimal, window
+from ms_highway.irl.demonstrations import actions, load_demonstrations, record
+from ms_highway.irl.demonstrator import DRIVER_WEIGHTS, maxent, optimal, seen_from
 
 SLOPE = jax.jit(jax.grad(rollout_reward, argnums=2))
 EARNED = jax.jit(jax.vmap(rollout_reward, in_axes=(None, None, 0, None)))
@@ -124,14 +123,14 @@ def test_recorded_actions_drive_the_recorded_states():
     np.testing.assert_allclose(step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5)
 
 
-def test_an_optimal_window_has_no_slope_and_earns_more_than_those_beside_it():
+def test_an_optimal_segment_has_no_slope_and_earns_more_than_those_beside_it():
     env = make("dense").unwrapped
     env.reset(seed=6)
     for action in actions("maxent", env, 6):
         if env.steps == 10:
             break
         env.step(action)
-    car, others = window(env.car_states[0], env.routes[:, 11:16])
+    car, others = seen_from(env.car_states[0], env.routes[:, 11:16])
     best = optimal(GAME, car, others)
     slope = SLOPE(GAME, car, best.controls, others)
     assert abs(slope).max() < 2e-3
@@ -142,7 +141,7 @@ def test_an_optimal_window_has_no_slope_and_earns_more_than_those_beside_it():
 
 def test_samples_vary_as_the_curvature_of_the_reward_and_the_temperature_say():
     car = jnp.array([0.0, 10 / 3, 0.0, 20.0])
-    _, nobody = window(np.array(car), np.tile(ABSENT, (7, 5, 1)))
+    _, nobody = seen_from(np.array(car), np.tile(ABSENT, (7, 5, 1)))
     best, temperature = optimal(GAME, car, nobody), 1e-5
     keys = jax.random.split(jax.random.key(0), 1500)
     samples = np.array([maxent(GAME, car, nobody, key, temperature).ravel() for key in keys], dtype=float)

@@ -10,6 +10,9 @@ from scipy import stats
 
 from ms_highway.envs import DEMONSTRATION_ID
 from ms_highway.game.reward import RewardModel
+from ms_highway.irl import TEMPERATURE
+from ms_highway.irl.demonstrations import actions
+from ms_highway.irl.demonstrator import DRIVER_WEIGHTS
 from ms_highway.irl.learning import SIMULATED, expected_features
 from ms_highway.irl.maximum_entropy import (
     FeatureDerivatives,
@@ -17,11 +20,8 @@ from ms_highway.irl.maximum_entropy import (
     fit_weights,
     log_likelihoods,
 )
-from ms_highway.irl.recordings import TEMPERATURE
-from ms_highway.irl.recordings.demonstrations import actions
-from ms_highway.irl.recordings.demonstrators import DRIVER_WEIGHTS
-from ms_highway.irl.recordings.recording import Recording
-from ms_highway.irl.windows import regular, regular_windows
+from ms_highway.irl.recording import Recording
+from ms_highway.irl.segments import cut_segments, regular
 
 DENSITIES = ("sparse", "medium", "dense")
 WIDER = 1.3  # than Laplace's approximation, so that candidates cover the distribution's tails
@@ -32,11 +32,10 @@ def recorded(states, name="a short one"):
     return Recording(name, name, states, np.array([0]), sizes, lanes, 10 / 3, 20.0, measured=False)
 
 
-@pytest.fixture(scope="module")
-def demonstrated():
-    """Windows that can be learned from, of 30 episodes of the maximum-entropy driver."""
+def demonstrate(episodes):
+    """Segments that can be learned from, of episodes of the maximum-entropy driver."""
     env, recordings = gym.make(DEMONSTRATION_ID), []
-    for seed in range(30):
+    for seed in range(episodes):
         env.reset(seed=seed, options={"config": {"density": DENSITIES[seed % 3]}})
         world = env.unwrapped
         states = [world.car_states]
@@ -46,11 +45,12 @@ def demonstrated():
             if truncated:
                 break
         recordings.append(recorded(np.where(world.present[:, None], states, np.nan), f"seed {seed}"))
-    return regular_windows(recordings, 5)
+    return cut_segments(recordings, 5)
 
 
-def some(windows, every):
-    return windows.of(np.arange(len(windows)) % every == 0)
+@pytest.fixture(scope="module")
+def demonstrated():
+    return demonstrate(6)
 
 
 def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a_student_distribution():
@@ -64,7 +64,8 @@ def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a
 
 
 @pytest.mark.slow
-def test_the_weights_of_a_demonstrator_are_recovered(demonstrated):
+def test_the_weights_of_a_demonstrator_are_recovered():
+    demonstrated = demonstrate(30)
     derivatives = differentiate(demonstrated, SIMULATED.names)
     found = fit_weights(derivatives, SIMULATED)
     assert found.temperature == pytest.approx(TEMPERATURE, rel=0.15)
@@ -79,14 +80,13 @@ def test_the_weights_of_a_demonstrator_are_recovered(demonstrated):
 
 
 def test_drivers_that_tell_nothing_about_a_weight_leave_its_prior(demonstrated):
-    few = some(demonstrated, 6)
     model = RewardModel((*SIMULATED.learned, "gap"), SIMULATED.given)  # there is no leader to keep a gap to
-    found = fit_weights(differentiate(few, model.names), model)
+    found = fit_weights(differentiate(demonstrated, model.names), model)
     assert np.sqrt(found.covariance[3, 3]) == pytest.approx(4.0, rel=1e-3)
     assert found.weights["gap"] == pytest.approx(1.0, rel=1e-2)
 
 
-def test_windows_at_a_kink_or_at_a_limit_are_not_learned_from(demonstrated):
+def test_segments_at_a_kink_or_at_a_limit_are_not_learned_from(demonstrated):
     off_road = replace(demonstrated, start=demonstrated.start * [1, 1, 0, 1] + [0, 30.0, 0, 0])
     assert not regular(replace(off_road, controls=np.zeros_like(off_road.controls))).any()
     assert not regular(replace(demonstrated, controls=demonstrated.controls + np.array([0.0, 60.0]))).any()
@@ -106,12 +106,12 @@ def test_an_impossible_model_is_refused(learned, given, message):
 
 
 def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demonstrated):
-    broken = some(demonstrated, 100)
+    broken = demonstrated.of(np.arange(len(demonstrated)) < 3)
     derivatives = differentiate(broken, SIMULATED.names)
     with pytest.raises(ValueError, match="the weights diverge"):
         fit_weights(derivatives._replace(gradients=derivatives.gradients * np.nan), SIMULATED)
     broken.start[1, 3] = np.nan
-    with pytest.raises(ValueError, match="window 1 have no finite derivatives"):
+    with pytest.raises(ValueError, match="segment 1 have no finite derivatives"):
         differentiate(broken, SIMULATED.names)
 
 
@@ -119,7 +119,7 @@ def test_recordings_of_which_nothing_can_be_learned_are_refused():
     aside = np.tile([[0.0, 40.0, 0.0, 20.0], [0.0, 0.0, 0.0, 20.0]], (9, 1, 1))
     for states in (aside[:3], aside):
         with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
-            regular_windows([recorded(states)], 5)
+            cut_segments([recorded(states)], 5)
     aside[4, 0, 3] = np.nan
     with pytest.raises(ValueError, match="car 0 at step 4 is not finite"):
         recorded(aside)

@@ -5,7 +5,7 @@ import pytest
 
 from ms_highway.game.dynamics import Dynamics, step
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recordings.recording import Recording, track_of
+from ms_highway.irl.recording import Recording, track_of
 
 
 def tracked(states, dynamics=PAPER_DYNAMICS):

@@ -40,8 +40,8 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
         if "Prints::" in EXAMPLES[name]:
             table = "\n".join(output.splitlines()[1:])
             assert f"Prints::\n\n{indent(table, '    ')}\n" in EXAMPLES[name]
-    models = [model for model in re.findall(r"'(\w+)'", printed["work_zone"]) if model != "naive"]
-    assert f"``{'``, ``'.join(models)}``." in " ".join(EXAMPLES["work_zone"].split())
+    assert {*re.findall(r"'(\w+)'", printed["work_zone"])} == {"naive"}
+    assert printed["work_zone"].strip().endswith("False")  # nobody has crashed
 
 
 @pytest.mark.slow

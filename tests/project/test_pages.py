@@ -14,7 +14,7 @@ import pytest
 from markdown_it import MarkdownIt
 
 import ms_highway
-from ms_highway.cli.main import build_parser
+from ms_highway.cli.main import parse
 
 ROOT = Path(__file__).parents[2]
 README, MAP, RESULTS = ROOT / "README.md", ROOT / "notebooks" / "MAP.md", ROOT / "notebooks" / "results" / "README.md"
@@ -51,8 +51,8 @@ def commands() -> list[str]:
 def test_every_command_parses(command):
     expanded = ["bash", "-c", f"printf '%s\\n' {command.partition(' > ')[0]}"]
     words = subprocess.run(expanded, capture_output=True, text=True, check=True).stdout.splitlines()
-    options = build_parser().parse_args(words[1:])
-    assert callable(options.run)
+    options = parse(words[1:])
+    assert callable(options.command.run)
     assert all((ROOT / f"{module.replace('.', '/')}.py").is_file() for module in options.modules)
 
 

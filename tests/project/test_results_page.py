@@ -77,13 +77,13 @@ def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
 def test_learned_values_stay_behind_the_best_orders_by_as_little_as_the_text_says():
     behind = COLLECTED.kept_table("regrets", "frontier").set_index(["scenario", "price", "controller"]).sort_index()
     for scenario in ("merger", "give_way"):
-        for price, share in ((0.1, 0.01), (1.0, 0.01), (10.0, 0.03)):
+        for price, share in ((0.1, 0.01), (1.0, 0.01), (10.0, 0.042)):
             own = behind.loc[scenario, price]
             learned = own["regret"][f"learned:{price:g}"]
             assert learned < share * own["reward"]["tom"]
             assert learned < own.loc[own["kind"].isin(["switching", "horizon"]), "regret"].min()
     assert "at prices of 0.1 and 1 it stays at most 1 % of always-`tom`'s reward behind" in FLOWING
-    assert "at 10 3 %" in FLOWING
+    assert "at 10 4.2 %" in FLOWING
 
 
 def test_collisions_in_the_text_are_those_that_were_counted():

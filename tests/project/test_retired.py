@@ -6,11 +6,11 @@ import gymnasium as gym
 import pytest
 
 import ms_highway
-from ms_highway.cli.main import build_parser
-from ms_highway.irl.predictors import prediction
+from ms_highway.cli.main import COMMANDS
+from ms_highway.irl.prediction import predict_with
 from ms_highway.runtime.retired import CONTROLLERS, DRIVERS, OPTIONS
 
-HELP = {name: parser.format_help() for name, parser in build_parser().names.items()}
+HELP = {name: command.parser().format_help() for name, command in COMMANDS.items()}
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_python_that_names_something_retired_says_what_to_use_instead():
         with pytest.raises(ValueError, match=f"{gone} is gone since"):
             ms_highway.drive(gym.make("highway-fast-v0"), config)
     with pytest.raises(ValueError, match="lane_modes is gone since"):
-        prediction("lane_modes", None, None)
+        predict_with("lane_modes", None, None)
 
 
 def test_no_help_text_names_anything_retired():

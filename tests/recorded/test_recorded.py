@@ -35,9 +35,9 @@ from ms_highway.recorded.commonroad import read_xml
 from ms_highway.recorded.network import SampledLane
 from ms_highway.recorded.problem import Task
 from ms_highway.recorded.scenario import GoalRegion, Problem, open_recording
-from ms_highway.recorded.straight_road import StraightRoad
+from ms_highway.recorded.straight_road import map_of
 from ms_highway.recorded.traffic import overlap
-from ms_highway.road.appointment import Appointment
+from ms_highway.road.timed_goal import TimedGoal
 from ms_highway.road.traffic_paths import traffic_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -91,7 +91,7 @@ def braking(env, deceleration=3.0):
 
 def others(env):
     """The vehicles that traffic moves, by their number."""
-    return {vehicle.number: vehicle for vehicle in env.unwrapped.road.vehicles if hasattr(vehicle, "number")}
+    return {vehicle.track.number: vehicle for vehicle in env.unwrapped.road.others}
 
 
 def overlapping(env):
@@ -510,7 +510,7 @@ def test_lanes_go_on_smoothly_over_joints_and_within_themselves(merge, exits):
             assert np.linalg.norm(one.position(one.length, 0) - other.position(0, 0)) < 0.05
             assert abs(one.heading_at(one.length) - other.heading_at(0)) < 0.02
         for lane in network.lanes_list():
-            assert np.abs(np.diff(lane.headings)).max() < 0.02
+            assert np.abs(np.diff(lane.curve.heading)).max() < 0.02
 
 
 def test_lane_coordinates_lead_back_to_positions(merge, exits):
@@ -549,20 +549,22 @@ def test_lanes_and_networks_are_the_same_after_json(exits):
         np.testing.assert_array_equal(copy.position(17.3, 0.4), lane.position(17.3, 0.4))
 
 
-def test_on_the_straight_road_cars_move_where_they_head_and_bending_leads_back(us):
+def test_on_the_straight_road_cars_move_where_they_head_and_steps_along_lanes_lead_to_where_they_were_next(us):
     recording = open_recording(str(us("17_1")))
-    road = StraightRoad.of(recording.lanelets)
+    axes, _, straight = map_of(recording)
     for track in recording.tracks:
-        states = road.path(track)
-        positions, headings = road.bend(states)
-        points, orientations = road.axes.points(positions), road.axes.orientations(headings)
-        np.testing.assert_allclose(points, track.samples[:, 1:3], rtol=0, atol=1e-6)
-        assert np.abs(np.exp(1j * orientations) - np.exp(1j * track.samples[:, 3])).max() < 1e-6
-        np.testing.assert_array_equal(states[:, 3], track.samples[:, 4])
+        positions, headings = axes.positions(track.samples[:, 1:3]), axes.headings(track.samples[:, 3])
+        poses = straight.poses(positions, headings)
+        states = straight.states(poses, track.samples[:, 4])
         moves = np.diff(states[:, :2], axis=0)
         went = np.hypot(*moves.T) > 0.3
         courses = np.arctan2(moves[:, 1], moves[:, 0])
         assert np.abs(courses - states[:-1, 2])[went].max(initial=0.0) < 0.15
+        steps = np.diff([poses.along, poses.aside], axis=1).T
+        for moment in np.flatnonzero(np.diff(poses.lane) == 0):
+            position, heading = straight.moved(poses, moment, steps[moment], poses.heading[moment + 1])
+            np.testing.assert_allclose(position, positions[moment + 1], rtol=0, atol=1e-2)
+            assert abs(np.exp(1j * heading) - np.exp(1j * headings[moment + 1])) < 1e-6
 
 
 @pytest.mark.parametrize("radius", [5, 15, 30, 100])
@@ -613,7 +615,7 @@ def test_who_goes_as_fast_as_is_desired_keeps_its_appointment(speed, distance, t
     vehicle = Vehicle(road, [20.0, 0.0], 0.0, speed)
     road.vehicles = [vehicle]
     place = np.array([20.0 + distance, 0.0])
-    kept = Appointment(Spot(("a", "b", 0), place[0]), place, times, speeds)
+    kept = TimedGoal(Spot(("a", "b", 0), place[0]), place, times, speeds)
     for step in range(200):
         now = step * 0.1
         wanted = kept.desired_speed(vehicle, now)

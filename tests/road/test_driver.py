@@ -6,24 +6,22 @@ import jax
 import numpy as np
 from roads import PLANNING, country_road, scene_of, wrecked
 
-from ms_highway.planning.compiled_plans import Costs
 from ms_highway.road.constants import MODELS, RoadWeights
-from ms_highway.road.driver import RoadDriver
-from ms_highway.road.rungs import BudgetedRungs, FixedRung, PricedRungs
 from ms_highway.road.scene import TRAFFIC
+from ms_highway.road.settings import RoadSettings
 
-COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.003]))
+COSTS = {"idm": 0.1, "tom": 3.0}
 SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
 PLANS = ("proposal", "last plan")
 
 
-def driver(choice=FixedRung("naive")):  # noqa: B008
-    return RoadDriver(PLANNING, choice, costs=COSTS)
+def driver(name="fixed:naive", planning=PLANNING, costs=COSTS):
+    return RoadSettings.read({"driver": name, "costs": costs}).build(planning)
 
 
 def test_a_step_tells_what_was_planned_and_predicted():
-    step = driver(FixedRung("idm")).step(SCENE)
+    step = driver("fixed:idm").step(SCENE)
     shapes = [value.shape for value in (step.control, step.path, step.humans, step.gains)]
     assert shapes == [(2,), (PLANNING.steps, 3), (TRAFFIC, PLANNING.steps, 2), (TRAFFIC, len(MODELS))]
     assert step.models == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
@@ -37,18 +35,18 @@ def test_a_step_tells_what_was_planned_and_predicted():
 
 def test_obstacles_are_predicted_by_the_cheapest_model():
     standing = replace(SCENE, moving=np.arange(TRAFFIC) == 1)
-    assert driver(FixedRung("tom")).step(standing).models[:3] == ("naive", "tom", "naive")
+    assert driver("fixed:tom").step(standing).models[:3] == ("naive", "tom", "naive")
 
 
 def test_models_are_chosen_by_gains_and_costs():
-    eager, thrifty = (driver(PricedRungs(price)).step(SCENE) for price in (0.0, 1e9))
+    eager, thrifty = (driver(name).step(SCENE) for name in ("priced:0", "priced:1e9"))
     np.testing.assert_array_equal(eager.gains, thrifty.gains)
-    chosen = eager, thrifty, driver(BudgetedRungs(0.0)).step(SCENE)
+    chosen = eager, thrifty, driver("budget:0").step(SCENE)
     assert [set(step.models[:3]) for step in chosen] == [{"tom"}, {"naive"}, {"naive"}]
 
 
 def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there():
-    measured = RoadDriver(PLANNING, PricedRungs(1.0), costs=None)
+    measured = driver("priced:1", costs="measured")
     measured.step(scene_of())
     assert measured.costs is None
     assert measured.step(scene_of()).model == ""
@@ -60,13 +58,13 @@ def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there(
 
 
 def test_costs_that_are_shipped_make_the_same_choices_every_time():
-    steps = [RoadDriver(PLANNING, PricedRungs(300.0)).step(SCENE) for _ in range(3)]
+    steps = [driver("priced:300", costs="shipped").step(SCENE) for _ in range(3)]
     assert len({step.models for step in steps}) == 1
     np.testing.assert_array_equal(steps[0].control, steps[2].control)
 
 
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
-    late, usual = driver(BudgetedRungs(0.0)), driver(FixedRung("naive"))
+    late, usual = driver("budget:0"), driver("fixed:naive")
     steps = [late.step(SCENE) for _ in range(3)]
     first, second = usual.step(SCENE), usual.step(SCENE)
     assert [step.status for step in steps] == ["late"] * 3
@@ -82,19 +80,20 @@ def test_a_car_that_brakes_harder_than_its_model_says_is_expected_to_go_on_braki
         SCENE, states=SCENE.states - np.array([[0, 0, 0, 1.2 * (car == 0)] for car in range(TRAFFIC)], np.float32)
     )
     for model in ("naive", "idm", "tom"):
-        surprised, unaware = driver(FixedRung(model)), driver(FixedRung(model))
+        surprised, unaware = driver(f"fixed:{model}"), driver(f"fixed:{model}")
         surprised.step(SCENE)
         seen, new = surprised.step(slower), unaware.step(slower)
         assert seen.humans[0, -1, 0] < new.humans[0, -1, 0] - 5.0  # m, after 4 s at first at -6 m/s^2
 
 
 def test_nothing_compiles_after_the_first_step(caplog):
-    driver(PricedRungs(1.0)).step(SCENE)
+    for name in ("priced:1", "budget:20"):
+        driver(name).step(SCENE)
     caplog.clear()
     with jax.log_compiles():
-        for choice in (*map(FixedRung, MODELS), PricedRungs(0.0), BudgetedRungs(20.0)):
-            planning = replace(PLANNING, desired_speed=22.0, grip=4.0)
-            other = RoadDriver(planning, choice, RoadWeights(speed=2.0), COSTS)
+        for name in (*(f"fixed:{model}" for model in MODELS), "priced:0.5", "budget:5"):
+            other = driver(name, replace(PLANNING, desired_speed=22.0, grip=4.0))
+            other.weights = RoadWeights(speed=2.0)
             other.step(scene_of(cars=[(20.0, 0, 10.0)]))
             other.step(scene_of(bend=1 / 50, robot=(0.0, 0.0, 0.0, 10.0)))
     assert not [record for record in caplog.records if "compilation" in record.getMessage()]
@@ -117,7 +116,7 @@ def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_bra
 
 
 def test_the_next_plan_has_the_rest_of_the_last_one_also_where_one_between_them_failed():
-    robot = RoadDriver(replace(PLANNING, desired_speed=10.0), FixedRung("naive"), costs=COSTS)
+    robot = driver(planning=replace(PLANNING, desired_speed=10.0))
     wreck = wrecked(country_road((26.0, 0, 0.0)), 0)
     step = robot.step(wreck)
     for passed in (1, 2):

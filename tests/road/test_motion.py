@@ -9,8 +9,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
 from roads import PLANNING, execute, scene_of
 
-from ms_highway.road.motion import bodies, within_tyres
 from ms_highway.road.robot import steering_of
+from ms_highway.road.simulation import bodies, within_tyres
 
 GRIP, LENGTH = float(PLANNING.grip), Vehicle.LENGTH
 

@@ -13,7 +13,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.geometry.path import BEHIND, SPACING, locate, place
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.geometry.road_map import road_map
 from ms_highway.road.observation import observe_road
 from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS
@@ -27,7 +27,7 @@ BEHIND_KNOTS = round(BEHIND / SPACING)
 KINDS = {"leaders": np.int32, "owners": np.int32, "names": np.int32}
 KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
 
-located, placed = jax.jit(locate), jax.jit(jax.vmap(place))
+located, placed = jax.jit(Curve.project), jax.jit(jax.vmap(Curve.place))
 
 
 def with_ego(scene, lane=None, at=0.0):
@@ -194,7 +194,7 @@ def test_cars_that_come_are_seen_from_farther_than_those_that_go_the_same_way():
     (comes, _) = among(ego, (("b", "a", 0), 500.0), (("a", "b", 0), 300.0))
     seen = observe_road(ego)
     assert seen.present.sum() == 1
-    x, _, _ = place(jax.tree.map(lambda field: field[0], seen.paths), *seen.states[0, :2])
+    x, _, _ = Curve.place(jax.tree.map(lambda field: field[0], seen.paths), *seen.states[0, :2])
     assert x == pytest.approx(comes.position[0], abs=0.1)
 
 

@@ -19,10 +19,10 @@ from roads import (
 )
 
 from ms_highway.road.driver import plan_of
-from ms_highway.road.obstruction import obstruction_of
 from ms_highway.road.plan import no_plan
 from ms_highway.road.proposals import ALL, LAST_PLAN
 from ms_highway.road.scene import TRAFFIC
+from ms_highway.road.traffic import obstruction_of
 from ms_highway.runtime.compilation import jit_quickly
 
 ACROSS = np.pi / 2

@@ -18,13 +18,13 @@ from roads import (
     driven_and_judged,
     execute,
     judged,
-    manners_of,
     scene_of,
+    told,
     winding,
     wrecked,
 )
 
-from ms_highway.geometry.path import SPACING, interpolate
+from ms_highway.geometry.curve import SPACING, interpolate
 from ms_highway.road.proposals import ALL, FULL_BRAKING, PROPOSALS
 from ms_highway.road.scene import KNOTS, TRAFFIC
 
@@ -40,9 +40,8 @@ LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where
 def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING, surprise=AS_MODELLED):
     """All proposals, and how they turn out."""
     plans = PLANS._replace(controls=np.tile(np.asarray(last, np.float32), (PROPOSALS, 1, 1)))
-    accelerations = np.tile(np.asarray(accelerations, np.float32), (PROPOSALS, 1, 1))
-    manners = manners_of(follows, given=ordered, accelerations=accelerations, surprise=surprise)
-    return plans, driven_and_judged(scene, PLANNING, manners, plans)[0]
+    others = told(follows, ordered, accelerations, surprise)
+    return plans, driven_and_judged(scene, PLANNING, others, plans)[0]
 
 
 def given(scene, controls, lane, follows):

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from ms_highway.runtime.files import LOCK, append, held, reading, remove_temporary, replacing, temporary, tidy
+from ms_highway.runtime.files import LOCK, held, reading, remove_temporary, replacing, temporary, tidy
 
 SIZE = 20_000  # bytes
 
@@ -32,16 +32,6 @@ def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
         path.write_text("x" * SIZE)
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
-
-
-def test_rows_are_appended_all_or_none(tmp_path):
-    file = tmp_path / "steps.csv"
-    file.write_text("header\n")
-    append(file, "1,2\n")
-    with room_for(1000), pytest.raises(OSError, match=r"steps\.csv cannot be written: File too large"):
-        append(file, "3,4\n" * SIZE)
-    append(file, "5,6\n")
-    assert file.read_text() == "header\n1,2\n5,6\n"
 
 
 def test_several_may_write_the_same_file_and_readers_find_it_whole(tmp_path):

@@ -16,9 +16,9 @@ from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, Ro
 from ms_highway.vehicle.road_view import look
 
 
-def road_with(*cars, lanes=2):
+def road_with(*cars, lanes=2, limit=20.0):
     """A straight road with cars on it: each a kind, its position, its speed and further attributes."""
-    road = Road(RoadNetwork.straight_road_network(lanes, speed_limit=20.0), np_random=np.random.RandomState(0))
+    road = Road(RoadNetwork.straight_road_network(lanes, speed_limit=limit), np_random=np.random.RandomState(0))
     for kind, position, speed, *heading in cars:
         road.vehicles.append(kind(road, list(position), *(heading or [0.0]), speed))
     return road, *road.vehicles
@@ -97,6 +97,33 @@ def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
     assert human.speed == pytest.approx(20.0, abs=1.5)
     assert not human.crashed
     assert human.last_step.status == "planned"
+
+
+@pytest.mark.parametrize("slower", [8.0, 12.0, 20.0])
+def test_a_human_does_not_run_into_a_car_that_is_slower(slower):
+    road, human, leader = road_with(
+        (HumanVehicle, (0.0, 0.0), 20.0), (ScriptedVehicle, (60.0, 0.0), 20.0 - slower), lanes=1
+    )
+    drive(road, 150)
+    assert not human.crashed
+    assert 1.0 < leader.position[0] - human.position[0] - human.LENGTH < 25.0
+    assert human.speed == pytest.approx(20.0 - slower, abs=1.0)
+
+
+def test_a_human_at_highway_speed_stops_behind_a_standing_car():
+    cars = (HumanVehicle, (0.0, 0.0), 30.0), (ScriptedVehicle, (150.0, 0.0), 0.0)
+    road, human, leader = road_with(*cars, lanes=1, limit=30.0)
+    drive(road, 150)
+    assert not human.crashed
+    assert 1.0 < leader.position[0] - human.position[0] - human.LENGTH < 25.0
+
+
+def test_cars_that_are_not_in_the_way_do_not_slow_a_human_down():
+    alone, beside = (
+        drive(road_with((HumanVehicle, (0.0, 0.0), 10.0), *others, lanes=3)[0], 15)
+        for others in ([], [(ScriptedVehicle, (30.0, 8.0), 0.0), (ScriptedVehicle, (-30.0, 0.0), 10.0)])
+    )
+    assert beside[-1] == pytest.approx(alone[-1], abs=0.5)
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ import pytest
 from rich.console import Console
 
 from ms_highway.game.learned_reward import shipped
+from ms_highway.irl.commonroad import read_directory
 from ms_highway.irl.evaluation import LEVELS, Evaluation
-from ms_highway.irl.predictors import PREDICTORS
-from ms_highway.visualization.irl.prediction import evaluation_figures, paths_figure
-from ms_highway.visualization.irl.tables import evaluation_tables, learned_tables
+from ms_highway.irl.prediction import PREDICTORS
+from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, learned_tables, paths_figure
 
 KINDS = ("fde", "ade", "rmse", "miss", "log_p", *(f"inside {level}" for level in LEVELS))
 
@@ -48,11 +48,13 @@ def test_measures_are_drawn_against_the_horizon_for_all_predictors():
     assert list(predictors[1].get_ydata()) == pytest.approx([0.89] * 4)
 
 
-def test_recorded_and_predicted_paths_of_a_moment_are_drawn(us101):
-    (axes,) = paths_figure(us101[:1], shipped("us101").drivers).axes
+@pytest.mark.slow
+def test_recorded_and_predicted_paths_of_a_snapshot_are_drawn(us101_directory):
+    (recording,) = read_directory(us101_directory, 1)
+    (axes,) = paths_figure([recording], shipped("us101").drivers).axes
     drawn = [line.get_xydata() for line in axes.lines if len(line.get_xydata()) == 51]
     assert len(drawn) % 4 == 0
-    tracks = us101[0].states[..., :2]
+    tracks = recording.states[..., :2]
     for path in drawn[: len(drawn) // 4]:
         starts = np.argwhere((tracks == path[0]).all(axis=-1)).tolist()  # several, of a car that stands
         assert any(np.array_equal(path, tracks[step : step + 51, car]) for step, car in starts)
@@ -66,5 +68,5 @@ def test_tables_show_what_was_found():
     assert printed(evaluation_tables(evaluation())[1:2]).count("1.50") == len(PREDICTORS)
     assert "25.00" in printed([last])
     text = printed(learned_tables(shipped("us101"), {"headway": 0.5}))
-    for shown in ("learned from 6856 windows", "0.5 ", "expected", "patiences", "headway while changing lanes"):
+    for shown in ("learned from 6856 segments", "0.5 ", "expected", "patiences", "headway while changing lanes"):
         assert shown in text

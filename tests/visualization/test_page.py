@@ -141,9 +141,9 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("", "a page shows one comparison, not 0; name one directory, such as results/compare"),
+        ("", "the following arguments are required: DIR; see ms-highway report --help"),
         ("elsewhere", "there is no directory elsewhere; name a directory that `ms-highway compare` wrote"),
-        (".", "has no steps.csv; name a directory that `ms-highway compare` wrote"),
+        (".", "has no settings.json; name a directory that `ms-highway compare` wrote"),
         ("{} --out page.pdf", "--out is page.pdf; name an .html file"),
     ],
 )

@@ -3,7 +3,6 @@
 A process is left after its episodes, because some scenes change the class of the other vehicles for good.
 """
 
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
@@ -12,7 +11,7 @@ from queue import Queue
 from threading import Event
 
 from ms_highway.benchmarks.road.episodes import Block, Episode, file_name, film, run_episode
-from ms_highway.runtime.jax_settings import cores, low_latency, own_process
+from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 
 def run_blocks(
@@ -42,7 +41,7 @@ def run_blocks(
 
     def drive_blocks(core: int) -> None:
         for block in remaining:
-            with own_process(partial(_on_one_core, core), modules) as process:
+            with own_process(partial(low_latency_on_core, core), modules) as process:
                 firsts: dict[bool, int] = {}  # seeds of the first success and failure
                 for seed in seeds:
                     if stopped.is_set():
@@ -70,11 +69,3 @@ def run_blocks(
         finally:
             stopped.set()
             threads.shutdown(wait=False, cancel_futures=True)
-
-
-def _on_one_core(number: int) -> None:
-    """Prepare a process for drivers that decide on one core."""
-    if hasattr(os, "sched_setaffinity"):
-        available = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {available[number % len(available)]})
-    low_latency()

@@ -39,14 +39,14 @@ class Drive:
     def see(self) -> None:
         """Add the present states of all vehicles."""
         env = self._env
-        step = env.step_of_recording + (1 if self._ego else 0)  # the road has moved, its counter has not
-        everyone = [env.vehicle, *env.road.traffic.vehicles.values()]
+        everyone = [env.vehicle, *env.road.others]
         points = env.axes.points([vehicle.position for vehicle in everyone])
         orientations = env.axes.orientations([vehicle.heading for vehicle in everyone])
         for vehicle, (x, y), orientation in zip(everyone, points.tolist(), orientations.tolist(), strict=True):
-            own = self._ego if vehicle is env.vehicle else self._others.setdefault(vehicle.number, [])
-            own.append((step, x, y, orientation, float(vehicle.speed)))
-            self._sizes[getattr(vehicle, "number", None)] = vehicle.LENGTH, vehicle.WIDTH
+            number = None if vehicle is env.vehicle else vehicle.track.number
+            own = self._ego if number is None else self._others.setdefault(number, [])
+            own.append((env.road.now, x, y, orientation, float(vehicle.speed)))
+            self._sizes[number] = vehicle.LENGTH, vehicle.WIDTH
 
     def write(self, directory: Path, name: str) -> None:
         """Write ``NAME.xml``, the scenario as it was driven, and ``NAME.solution.xml``, the ego's solution.

@@ -15,9 +15,9 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.recorded.environment import RecordedEnv
-from ms_highway.road.appointment import Appointment
 from ms_highway.road.driven import unheeded
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
+from ms_highway.road.timed_goal import TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 
 
@@ -172,7 +172,7 @@ class Idm(Peer):
     """Let highway-env's IDM and MOBIL drive the ego, as they drive the others: on a route to the goal, if there is one.
 
     They decide in every frame. The desired speed is that of `ms_highway.road.stock.desired_speed_of`, as for this
-    package's drivers; IDM keeps the speed limits of lanes by itself. An appointment is kept by its own desired speed.
+    package's drivers; IDM keeps the speed limits of lanes by itself. A timed goal sets the desired speed instead.
     """
 
     counted = slice(1, None)  # the first one is not the ego's
@@ -183,10 +183,10 @@ class Idm(Peer):
         ego.target_speeds, ego.route, ego.decisions = self.target_speeds, route_to_goal(self.inner), self.decisions
 
     def choose(self) -> Any:
-        """Let the ego decide, at the speed that keeps an appointment."""
-        appointment = destination_of(self.inner)
-        if isinstance(appointment, Appointment):
-            self.inner.vehicle.target_speed = appointment.desired_speed(self.inner.vehicle, self.inner.time)
+        """Let the ego decide, at the speed that reaches a timed goal in time."""
+        goal = destination_of(self.inner)
+        if isinstance(goal, TimedGoal):
+            self.inner.vehicle.target_speed = goal.desired_speed(self.inner.vehicle, self.inner.time)
         return super().choose()
 
 

@@ -9,9 +9,10 @@ from ms_highway.benchmarks.road.peers import Peer
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.commonroad import scenario_files
 from ms_highway.recorded.environment import RecordedEnv
+from ms_highway.recorded.learned_traffic import ways_of
 from ms_highway.recorded.scenario import SHIPPED, TrafficRecording, open_recording
-from ms_highway.recorded.straight_road import StraightRoad
-from ms_highway.recorded.traffic import RecordedVehicle, sampled
+from ms_highway.recorded.straight_road import map_of
+from ms_highway.recorded.traffic import GuidedVehicle
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
@@ -69,30 +70,16 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
 
 def _changing(scenario: TrafficRecording) -> list[tuple[int, tuple[float, ...]]]:
     """Return number and first position of each vehicle that ends in another lane than it began in."""
-    straight, found = StraightRoad.of(scenario.lanelets), []
+    found = []
     for track in scenario.tracks:
         samples = track.samples
         if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
             continue
-        places = straight.path(track)[[0, -1], 1] / straight.lane_width
+        places = ways_of(scenario)[track.number].states[[0, -1], 1] / map_of(scenario).straight.lane_width
         lanes = np.rint(places)
         if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED and abs(places[1] - places[0]) > CHANGED:
             found.append((track.number, tuple(samples[0, 1:3].round(2).tolist())))
     return found
-
-
-class GuidedVehicle(RecordedVehicle):
-    """An ego that moves to a given state.
-
-    Attributes:
-        coming: position, heading and speed at the end of the step.
-    """
-
-    coming: tuple[np.ndarray, float, float]
-
-    def step(self, dt: float) -> None:
-        """Move to the given state."""
-        self.put(*self.coming)
 
 
 class Human(Peer):
@@ -114,10 +101,8 @@ class Human(Peer):
 
     def choose(self) -> Any:
         """Give the ego the recorded state at the end of the step."""
-        env, last = self.inner, int(self._track.samples[-1, 0])
-        step = env.step_of_recording + 1
-        x, y, orientation, speed = sampled(self._track, step)
-        beyond = TIME_STEP * max(step - last, 0) * speed
-        x, y = x + beyond * np.cos(orientation), y + beyond * np.sin(orientation)
-        self._ego.coming = *env.axes.pose(x, y, orientation), float(speed)
+        road, last = self.inner.road, int(self._track.samples[-1, 0])
+        position, heading, speed = road.recorded_state(self._track, road.now + 1)
+        beyond = TIME_STEP * max(road.now + 1 - last, 0) * speed
+        self._ego.coming = position + beyond * np.array([np.cos(heading), np.sin(heading)]), heading, speed
         return super().choose()

@@ -5,12 +5,9 @@ import pandas as pd
 from scipy import stats
 
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.records import KEYS, count_column, models_of, share_column
-from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
-from ms_highway.planning.human_models import known_models
+from ms_highway.experiments.records import count_column, models_of, per_episode, share_column
 
 CONFIDENCE = 0.9
-FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
 MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_seconds", "decision_ms": "decision_seconds"}
 
 
@@ -29,54 +26,30 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`; or per simulated episode, see
-            `ms_highway.experiments.batch.Batch.episodes_table`, of which nothing was measured.
+            `ms_highway.experiments.records.per_episode`, of which nothing was measured.
 
     Raises:
         ValueError: for an unknown controller.
     """
-    table = _marked(records) if "step" in records else records
-    means = [column(name) for column in (share_column, count_column) for name in models_of(table, column)]
-    means += [name for name in ("success", "late", "way_out") if name in table]
+    table, by = per_episode(records) if "step" in records else records, ["scenario", "controller"]
+    shares = [column(name) for column in (share_column, count_column) for name in models_of(table, column)]
+    shares += [name for name in ("success", "late", "way_out") if name in table]
     rows = []
-    for (scenario, controller), some in table.groupby(["scenario", "controller"], sort=False):
-        config, episodes = controller_config(controller), some.groupby("seed")
-        rewards = episodes["reward"].mean()
+    for (scenario, controller), some in table.groupby(by, sort=False):
+        config, rewards = controller_config(controller), some["reward"]
         low, high = interval(rewards)
-        row = {
-            "scenario": scenario,
-            "controller": controller,
-            "kind": config["type"],
-            "price": config.get("lambda", np.nan),
-            "episodes": len(rewards),
-            "reward": rewards.mean(),
-            "reward_low": low,
-            "reward_high": high,
-            "reward_std": rewards.std(),
-            **{name: 1e3 * some[column].mean(skipna=False) for name, column in MILLISECONDS.items() if column in some},
-            "collision_episodes": int((episodes["collisions"].sum() > 0).sum()),
-            "fallbacks": int(some["fallbacks"].sum()),
-            **some[means].mean(),
-        }
-        if "cycle_ms" in some:
-            row["cycle_ms_p50"], row["cycle_ms_p99"] = some["cycle_ms"].quantile([0.5, 0.99])
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def _marked(steps: pd.DataFrame) -> pd.DataFrame:
-    """Return steps with columns whose means and sums a summary has."""
-    table = steps.assign(
-        **{share_column(model): steps["model"] == model for model in known_models(steps["model"].unique())},
-        late=steps["status"] == STATUSES[LATE],
-        way_out=steps["status"] == STATUSES[WAY_OUT],
-        fallbacks=steps["status"].isin(FAILED),
-        collisions=steps["collision"],
-        cycle_ms=1e3 * (steps["planning_seconds"] + steps["decision_seconds"]),
-    )
-    if "success" in table:
-        last = table["step"] == table.groupby(KEYS)["step"].transform("max")
-        table["success"] = table["success"].where(last).astype(float)
-    return table
+        row = {"scenario": scenario, "controller": controller}
+        row |= {"kind": config["type"], "price": config.get("lambda", np.nan), "episodes": len(some)}
+        row |= {"reward": rewards.mean(), "reward_low": low, "reward_high": high, "reward_std": rewards.std()}
+        row |= {name: 1e3 * some[column].mean(skipna=False) for name, column in MILLISECONDS.items() if column in some}
+        row |= {"collision_episodes": (some["collisions"] > 0).sum(), "fallbacks": some["fallbacks"].sum()}
+        rows.append(row | dict(some[shares].mean()))
+    summaries = pd.DataFrame(rows)
+    if "planning_seconds" in records:
+        cycles = records.assign(ms=1e3 * (records["planning_seconds"] + records["decision_seconds"])).groupby(by)["ms"]
+        quantiles = pd.DataFrame({"cycle_ms_p50": cycles.quantile(0.5), "cycle_ms_p99": cycles.quantile(0.99)})
+        summaries = summaries.join(quantiles, on=by)
+    return summaries
 
 
 def interval(values: pd.Series) -> tuple[float, float]:

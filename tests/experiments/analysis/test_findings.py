@@ -82,7 +82,7 @@ def test_counted_milliseconds_have_two_digits_and_a_table_names_the_controllers_
     assert printed(summary(table[:2]), "merger").caption is None
 
 
-@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("width", [60, 80, 120])
 def test_a_printed_table_is_no_wider_than_the_terminal_and_shows_every_cell(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
     cells = {f"column {place}": "-1.89, 2.33" for place in range(12)}

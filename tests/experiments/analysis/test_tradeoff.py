@@ -5,8 +5,10 @@ import pandas as pd
 import pytest
 
 from ms_highway.envs.registry import controller_config
+from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.visualization.comparison import episode_count
-from ms_highway.visualization.tradeoff import curve
+from ms_highway.visualization.tables import regret_tables
+from ms_highway.visualization.tradeoff import curve, frontier
 
 ROWS = [
     ("naive", 1.0, 90.0),
@@ -63,3 +65,22 @@ def test_a_title_says_that_controllers_have_several_numbers_of_episodes(summarie
     assert episode_count(summaries) == "30 episodes per controller"
     summaries.loc[0, "episodes"] = 5
     assert episode_count(summaries) == "5 to 30 episodes per controller"
+
+
+def test_the_frontier_and_the_regrets_of_a_scenario_are_shown_from_those_of_several():
+    found = BEST_PER_START, "search", 0.2, 6.5, 0.0
+    rows = [("naive", "fixed", 0.09, 1.0, 5.0), ("tom", "fixed", 0.37, 6.0, 0.4), found]
+    table = pd.DataFrame(rows, columns=["controller", "kind", "counted_seconds", "reward", "regret"])
+    table = table.assign(price=1.0, reward_low=0.0, reward_high=7.0, meta_reward=1.0, regret_low=0.0, regret_high=9.0)
+    behind = pd.concat([table.assign(scenario=name) for name in ("merger", "give_way")])  # as the command joins them
+    (axes,) = frontier(behind, "give_way", 30).axes
+    points = np.concatenate([line.get_xydata() for line in axes.lines])
+    assert [200.0, 6.5] in points.tolist()
+    (shown,) = regret_tables(behind, "give_way")
+    assert shown.title == "give_way, a second of planning costs 1"
+    assert [list(column.cells) for column in shown.columns][:4] == [
+        ["naive", "tom", BEST_PER_START],
+        ["", "best for all starts", ""],
+        ["1.00", "6.00", "6.50"],
+        ["90", "370", "200"],
+    ]

@@ -1,18 +1,33 @@
-"""Recorded driving, simulated or real: the states of all cars, in lane coordinates, and smooth tracks of drivers.
+"""Recorded driving, simulated or real: the states of all cars in lane coordinates, and smooth tracks of drivers.
 
 In lane coordinates, x runs along the road, y to the right of its leftmost lane's centre, and headings are relative to
 its direction, so that recorded roads are straight like those of `ms_highway.game.scene`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.dynamics import Dynamics, recover_control, step
-from ms_highway.irl.arrays import CarFlags, CarStates, Numbers, Points, States, Values
+from ms_highway.runtime.arrays import Vector
+
+# Arrays of learning and prediction, of NumPy or JAX
+Flags = Bool[Any, "n"]
+Numbers = Int[Any, "n"]
+Points = Float[Any, "points 2"]
+States = Float[Any, "*times 4"]  # x, y, heading and speed
+Controls = Float[Any, "*n steps 2"]
+Cars = Float[Any, "*n cars"]
+CarFlags = Bool[Any, "*n cars"]
+CarNumbers = Int[Any, "*n cars"]
+CarStates = Float[Any, "*n cars 4"]
+
+LANES = 6  # at least, so that one compilation serves most roads
 
 # Standard deviations. Errors of position and jerks together decide how smooth tracks are: here, oscillations faster
 # than (JERK dt / POSITION)^(1/3) / dt, a third of a hertz, count as noise. The other three are wide, and only decide
@@ -49,7 +64,7 @@ class Recording:
     states: CarStates
     drivers: Numbers
     sizes: Points
-    lanes: Values
+    lanes: Vector
     lane_width: float
     speed_limit: float
     measured: bool = True
@@ -76,9 +91,19 @@ class Recording:
         return np.isfinite(self.states).all(axis=-1)
 
 
-def number_groups(recordings: Sequence[Recording]) -> dict[str, int]:
-    """Number the groups of recordings, by name, in order of appearance."""
-    return {name: number for number, name in enumerate(dict.fromkeys(item.group for item in recordings))}
+def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, int, Vector]]:
+    """Number the groups and the drivers of recordings, and pad their lanes to one length.
+
+    Yields every recording; the number of its group, in order of appearance; the number of its first driver among the
+    drivers of all recordings; and its lanes, of which the last is repeated, which changes no feature.
+    """
+    most = max((LANES, *(len(item.lanes) for item in recordings)))
+    groups: dict[str, int] = {}
+    tracks = 0
+    for item in recordings:
+        lanes = np.pad(np.asarray(item.lanes, float), (0, most - len(item.lanes)), mode="edge")
+        yield item, groups.setdefault(item.group, len(groups)), tracks, lanes
+        tracks += len(item.drivers)
 
 
 class Track(NamedTuple):
@@ -136,10 +161,8 @@ def smoothed(recorded: Points, dynamics: Dynamics) -> Track:
 
     likeliest = np.stack([np.full_like(speed, x), np.full_like(speed, y), heading, speed], axis=-1)
     controls = recover_control(dynamics, likeliest[:-1], likeliest[1:])
-    states = [likeliest[0]]
-    for control in controls:
-        states.append(step(dynamics, states[-1], control))
-    return Track(np.stack(states), controls)
+    states = accumulate(controls, partial(step, dynamics), initial=likeliest[0])
+    return Track(np.stack(list(states)), controls)
 
 
 def _running(increments: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ from roads import NOBODY, PLANNING, PLANS, coming, now_in, proposals_of, scene_o
 from ms_highway.road.constants import IDM
 from ms_highway.road.plan import no_plan
 from ms_highway.road.proposals import ALL
-from ms_highway.road.prospects import missing_room, prospects
 from ms_highway.road.scene import KNOTS, TRAFFIC
+from ms_highway.road.terminal_value import missing_room, speed_lost
 from ms_highway.runtime.compilation import jit_quickly
 
 MEMORY = no_plan(PLANNING)
@@ -18,7 +18,7 @@ FOLLOWING, CLOSING_UP, BRAKING, KEEPING_SPEED = (
     for profile in ((0.0, True, False), (0.0, True, True), (-3.0, False, False), (0.0, False, False))
 )  # in the own lane
 
-lost_after = jit_quickly(lambda now, rollouts: prospects(now, rollouts, PLANS.lane)[0])
+lost_after = jit_quickly(lambda now, rollouts: speed_lost(now, rollouts, PLANS.lane)[0])
 room_missing = jit_quickly(missing_room)
 
 

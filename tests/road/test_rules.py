@@ -3,16 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from roads import PLANNING, WEIGHTS, scene_of
 
+from ms_highway.choice.rule import first_memory
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.road.constants import IDM, MODELS
-from ms_highway.road.driver import proposed_for
+from ms_highway.road.constants import IDM, MODELS, TOM
+from ms_highway.road.driver import decided, proposed_for
 from ms_highway.road.plan import no_plan
-from ms_highway.road.rungs import BudgetedRungs, FixedRung, PricedRungs
 from ms_highway.road.scene import TRAFFIC
+from ms_highway.road.settings import RoadSettings
 
-TOP = len(MODELS) - 1
 COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.003]))
 GAINS = np.array([0.0, 5.0, 0.2, 30.0, 1e-3, 0.0, 2.0])
 
@@ -40,38 +41,44 @@ def test_the_answer_of_a_car_that_is_in_the_way_and_could_yield_is_worth_somethi
     np.testing.assert_array_equal(gains[1:], 0.0)
 
 
-def test_a_fixed_model_predicts_everybody():
-    for number, name in enumerate(MODELS):
-        np.testing.assert_array_equal(FixedRung(name).choose(GAINS, COSTS, 1.0), number)
+def chosen(driver, costs, gains=GAINS, spent=0.0, ladder=MODELS):
+    """Numbers of the models that a driver's rule chooses."""
+    rule = RoadSettings.read({"driver": driver, "ladder": ladder}).rule(costs).deciding_in(lambda: spent)
+    rungs = decided(rule, None, first_memory(rule, len(gains)), gains.astype(np.float32)).memory.rungs
+    return np.array([MODELS.index(model.name) for model in rule.ladder])[rungs]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_fixed_model_predicts_everybody(name):
+    np.testing.assert_array_equal(chosen(f"fixed:{name}", COSTS), MODELS.index(name))
 
 
 def test_models_that_cost_nothing_predict_everybody():
-    np.testing.assert_array_equal(PricedRungs(0.0).choose(GAINS, COSTS, 0.0), TOP)
-    free = Costs(0.004, np.array([0.0, 0.0, 0.002]))
-    for choice in (PricedRungs(1e9), BudgetedRungs(0.1)):
-        np.testing.assert_array_equal(choice.choose(GAINS, free, 0.0), IDM)
+    np.testing.assert_array_equal(chosen("priced:0", COSTS), TOM)
+    np.testing.assert_array_equal(chosen("priced:1", Costs(0.0, np.zeros(3))), TOM)
+    for driver in ("priced:1e9", "budget:0.1"):
+        np.testing.assert_array_equal(chosen(driver, Costs(0.004, np.array([0.0, 0.0, 0.002]))), IDM)
 
 
 def test_a_higher_price_never_buys_a_more_expensive_model():
-    chosen = np.array([PricedRungs(price).choose(GAINS, COSTS, 0.0) for price in np.geomspace(1, 1e6, 30)])
-    assert (np.diff(chosen, axis=0) <= 0).all()
-    assert len(np.unique(chosen[:, 3])) == len(MODELS)
+    found = np.array([chosen(f"priced:{price}", COSTS) for price in np.geomspace(1, 1e6, 30)])
+    assert (np.diff(found, axis=0) <= 0).all()
+    assert len(np.unique(found[:, 3])) == len(MODELS)
 
 
 def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
     random = np.random.default_rng(0)
-    for _ in range(100):
+    for _ in range(20):
         gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
         costs = Costs(random.uniform(0, 0.004), np.cumsum([0.0, *random.uniform(0, 0.002, 2)]))
         milliseconds, spent = random.uniform(0, 20), random.uniform(0, 0.005)
-        rungs = BudgetedRungs(milliseconds).choose(gains, costs, spent)
-        extra = costs.each[rungs].sum()
-        assert extra == 0 or spent + costs.base + extra <= milliseconds / 1e3 + 1e-12
-        assert (np.diff(rungs[np.argsort(-gains, kind="stable")]) <= 0).all()
-        assert (rungs[gains == 0] == 0).all()
+        models = chosen(f"budget:{milliseconds}", costs, gains, spent)
+        extra = costs.each[models].sum()
+        assert extra == 0 or spent + costs.base + extra <= milliseconds / 1e3 + 1e-6
+        assert (np.diff(models[np.argsort(-gains, kind="stable")]) <= 0).all()
+        assert (models[gains == 0] == 0).all()
 
 
 def test_only_models_on_the_ladder_are_chosen():
-    ladder = ("naive", "idm")
-    for choice in (PricedRungs(1e-6, ladder), BudgetedRungs(1e3, ladder)):
-        np.testing.assert_array_equal(choice.choose(GAINS, COSTS, 0.0), np.where(GAINS > 0, IDM, 0))
+    for driver in ("priced:1e-6", "budget:1000"):
+        np.testing.assert_array_equal(chosen(driver, COSTS, ladder=("naive", "idm")), np.where(GAINS > 0, IDM, 0))

@@ -1,4 +1,4 @@
-"""Be at a place in time: a spot on a lane, when to be there, how fast, and how fast to go until then."""
+"""Define goals in time: a spot on a lane, when to be there and how fast; and how fast to go until then."""
 
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -12,7 +12,6 @@ from ms_highway.geometry.lane_paths import Point
 from ms_highway.geometry.road_map import MOST_ROADS, Spot, road_map
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.driver import RoadDriver
-from ms_highway.road.prospects import SECONDS_AFTER
 
 SPARE = 2.0  # s, from the ends of the time to be there, at most
 LOOK_AHEAD = 1.0  # s, after which the speed on the way there is desired
@@ -21,12 +20,12 @@ WITHIN = 0.5  # m/s, inside the interval of speeds
 GOAL = 20.0  # weight of being in the lane in time: more than that others there are slow
 SLOWEST = 0.1  # m/s, that is desired
 SOON = 0.1  # s
-CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap of who follows closely
+CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap below which a follower counts as close
 GENTLE, BEFORE = 1.5, 1.0  # m/s^2 and m, of braking before the spot
 
 
 @dataclass(frozen=True)
-class Appointment:
+class TimedGoal:
     """A spot to be at within an interval of time.
 
     Attributes:
@@ -55,14 +54,14 @@ class Appointment:
         return passed - float(own.shape.local_coordinates(vehicle.position)[0])
 
     def desired_speed(self, vehicle: Vehicle, now: float) -> float:
-        """Return the speed at which to go now so as to keep the appointment [m/s].
+        """Return the speed at which to go now to be there in time [m/s].
 
         Of the constant accelerations that lead there in time, ``s = v t + a t^2 / 2``, and to an allowed speed there,
         ``v + a t = 2 s / t - v``, it takes the least, and returns the speed a second later. Who follows closely is not
         held up as long as the speed can still be reduced before the spot.
 
         Args:
-            vehicle: which keeps it.
+            vehicle: that drives there.
             now: the time [s].
         """
         left, speed = self.distance(vehicle), float(vehicle.speed)
@@ -81,27 +80,27 @@ class Appointment:
         return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left - BEFORE, 0.0))), SLOWEST)
 
     def guide(self, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
-        """Let the next plan of a vehicle's driver keep the appointment; what follows that counts for nothing.
+        """Let the next plan of a vehicle's driver be there in time; what follows that counts for nothing.
 
         Args:
             driver: of the vehicle.
-            vehicle: which keeps it.
+            vehicle: that drives there.
             now: the time [s].
         """
         planning, weights = driver.planning, RoadWeights()
-        rest = (self.times[1] - now - planning.steps * float(planning.time_step)) / SECONDS_AFTER
-        prospect = float(weights.prospect) * min(max(rest, 0.0), 1.0)
+        rest = (self.times[1] - now - planning.steps * float(planning.time_step)) / weights.horizon
+        terminal = float(weights.terminal) * min(max(rest, 0.0), 1.0)
         driver.planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
-        driver.weights = replace(weights, goal=GOAL, prospect=prospect)
+        driver.weights = replace(weights, goal=GOAL, terminal=terminal)
 
 
-RobotGoal: TypeAlias = str | Appointment | None
-"""A node of the road network to drive to, or an appointment, or nothing."""
+RobotGoal: TypeAlias = str | TimedGoal | None
+"""A node of the road network to drive to, or a goal in time, or nothing."""
 
 
 def destination_for(goal: RobotGoal) -> str | Spot | None:
     """Return where a goal lies, for `ms_highway.road.observation.observe_road`."""
-    return goal.spot if isinstance(goal, Appointment) else goal
+    return goal.spot if isinstance(goal, TimedGoal) else goal
 
 
 def _follower_speed(vehicle: Vehicle) -> float:

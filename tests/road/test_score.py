@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
 from roads import NOBODY, PLANNING, WEIGHTS, coming, crossing, judged, now_in, on_path, scene_of, turning_off, wrecked
 
-from ms_highway.geometry.path import BEHIND, SPACING
-from ms_highway.road.prospects import urgency
-from ms_highway.road.scene import LANES, TRAFFIC, TRAFFIC_KNOTS
-from ms_highway.road.scoring import blocks, separation
+from ms_highway.geometry.curve import BEHIND, SPACING
+from ms_highway.road.scene import LANES, TRAFFIC_KNOTS
+from ms_highway.road.score import blocks
+from ms_highway.road.terminal_value import urgency
 from ms_highway.runtime.compilation import jit_quickly
 
 STEPS, OWN, RIGHT = PLANNING.steps, 1, 2
@@ -35,24 +34,6 @@ def changing(curvature, seconds):
     return controls
 
 
-def polygon(x, y, heading, length, width):
-    corners = rect_corners(np.array([x, y]), length, width, heading)
-    return np.array([*corners, corners[0]])
-
-
-def test_bodies_are_apart_exactly_where_highway_env_says_so():
-    random, number, own = np.random.default_rng(0), 300, (0.5, -0.3, 2.0)
-    others = *random.uniform(-6, 6, (2, number)), random.uniform(-7, 7, number)
-    sizes = random.uniform(0.5, 6, (number, 2))
-    found = np.asarray(separation(tuple(map(jnp.float32, own)), jnp.array([5.0, 2.0]), others, sizes))
-    for place, size, apart in zip(np.transpose(others), sizes, found, strict=True):
-        touching, *_ = are_polygons_intersecting(
-            polygon(*own, 5.0, 2.0), polygon(*place, *size), np.zeros(2), np.zeros(2)
-        )
-        assert abs(apart) < 1e-3 or touching == (apart < 0)
-    assert 0.2 < np.mean(found < 0) < 0.8
-
-
 @pytest.mark.parametrize(("place", "expected"), [(1.25, (False, False)), (1.5, (False, True)), (1.75, (True, True))])
 def test_what_has_crashed_is_passed_by_more_than_a_car_that_stands_and_may_drive_on(place, expected):
     standing, crashed = (scene_of(robot=(0.0, place, 0.0, 10.0), cars=[(20.0, 1, 0.0)]) for _ in range(2))
@@ -63,7 +44,7 @@ def test_what_has_crashed_is_passed_by_more_than_a_car_that_stands_and_may_drive
 
 def test_cars_that_are_not_there_cost_nothing():
     scene = scene_of(cars=[(30.0, 0, 0.0)])
-    _, scores = scores_of(replace(scene, present=np.zeros(TRAFFIC, bool)), KEEPING, (0.0, -4.0))
+    _, scores = scores_of(replace(scene, present=NOBODY, moving=NOBODY), KEEPING, (0.0, -4.0))
     _, alone = scores_of(scene_of(), KEEPING, (0.0, -4.0))
     np.testing.assert_allclose(scores.total, alone.total, rtol=1e-5)
     assert not np.asarray(scores.broken).any()
@@ -221,9 +202,14 @@ def test_who_meets_a_car_that_crosses_breaks_a_constraint_once_tyres_cannot_stop
 
 def test_changes_of_lane_that_are_left_get_urgent_as_their_room_shrinks():
     scene = replace(scene_of(), changes=np.array([2.0, 1.0, 0.0], np.float32))
-    found = np.array([urgency(replace(scene, room=room), jnp.arange(LANES)) for room in (500.0, 150.0, 60.0, 0.0)])
+    found = np.array(
+        [
+            urgency(now_in(replace(scene, room=np.float32(room))), jnp.arange(LANES))
+            for room in (500.0, 150.0, 60.0, 0.0)
+        ]
+    )
     assert (np.diff(found[:, :RIGHT], axis=0) > 0).any(axis=0).all()
     assert (np.diff(found, axis=0) >= 0).all()
     assert (found[:, 0] >= found[:, OWN]).all()
     np.testing.assert_allclose(found[:, RIGHT], 0.0)
-    assert not np.asarray(urgency(scene_of(), jnp.arange(LANES))).any()
+    assert not np.asarray(urgency(now_in(scene_of()), jnp.arange(LANES))).any()

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ms_highway.geometry.path import wrapped
-from ms_highway.irl.recordings.recording import Recording
+from ms_highway.geometry.curve import wrapped
+from ms_highway.irl.recording import Recording
 from ms_highway.recorded.commonroad import read_scenario, scenario_files
 from ms_highway.recorded.lane_coordinates import measure_road
 from ms_highway.recorded.scenario import SPEED_LIMIT, TrafficRecording
@@ -44,9 +44,9 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     states, drivers = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan), []
     for car, track in enumerate(tracks):
         time, position, (orientation, speed) = track.samples[:, 0], track.samples[:, 1:3], track.samples[:, 3:].T
-        x, y, along = road.coordinates.locate(position)
-        heading = wrapped(along - orientation)  # headings turn right here, orientations left
-        states[time.astype(int), car] = np.stack([x, y, heading, speed], axis=-1)
+        x, left, turned = road.curve.project(position[:, 0], position[:, 1], orientation)
+        heading = wrapped(-turned)  # to the right here
+        states[time.astype(int), car] = np.stack([x, -left, heading, speed], axis=-1)
         identity = (scenario.group, track.number, *position[0].round(2))
         along_the_road = np.abs(np.median(heading)) < np.pi / 2
         if track.drives and len(time) > 1 and along_the_road and identity not in counted:

@@ -1,6 +1,6 @@
 """The simulated demonstrator, which knows the other cars' future motion and draws its controls by a known reward.
 
-It plans a window of the planner's horizon, executes all of it, and plans the next. A window earns R_H, the sum of the
+It plans a segment of the planner's horizon, executes all of it, and plans the next. A segment earns R_H, the sum of the
 reward over its steps less the discomfort of its controls, see `rollout_reward`.
 """
 
@@ -14,11 +14,11 @@ from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, rollout_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.irl.arrays import Controls, Scalar, States
+from ms_highway.irl.recording import Controls, States
 from ms_highway.numerics.newton import Optimum, find_optimum
 from ms_highway.numerics.objective import Objective
 from ms_highway.numerics.second_derivatives import eigenpairs
-from ms_highway.runtime.arrays import Trajectory
+from ms_highway.runtime.arrays import Scalar, Trajectory
 
 DRIVER_WEIGHTS = {
     **{name: weight for name, weight in COMMON_WEIGHTS.items() if name != "collision"},
@@ -32,7 +32,7 @@ FLOOR = 0.05  # of the eigenvalues of Hessians: half of comfort's curvature
 DRAWS = 20  # length of the chain that a sample ends
 
 
-def window(car: States, routes: States) -> tuple[States, Motion]:
+def seen_from(car: States, routes: States) -> tuple[States, Motion]:
     """Return a driver's state and the motion of the others after each step, with x measured from the driver.
 
     Float32 resolves these better than positions far along the road.
@@ -47,7 +47,7 @@ def window(car: States, routes: States) -> tuple[States, Motion]:
 
 @jax.jit
 def optimal(game: Game, car: States, others: Motion) -> Optimum:
-    """Find the local optimum of a window that is uphill from keeping the velocity, see `find_optimum`.
+    """Find the local optimum of a segment that is uphill from keeping the velocity, see `find_optimum`.
 
     Args:
         game: whose reward and motion; car 0 is driven.

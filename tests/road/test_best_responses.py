@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import PLANNING, arc, keeping_velocity, scene_of
+from roads import PLANNING, keeping_velocity, scene_of
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
@@ -14,8 +14,7 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.geometry.path import locate, place
-from ms_highway.road.answers import UNIT, Commuter, commuter_among, commuter_of
+from ms_highway.road.best_responses import UNIT, Commuter, commuter_among, commuter_of
 
 TIMES = np.asarray(PLANNING.times)
 
@@ -27,14 +26,14 @@ def robot_at(s, speed, d=0.0):
 
 @jax.jit
 def answer(scene, robot, others):
-    return UNIT * commuter_among(scene, PLANNING, 0, robot, others).answer()
+    return UNIT * commuter_among(scene, PLANNING, 0, robot, others).best_response()
 
 
 @jax.jit
 def follow(scene, accelerations):
     human = commuter_of(scene, PLANNING, 0)
     s, speed = human.move(human.held(accelerations / UNIT))
-    return jnp.stack([*place(human.path, s, human.aside), speed])
+    return jnp.stack([*human.path.place(s, human.aside), speed])
 
 
 AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
@@ -42,19 +41,6 @@ AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
 
 def answered(scene, robot):
     return np.asarray(answer(scene, robot, keeping_velocity(scene)))
-
-
-@pytest.mark.parametrize("bend", [0.0, 1 / 30, -1 / 60])
-def test_projecting_undoes_placing_also_beyond_the_ends_of_a_path_and_wraps_headings(bend):
-    path = arc(64, bend)
-    random = np.random.default_rng(0)
-    s, d, turned = (jnp.asarray(random.uniform(-a, a, 500), jnp.float32) for a in (19.0, 6.0, 3.0))
-    s = s + 40.0 * (np.arange(500) % 2)
-    s, d = s.at[:2].set(jnp.array([-60.0, 150.0])), d.at[:2].set(jnp.array([3.0, -5.0]))
-    x, y, along = jax.jit(place)(path, s, d)
-    poses = jax.jit(locate)(path, x, y, along + turned + 2 * np.pi)
-    for found, true, within in zip(poses, (s, d, turned), (0.02, 0.02, 0.005), strict=True):
-        np.testing.assert_allclose(found, true, atol=within)
 
 
 BUSY = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])

@@ -1,0 +1,89 @@
+"""Compute distances between rectangles and ellipses, and find the nearest body ahead, in NumPy or JAX."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ms_highway.geometry.curve import Pose, namespace, rotated
+from ms_highway.runtime.arrays import Numbers
+
+CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
+MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
+
+Sizes = Float[Any, "*bodies 2"]
+Directed = tuple[Numbers, Numbers, Numbers, Numbers]
+"""x, y [m], and cosine and sine of the heading."""
+
+
+def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
+    """Return the distance between two rectangles along the axis that separates them best [m]; negative if they overlap.
+
+    Args:
+        own: x, y and heading of one.
+        size: its length and width [m].
+        other: x, y and heading of the other.
+        sizes: its length and width [m].
+    """
+    xp = namespace(*own, size, *other, sizes)
+    dx, dy = other[0] - own[0], other[1] - own[1]
+    c, s = (xp.abs(part) for part in rotated(xp.cos(other[2]), xp.sin(other[2]), own[2]))
+
+    def apart(heading: Numbers, size: Sizes, sizes: Sizes) -> Numbers:
+        (a, b), (e, f) = (xp.moveaxis(xp.asarray(each) / 2, -1, 0) for each in (size, sizes))
+        u, v = (xp.abs(part) for part in rotated(dx, dy, heading))
+        return xp.maximum(u - a - e * c - f * s, v - b - e * s - f * c)
+
+    return xp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
+
+
+def body_points(size: Float[Any, "2"], corner: Numbers = 0.5) -> Float[Any, "9 2"]:
+    """Return x and y of corners, middles of the edges and centre of a body in its own frame [m].
+
+    Args:
+        size: length and width [m].
+        corner: position of the corners as a share of the size.
+    """
+    xp = namespace(size, corner)
+    return xp.concatenate([corner * CORNERS, MIDDLES]) * xp.asarray(size)
+
+
+def ellipse_distance(
+    own: Directed, points: Float[Any, "points 2"], other: Directed, length: Numbers, width: Numbers
+) -> Float[Any, "bodies points *times"]:
+    """Return ``D - 1 = (2 dx / length)^2 + (2 dy / width)^2 - 1`` from points of a body to other bodies.
+
+    The offset (dx, dy) of a point is in the frame of the other body; ``D < 1`` is the ellipse inscribed in it.
+
+    Args:
+        own: motion of the body, arrays [*times] or numbers.
+        points: of it, in its own frame [m].
+        other: motion of the other bodies, arrays [bodies, *times].
+        length: of each [m], an array [bodies, *ones] with an axis of points and those of times, or a number for all.
+        width: of each, likewise.
+    """
+    other_x, other_y, other_cosine, other_sine = other
+    xp, times = namespace(*own, *other), np.ndim(other_x) - 1
+    x, y, cosine, sine = (xp.broadcast_to(part, other_x.shape) for part in own)
+    dx, dy = x - other_x, y - other_y
+    ahead, across = other_cosine * dx + other_sine * dy, other_cosine * dy - other_sine * dx
+    turned, slant = other_cosine * cosine + other_sine * sine, other_cosine * sine - other_sine * cosine
+    shape = len(dx), len(points), *dx.shape[1:]
+    ahead, across, turned, slant = (xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant))
+    along, aside = xp.broadcast_to(points.T.reshape(2, 1, -1, *[1] * times), (2, *shape))
+    x, y = ahead + turned * along - slant * aside, across + slant * along + turned * aside
+    return (x / (length / 2)) ** 2 + (y / (width / 2)) ** 2 - 1
+
+
+def nearest_ahead(
+    distance: Float[Any, "*batch others"], counts: Bool[Any, "*#batch others"]
+) -> tuple[Int[Any, "*batch"], Bool[Any, "*batch"]]:
+    """Return which of the others is the nearest ahead, and whether any is.
+
+    Args:
+        distance: to the others, positive ahead [m].
+        counts: which of them may be, such as those in the same lane; of the rest, distances may be anything.
+    """
+    xp = namespace(distance, counts)
+    ahead = counts & (distance > 0)
+    return xp.argmin(xp.where(ahead, distance, xp.inf), axis=-1), xp.any(ahead, axis=-1)

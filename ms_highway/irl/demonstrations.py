@@ -1,0 +1,279 @@
+"""Record demonstrations of driving as Minari data sets, and read them."""
+
+import shutil
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from importlib.metadata import version
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import jax
+import numpy as np
+
+from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
+from ms_highway.envs.demonstration import DENSITIES, KEYBOARD_ACTION, demonstration_game
+from ms_highway.envs.viewer import check_display
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.irl import DRIVERS, TEMPERATURE, Driver
+from ms_highway.irl.demonstrator import DRIVER_WEIGHTS, maxent, seen_from
+from ms_highway.irl.recording import Recording
+from ms_highway.runtime.extras import needing
+from ms_highway.runtime.files import check_writable, naming
+
+FORMAT = 1
+"""Version of recorded data sets; `load_demonstrations` reads no other."""
+
+PROVENANCE = "ms_highway"  # key in the data set's metadata
+BROKEN = OSError, ValueError, LookupError, TypeError, AssertionError  # of Minari and HDF5
+
+
+def record(
+    driver: Driver,
+    episodes: int,
+    dataset: str,
+    densities: Sequence[str] = tuple(DENSITIES),
+    seed: int = 0,
+    temperature: float = TEMPERATURE,
+) -> Iterator[int]:
+    """Record the episodes that a data set lacks; each is on disk before the next begins.
+
+    Episode k has the seed ``seed + k`` and the densities in turn. Yields the number of recorded episodes, at the
+    start and after every episode.
+
+    Args:
+        driver: one of `DRIVERS`.
+        episodes: number of episodes of the complete data set.
+        dataset: its Minari id, such as ``ms-highway/maxent-v0``.
+        densities: of the traffic, see `ms_highway.envs.demonstration.DENSITIES`.
+        seed: of the first episode.
+        temperature: of the driver ``maxent``, in reward; a person has none.
+
+    Raises:
+        ValueError: for arguments out of range, or if the data set was recorded with other settings.
+        ImportError: without the packages of the extra ``demonstrations``.
+        OSError: if the driver is ``keyboard`` and there is no display.
+        KeyboardInterrupt: if the person closes the window; the current episode is discarded.
+    """
+    provenance = _provenance(driver, densities, seed, temperature)
+    if episodes < 1:
+        raise ValueError(f"{episodes} episodes are to be recorded; there must be at least one")
+    done = _recorded_episodes(dataset, provenance)
+    person: dict[str, Any] = {}
+    if driver == "keyboard":
+        check_display()
+        config = {"action": KEYBOARD_ACTION, "manual_control": True, "real_time_rendering": True}
+        person = {"render_mode": "human", "config": config}
+    yield done
+    if done >= episodes:
+        return
+    with closing(gym.make(DEMONSTRATION_ID, **person)) as env:
+        for number in range(done, episodes):
+            density = densities[number % len(densities)]
+            episode = _record_episode(env, driver, seed + number, {"config": {"density": density}}, temperature)
+            _add_episode(episode, dataset, env, provenance)
+            yield number + 1
+
+
+def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
+    """Yield a driver's actions in an episode that has just begun.
+
+    Args:
+        driver: one of `DRIVERS`.
+        env: the environment, to be stepped with every action before the next is taken.
+        seed: of the driver's random numbers.
+        temperature: of the driver ``maxent``.
+    """
+    if driver == "keyboard":
+        while not env.done:  # closing the window ends it
+            yield env.action_type.last_action.astype(np.float32)
+        raise KeyboardInterrupt
+    game = demonstration_game(DRIVER_WEIGHTS)
+    horizon, scale = game.planner.horizon, np.asarray(game.planner.control_scale, dtype=float)
+    for place in count():
+        car, others = seen_from(env.car_states[0], env.routes[:, env.steps + 1 : env.steps + 1 + horizon])
+        controls = maxent(game, car, others, jax.random.fold_in(jax.random.key(seed), place), temperature)
+        for control in np.asarray(controls, dtype=float) * scale:
+            yield env.action_for(control)
+
+
+def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature: float) -> dict[str, Any]:
+    """Return the metadata of a data set, in types of JSON.
+
+    Raises:
+        ValueError: for settings out of range.
+    """
+    if driver not in DRIVERS:
+        raise ValueError(f"unknown driver {driver!r}; the drivers are {', '.join(DRIVERS)}")
+    if not densities or set(densities) - set(DENSITIES):
+        raise ValueError(f"densities {list(densities)} of traffic are impossible; choose from {', '.join(DENSITIES)}")
+    if seed < 0:
+        raise ValueError(f"the seed is {seed}; it must not be negative")
+    if not 0 < temperature < np.inf:
+        raise ValueError(f"the temperature is {temperature}; it must be positive")
+    found = {
+        "format": FORMAT,
+        "version": version("ms-highway"),
+        "driver": driver,
+        "time_step": TIME_STEP,
+        "densities": list(densities),
+        "first_seed": seed,
+    }
+    if driver == "maxent":
+        found["temperature"] = float(temperature)
+        found["weights"] = {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()}
+        found["horizon"] = demonstration_game().planner.horizon
+    return found
+
+
+def _record_episode(env: gym.Env, driver: Driver, seed: int, options: dict[str, Any], temperature: float) -> Any:
+    """Return an episode, as Minari's ``EpisodeBuffer``."""
+    from minari.data_collector import EpisodeBuffer
+
+    world, first = env.unwrapped, env.reset(seed=seed, options=options)[0]
+    assert isinstance(world, DemonstrationEnv)
+    steps = []
+    for action in actions(driver, world, seed, temperature):
+        steps.append((action, *env.step(action)))
+        if any(steps[-1][3:5]):
+            break
+    taken, observations, *outcomes, _ = map(list, zip(*steps, strict=True))
+    return EpisodeBuffer(None, seed, options, [first, *observations], taken, *outcomes)
+
+
+def load_demonstrations(dataset: str) -> list[Recording]:
+    """Read the episodes of a recorded data set; car 0 is the driver, and each episode a group.
+
+    Raises:
+        ValueError: if there is no such data set, or it is damaged or of another version; the message names the problem
+            and the remedy.
+        ImportError: without the packages of the extra ``demonstrations``.
+    """
+    data = _data_directory(dataset)
+    if not data.is_dir():
+        raise ValueError(f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`")
+    with _opened(dataset) as (stored, provenance):
+        known = (provenance.get("format"), provenance.get("time_step")) == (FORMAT, TIME_STEP)
+        episodes = [np.asarray(each.observations, dtype=float) for each in (stored.iterate_episodes() if known else ())]
+        recordings = [_episode_recording(f"episode {number}", tracks) for number, tracks in enumerate(episodes)]
+    if not recordings:
+        reason = "is empty" if known else "was not recorded by this version of the package"
+        raise ValueError(f"data set {dataset} {reason}; choose another, or record one with `ms-highway irl record`")
+    return recordings
+
+
+def _episode_recording(name: str, tracks: np.ndarray) -> Recording:
+    """Return an episode's observations [times, cars, presence and state] as a recording.
+
+    Raises:
+        ValueError: if they are not finite: cars would seem to be out of sight.
+    """
+    if not np.isfinite(tracks).all():
+        step, car, _ = np.argwhere(~np.isfinite(tracks))[0]
+        raise ValueError(f"{name} is not finite at step {step}, car {car}")
+    game = demonstration_game()
+    states, sizes = np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan), [game.scene.car_size] * tracks.shape[1]
+    road = game.scene.lanes, game.scene.lane_width, game.robot.speed_limit
+    return Recording(name, name, states, np.array([0]), np.array(sizes), *road, measured=False)
+
+
+def _minari() -> Any:
+    with needing("demonstrations"):
+        import h5py  # noqa: F401
+        import minari
+    return minari
+
+
+def _data_directory(dataset: str) -> Path:
+    """Return the directory of a data set's files.
+
+    Raises:
+        ValueError: if the name is not that of a data set.
+        ImportError: without the packages of the extra ``demonstrations``.
+    """
+    _minari()  # whose error names the extra
+    from minari.dataset.minari_dataset import parse_dataset_id
+    from minari.namespace import validate_namespace
+    from minari.storage import get_dataset_path
+
+    try:
+        namespace, *_ = parse_dataset_id(dataset)
+        if namespace:
+            validate_namespace(namespace)  # which needs two characters
+    except ValueError as error:
+        raise ValueError(f"{dataset!r} names no data set ({error}); name it like ms-highway/maxent-v0") from error
+    return get_dataset_path(dataset) / "data"
+
+
+@contextmanager
+def _opened(dataset: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Yield an existing data set and its provenance.
+
+    Raises:
+        ValueError: where it cannot be read.
+    """
+    try:
+        stored = _minari().MinariDataset(_data_directory(dataset))
+        yield stored, stored.storage.metadata.get(PROVENANCE) or {}
+    except BROKEN as error:
+        remedy = "delete it and record it again with `ms-highway irl record`"
+        raise ValueError(f"data set {dataset} cannot be read ({error}); {remedy}") from error
+
+
+def _recorded_episodes(dataset: str, provenance: dict[str, Any]) -> int:
+    """Return the number of episodes that a data set already has.
+
+    Raises:
+        ValueError: if the data set cannot be read or has another provenance.
+        OSError: if no episode can be added to it.
+    """
+    data = _data_directory(dataset)
+    check_writable(data.parent, directory=True)
+    if not data.exists():
+        return 0
+    with _opened(dataset) as (stored, known):
+        number = int(stored.total_episodes)
+    differences = {key: known.get(key) for key, value in provenance.items() if known.get(key) != value}
+    if differences:
+        raise ValueError(
+            f"data set {dataset} holds recordings of other settings, {differences}; choose another name or the same "
+            "settings"
+        )
+    return number
+
+
+def _add_episode(episode: Any, dataset: str, env: gym.Env, provenance: dict[str, Any]) -> None:
+    """Add an episode to a data set.
+
+    HDF5 files are unreadable if a process is stopped while it writes them; so episodes are added to a copy, which then
+    takes the place of the original.
+
+    Args:
+        episode: Minari's ``EpisodeBuffer``.
+        dataset: the data set's id.
+        env: the environment that is recorded.
+        provenance: metadata of a new data set.
+    """
+    minari, data = _minari(), _data_directory(dataset)
+    with naming(data), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about authors who are not named
+        if data.exists():
+            copy = data.with_name(".part")
+            shutil.rmtree(copy, ignore_errors=True)
+            shutil.copytree(data, copy)
+            minari.MinariDataset(copy).update_dataset_from_buffer([episode])
+            for file in sorted(copy.iterdir()):  # main_data.hdf5 before metadata.json, which counts its episodes
+                file.replace(data / file.name)
+            copy.rmdir()
+            return
+        stored = minari.create_dataset_from_buffers(
+            dataset,
+            [episode],
+            env=env,
+            algorithm_name=provenance["driver"],
+            description="Driving on a highway, recorded by `ms-highway irl record`.",
+            requirements=[f"ms-highway=={version('ms-highway')}"],
+        )
+        stored.storage.update_metadata({PROVENANCE: provenance})

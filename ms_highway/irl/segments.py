@@ -1,0 +1,173 @@
+"""Cut recordings into segments of half a second, each a driver's controls and its neighbours, and compute its features.
+
+Maximum entropy learns from segments, see `ms_highway.irl.maximum_entropy`.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Float
+
+from ms_highway.game.dynamics import Motion, keep_velocity, observe
+from ms_highway.game.features import motion_features
+from ms_highway.game.game import Game, move
+from ms_highway.game.neighbours import far_behind, places
+from ms_highway.game.reward import FEATURES, features_for
+from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, TIME_STEP, driving_game
+from ms_highway.game.scene import Scene
+from ms_highway.irl.recording import CarStates, Controls, Flags, Numbers, Recording, States, numbered, track_of
+from ms_highway.runtime.arrays import Trajectory, Vector
+from ms_highway.runtime.compilation import in_batches, jit_quickly
+
+KINK = 0.05  # sine of the heading below which noise may turn the car to either side
+SATURATED = 0.8  # of the limits of plans
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Segments:
+    """n segments of K steps: arrays of NumPy or JAX in SI units with a leading axis [n]; one segment has no such axis.
+
+    Attributes:
+        scenes: the road and the driver's own size; every array has the leading axis.
+        speed_limit: of the road [m/s].
+        start: state of the driver before the first step.
+        controls: of the driver, unscaled.
+        others: states after each step of the six cars that were its neighbours at the start (see
+            `ms_highway.game.neighbours`).
+        driver: number of the driver among those of all recordings; segments of a driver are adjacent.
+        group: number of the recording's group, to split by.
+    """
+
+    scenes: Scene
+    speed_limit: Vector
+    start: States
+    controls: Controls
+    others: Float[Any, "*n 6 K 4"]
+    driver: Numbers
+    group: Numbers
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def of(self, chosen: Flags) -> "Segments":
+        """Return the chosen segments."""
+        return jax.tree.map(lambda numbers: numbers[chosen], self)
+
+
+def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
+    """Cut the drivers' tracks into consecutive segments without overlap; return the `regular` ones.
+
+    Args:
+        recordings: the recordings to cut.
+        steps: K, the length of a segment.
+
+    Raises:
+        ValueError: if no segment is regular.
+    """
+    rows = []
+    for recording, group, first_track, lanes in numbered(recordings):
+        states = _extrapolated(recording.states)
+        road = Scene(
+            lanes=lanes,
+            lane_width=recording.lane_width,
+            obstacles=np.empty((0, 2)),
+            obstacle_size=np.ones(2),
+            car_size=np.ones(2),
+            corner=0.5,
+            target_lane=lanes[0],
+            length_unit=PAPER_UNIT,
+        )
+        for number, driver in enumerate(recording.drivers, first_track):
+            scene, track = replace(road, car_size=recording.sizes[driver]), track_of(recording, driver, PAPER_DYNAMICS)
+            entry = recording.seen[:, driver].argmax()
+            for first in range(0, len(track.controls) - steps + 1, steps):
+                start, now = track.states[first], entry + first
+                present = recording.seen[now] & (np.arange(len(recording.sizes)) != driver)
+                cars, taken = places(start, states[now], present, recording.lane_width)
+                paths = np.moveaxis(states[now + 1 : now + steps + 1, cars], 0, 1)
+                others = np.where(taken[:, None, None], paths, far_behind(start))
+                controls = track.controls[first : first + steps]
+                rows.append(Segments(scene, recording.speed_limit, start, controls, others, number, group))
+    segments = jax.tree.map(lambda *parts: np.stack(parts), *rows) if rows else None
+    if segments is None or not (chosen := regular(segments)).any():
+        raise ValueError(
+            f"nothing can be learned from the {len(recordings)} recordings: no driver was seen for {steps + 1} samples "
+            "on end, or all are at the limits of control or at the edge of the road"
+        )
+    return segments.of(chosen)
+
+
+def _extrapolated(states: CarStates) -> CarStates:
+    """Return the states, with motion at constant velocity after a car was last seen."""
+    states = states.copy()
+    for before, after in itertools.pairwise(states):
+        x, y, heading, speed = before.T
+        distance = speed * TIME_STEP
+        kept = np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading), heading, speed], axis=-1)
+        after[:] = np.where(np.isnan(after).any(axis=-1, keepdims=True), kept, after)
+    return states
+
+
+def regular(segments: Segments) -> Flags:
+    """Return the segments in which the gradient at the driver's controls identifies the reward.
+
+    Excluded are controls near their limit, where the limit and not the reward decides; and cars that are off the road
+    and point along it: there ``off_road`` has a kink, where another corner becomes the outermost, and a car that slides
+    along the edge stays at the kink whatever the weight is.
+    """
+    off_road, slant = in_batches(partial(_road_edge, driver_game(segments, {})), segments)
+    at_kink = (off_road & (slant < KINK)).any(axis=1)
+    saturated = (np.abs(segments.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
+    return ~at_kink & ~saturated
+
+
+@jit_quickly
+@partial(jax.vmap, in_axes=(None, 0))
+def _road_edge(game: Game, segment: Segments) -> tuple[jax.Array, jax.Array]:
+    """Return whether the driver is off the road, and the magnitude of its heading's sine, after each step."""
+    path = move(game, segment.start, segment.controls / game.planner.control_scale)
+    return path_features(game, segment, path)[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
+
+
+def driver_game(segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
+    """Return a game whose robot is a recorded driver with these weights; `with_segment` sets its scene.
+
+    It computes `FEATURES`, and users' own features that have a weight or are among the names.
+    """
+    scene = jax.tree.map(lambda numbers: numbers[0], segments.scenes)
+    computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
+    game = driving_game(scene, float(segments.speed_limit[0]), weights, computed, grip=None)
+    return replace(game, planner=replace(game.planner, horizon=segments.controls.shape[1]))
+
+
+def with_segment(game: Game, segment: Segments) -> Game:
+    """Return the game with the scene and the speed limit of one segment."""
+    return replace(game, scene=segment.scenes, robot=replace(game.robot, speed_limit=segment.speed_limit))
+
+
+def path_features(game: Game, segment: Segments, path: Trajectory) -> Float[jax.Array, "K features"]:
+    """Return the features of `driver_game` at each step of a driver's path in one segment."""
+    here = with_segment(game, segment)
+
+    def at_step(own: jax.Array, others: jax.Array) -> jax.Array:
+        return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
+
+    return jax.vmap(at_step, in_axes=(1, 1))(path, segment.others)
+
+
+def summed_features(game: Game, segment: Segments, controls: Controls) -> Float[jax.Array, "features"]:
+    """Return the game's features and those of comfort, summed over a segment's steps under scaled controls.
+
+    Comfort's are ``-sum deviation^2 / 2``, of the deviation from the controls that keep the velocity.
+    """
+    start = jnp.asarray(segment.start)
+    features = path_features(game, segment, move(game, start, controls)).sum(axis=0)
+    deviation = controls - keep_velocity(game.dynamics, start) / game.planner.control_scale
+    return jnp.concatenate([features, -jnp.sum(deviation**2, axis=0) / 2])

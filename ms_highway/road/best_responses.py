@@ -1,0 +1,183 @@
+"""Predict how humans drive along their paths: each optimises the learned reward of commuters, given all others.
+
+A human decides on its acceleration only, held for each time step; its distance to its path decays. Others enter in
+the coordinates of its path.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.game.dynamics import Motion
+from ms_highway.game.features import motion_reward
+from ms_highway.game.learned_reward import commuter_weights
+from ms_highway.game.neighbours import FAR_AWAY
+from ms_highway.game.reward import Reward, linear_reward
+from ms_highway.game.scenario import PAPER_UNIT
+from ms_highway.game.scene import Scene
+from ms_highway.geometry.curve import Curve
+from ms_highway.numerics.damped_newton import SHARES, damped_factor, damped_solve
+from ms_highway.numerics.objective import best_of
+from ms_highway.numerics.second_derivatives import along_fields
+from ms_highway.road.constants import LANE, RoadPlanning
+from ms_highway.road.scene import RoadScene, Steps, World
+from ms_highway.road.simulation import earlier
+from ms_highway.runtime.arrays import Car, Index, Matrix, Numbers, Scalar, Vector
+
+NEWTON_STEPS = 3
+UNIT = 5.0
+"""Unit of the accelerations that are optimised [m/s^2]."""
+
+LEAST, MOST = -6.0 / UNIT, 3.0 / UNIT  # accelerations of humans
+STARTS = np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / UNIT  # steady braking
+SETTLING = 0.8  # s, in which the distance to the path falls to 1 / e, as under highway-env's steering
+NEAREST = 6  # other cars that a driver heeds besides the robot
+ALONG_PER_ASIDE = 5.0  # m along the path that count like one aside
+HEEDED = "speed", "collision_risk", "headway", "closing_speed", "induced_braking", "comfort_acceleration"
+"""Terms of the reward that depend on accelerations."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Commuter:
+    """A human on its path, and the motion of others in the path's coordinates.
+
+    Its reward is that of a straight road of one lane. Accelerations are scaled, in units of `UNIT`.
+
+    Attributes:
+        planning: time step and number of steps.
+        path: of the human.
+        state: of the human on it.
+        road: straight, with the size of all cars.
+        reward: the commuters', with the speed limit of this human.
+        others: their motion after each step, None before it looks.
+    """
+
+    planning: RoadPlanning
+    path: Curve
+    state: Car
+    road: Scene
+    reward: Reward
+    others: Motion | None = None
+
+    def earned(self, scaled: Vector) -> Scalar:
+        """Return the reward less the discomfort of accelerations."""
+        return jnp.sum(self.rewards(self.move(scaled))) - self._comfort * jnp.sum(scaled**2) / 2
+
+    def rewards(self, motion: Steps) -> Steps:
+        """Return the reward after each step, given s and speed there [2, steps]."""
+        s, speed = motion
+        own = Motion(s, self.aside, jnp.ones_like(s), jnp.zeros_like(s), speed)
+        assert self.others is not None  # it has looked
+        return motion_reward(self.road, self.reward, own, self.others)
+
+    def expand(self, scaled: Vector) -> tuple[Vector, Matrix]:
+        """Return gradient and Hessian of `earned`.
+
+        The reward at a step depends on s and speed there, and both are linear in the accelerations: second derivatives
+        in two numbers at each step are all that is needed.
+        """
+        effects = self._effects
+        slopes, bends = along_fields(lambda motion: along_fields(self.rewards, motion)[1], self.move(scaled))
+        hessian = jnp.tensordot(effects, jnp.sum(bends[..., None] * effects, axis=1), ((0, 1), (0, 1)))
+        gradient = jnp.tensordot(slopes, effects, 2)
+        return gradient - self._comfort * scaled, hessian - self._comfort * jnp.eye(len(scaled))
+
+    def best_response(self) -> Vector:
+        """Return the best accelerations, by damped Newton steps from steady braking.
+
+        What is earned has an optimum on either side of each car ahead: braking finds the one behind it.
+        """
+
+        def best(candidates: Steps) -> Vector:
+            held = self.held(candidates)
+            return best_of(held, jax.vmap(self.earned)(held))
+
+        def improve(_: Index, scaled: Vector) -> Vector:
+            gradient, hessian = self.expand(scaled)
+            return best(scaled + SHARES[:, None] * damped_solve(damped_factor(hessian), gradient))
+
+        first = best(jnp.broadcast_to(STARTS, (len(STARTS), self.planning.steps)))
+        return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)
+
+    def held(self, scaled: Steps) -> Steps:
+        """Limit accelerations to what humans do and to a stop, never backwards.
+
+        With unlimited speeds c_k, the speed that never falls below zero is ``c_k - min(0, c_1, ..., c_k)``.
+        """
+        speed, per_step, steps = self.state[3], self.planning.time_step * UNIT, scaled.shape[-1]
+        limited = jnp.clip(scaled, LEAST, MOST)[..., None, :]
+        free = speed + jnp.sum(np.tri(steps, dtype=np.float32) * limited, axis=-1) * per_step  # XLA fuses such sums
+        kept = free - jnp.minimum(jax.lax.cummin(free, axis=free.ndim - 1), 0.0)
+        return (kept - earlier(speed, kept)) / per_step
+
+    def move(self, scaled: Vector) -> Steps:
+        """Return s and speed after each step [2, steps]."""
+        s, _, _, speed = self.state
+        kept = jnp.stack([s + speed * self.planning.times, jnp.full_like(scaled, speed)])
+        return kept + jnp.sum(self._effects * scaled, axis=-1)
+
+    def see(self, trajectories: World) -> Motion:
+        """Return the motions [cars, steps] of trajectories [4, cars, steps] in the coordinates of the path."""
+        x, y, heading, speed = trajectories
+        s, d, relative = self.path.project(x, y, heading)
+        cosine = jnp.cos(relative)
+        return Motion(s, d, cosine, jnp.sin(relative), speed * cosine)
+
+    @property
+    def aside(self) -> Steps:
+        """Lateral position after each step."""
+        return self.state[1] * jnp.exp(-self.planning.times / SETTLING)
+
+    @property
+    def _effects(self) -> Numbers:
+        """Derivatives of s and speed after each step in the accelerations [2, steps, n]."""
+        steps, dt = np.arange(self.planning.steps), self.planning.time_step
+        age = steps[:, None] - steps
+        by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * UNIT)
+        return jnp.stack([by_speed * (age + 0.5) * dt, by_speed])
+
+    @property
+    def _comfort(self) -> Scalar:
+        return self.reward.comfort[1] * (UNIT / PAPER_UNIT) ** 2
+
+
+def commuter_of(scene: RoadScene, planning: RoadPlanning, i: Index) -> Commuter:
+    """Return other car i as a commuter that has not looked at others yet."""
+    path, state, size, limit = jax.tree.map(
+        lambda field: jnp.asarray(field)[i], (scene.paths, scene.states, scene.sizes, scene.limits)
+    )
+    lane, nothing = jnp.zeros(1), jnp.zeros((0, 2))
+    road = Scene(lane, LANE, nothing, size, size, 0.5, 0.0, PAPER_UNIT)
+    return Commuter(planning, path, state, road, replace(_reward(), speed_limit=limit))
+
+
+def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World) -> Commuter:
+    """Return other car i as a commuter among the robot and the `NEAREST` others.
+
+    Args:
+        scene: the road.
+        planning: time step and number of steps.
+        i: number of the other car's path.
+        robot: trajectory of the robot's centre.
+        others: predicted trajectories of all traffic; the car itself, other ways of its owner and absent cars are
+            left out.
+    """
+    human = commuter_of(scene, planning, i)
+    seen = human.see(jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0))
+    kept = human.state[0] + human.state[3] * planning.times
+    apart = ((seen.x - kept) ** 2 / ALONG_PER_ASIDE**2 + (seen.y - human.aside) ** 2).min(axis=1)[1:]
+    matters = scene.present & (scene.owners != scene.owners[i])
+    _, nearest = jax.lax.top_k(-jnp.where(matters, apart, jnp.inf), NEAREST)
+    heeded = jnp.concatenate([jnp.zeros(1, int), 1 + nearest])
+    seen = Motion(*(field[heeded] for field in seen))
+    away = jnp.where(matters[nearest], 0.0, -FAR_AWAY)
+    return replace(human, others=seen._replace(x=seen.x.at[1:].add(away[:, None])))
+
+
+@cache
+def _reward() -> Reward:
+    return linear_reward({name: weight for name, weight in commuter_weights().items() if name in HEEDED}, 1.0)

@@ -1,0 +1,134 @@
+"""Move the traffic: it keeps its speed, follows by the Intelligent Driver Model, or does what it is told.
+
+All others move together with the robot's proposals, step by step, so that cars that follow answer the robot.
+"""
+
+from typing import NamedTuple
+
+from jax import numpy as jnp
+
+from ms_highway.geometry.curve import Pose
+from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
+from ms_highway.road.constants import IDM, LANE, TOM
+from ms_highway.road.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
+from ms_highway.road.traffic import ROOM, Situation
+from ms_highway.runtime.arrays import Car
+
+FOLLOWED = 0.7  # cosine of the angle between paths, from which a car follows the robot ahead
+SETTLING = 1.0  # s, in which cars move to the middle of their path
+SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
+BACKWARDS = 0.3  # m/s, above which a car rolls backwards
+FADES = 1.0  # s, in which others who do not do what their model says come back to it
+HARD, HELD = 3.0, 3.0  # m/s^2 and s: braking ahead from which it is expected to go on, and for how long
+BESIDE = 1.5  # lanes aside, up to which that matters
+
+
+class Manners(NamedTuple):
+    """How others move.
+
+    Attributes:
+        follows: whether each follows by the Intelligent Driver Model; otherwise, it keeps its speed.
+        given: whether its accelerations are given.
+        accelerations: those, for every plan [m/s^2].
+        surprise: what its last acceleration was above what its model says, which fades, in each step [m/s^2].
+        limit: its acceleration at most in each step [m/s^2].
+    """
+
+    follows: Flags
+    given: Flags
+    accelerations: EachStep
+    surprise: EachStep
+    limit: EachStep
+
+
+def manners_of(now: Situation, models: Places, plans: int) -> Manners:
+    """Return the manners of others who keep their speed, or follow.
+
+    Vehicles that may cross the robot's way keep their speed: there they stop and start for others than the car ahead.
+    The part of an acceleration that the model does not explain fades; hard braking ahead of the robot goes on.
+    """
+    scene, times = now.scene, now.planning.times
+    follows = (models >= IDM) & scene.moving & ~now.crossings.exist
+    expected = follows | ((models == TOM) & scene.moving)
+    surprise = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
+    brakes = (now.leading < BESIDE * LANE) & (scene.accelerations < -HARD)
+    limit = jnp.where(brakes, scene.accelerations, jnp.inf)[:, None]
+    return Manners(
+        follows,
+        given=jnp.zeros_like(follows),
+        accelerations=jnp.zeros((plans, len(models), len(times))),
+        surprise=surprise[:, None] * jnp.exp(-times / FADES),
+        limit=jnp.where(times - now.planning.time_step / 2 < HELD, limit, jnp.inf),
+    )
+
+
+def along_paths(scene: RoadScene) -> tuple[Traffic, Traffic]:
+    """Return positions and speeds of others along their paths now [m, m/s]."""
+    s, _, heading, speed = jnp.asarray(scene.states).T
+    return s, speed * jnp.where(scene.moving, 1.0, jnp.cos(heading))
+
+
+def aside(scene: RoadScene, times: Steps) -> EachStep:
+    """Return the lateral positions of others on their paths, to the middle of which they settle if they drive.
+
+    A crashed car slides where it heads, more slowly from second to second: ``v' = -v``.
+    """
+    _, now, heading, speed = scene.states.T[..., None]
+    sideways = speed * jnp.sin(heading)
+    settles = (now + (sideways + now / SETTLING) * times) * jnp.exp(-times / SETTLING)
+    return jnp.where(scene.moving[:, None], settles, now + sideways * (1 - jnp.exp(-times)))
+
+
+def follow_all(now: Situation, where: Pose, along: Traffic, speeds: Traffic, robot: Car) -> Traffic:
+    """Return the accelerations of others that follow the car ahead on their path, and the robot in their lane.
+
+    They desire their present speed, or the limit if they are much slower.
+
+    Args:
+        now: the situation.
+        where: the others are, see `ms_highway.road.traffic.Ways.at`.
+        along: positions of the others on their paths [m].
+        speeds: of the others [m/s].
+        robot: its state.
+    """
+    scene, (s, d, _, speed) = now.scene, robot
+    first, _, _, desired = jnp.asarray(scene.states).T
+    desired = jnp.where(desired < SLOWLY * scene.limits, scene.limits, desired)
+    moved, ahead = along - first, s + scene.size[0] / 2 - where[0]
+    gaps = jnp.where(scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FAR)
+    in_lane = jnp.abs(where[1] - d) < scene.reach[:, 1] + ROOM
+    behind = jnp.where((ahead > 0) & in_lane & (where[2] > FOLLOWED), ahead, FAR)
+    by_leader = idm_acceleration(speeds, desired, gaps, speeds[scene.leaders])
+    return jnp.minimum(by_leader, idm_acceleration(speeds, desired, behind, speed))
+
+
+def accelerations_now(now: Situation) -> Traffic:
+    """Return the accelerations now by the Intelligent Driver Model: the least on all ways of a car, never backwards."""
+    scene, (along, across, _, speeds) = now.scene, jnp.asarray(now.scene.states).T
+    each = follow_all(now, now.ways.at(along, across), along, speeds, jnp.asarray(scene.robot))
+    same = scene.names[:, None] == scene.names
+    return jnp.maximum(jnp.where(same, each, jnp.inf).min(axis=1), -speeds / now.planning.time_step)
+
+
+def move_traffic(
+    now: Situation, manners: Manners, orders: Steps, where: Pose, along: Traffic, speeds: Traffic, robot: Car
+) -> tuple[Traffic, Traffic]:
+    """Return positions and speeds of others along their paths one time step later.
+
+    Args:
+        now: the situation.
+        manners: how they move.
+        orders: their accelerations if these are given, surprises and limits in this step [3, traffic].
+        where: see `follow_all`, also the rest.
+        along: positions.
+        speeds: of others.
+        robot: its state.
+    """
+    (ordered, surprise, limit), dt = orders, now.planning.time_step
+    modelled = jnp.where(manners.follows, follow_all(now, where, along, speeds, robot), 0.0)
+    modelled = jnp.where(manners.given, ordered, modelled)
+    acceleration = jnp.clip(jnp.minimum(modelled + surprise, limit), -HARDEST, HARDEST)
+    acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
+    rolls = along_paths(now.scene)[1] < -BACKWARDS  # may go on so; others stop at most
+    acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
+    return along + speeds * dt, speeds + acceleration * dt

@@ -1,0 +1,157 @@
+"""Value the end of plans: the lane that they reach, room to stop, and the speed that the lanes then allow."""
+
+from functools import reduce
+from typing import NamedTuple
+
+import jax
+from jax import numpy as jnp
+from jax.scipy.ndimage import map_coordinates
+
+from ms_highway.geometry.curve import interpolate
+from ms_highway.planning.car_following import FAR
+from ms_highway.road.constants import LANE
+from ms_highway.road.scene import EachCar, EachFlag, Lane, Plans, Values
+from ms_highway.road.simulation import DrivenPlans
+from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING, Situation, lane_of
+from ms_highway.runtime.arrays import Scalar
+
+AROUND = 2  # lanes to each side of the robot's in the table of values
+PLACES, SPEEDS = 144, 13  # in the table
+SLOWER, FASTER = 2, 1  # steps of speed in a second at most
+
+
+class TerminalValue(NamedTuple):
+    """What follows a plan is worth.
+
+    Attributes:
+        own: of the lane that it reaches, and of the speed that nobody else limits.
+        others: cost of each of the others: missing room to stop, and the speed that it limits.
+        missing: metres that are missing to stop behind each of the others.
+    """
+
+    own: Plans
+    others: EachCar
+    missing: EachCar
+
+
+def terminal_value(now: Situation, driven: DrivenPlans, lanes: Lane, goal: Plans, target: Plans) -> TerminalValue:
+    """Return what follows plans is worth.
+
+    Args:
+        now: the situation.
+        driven: the plans.
+        lanes: that they go to, 0 to 2.
+        goal: lateral positions of these lanes after the plans [m].
+        target: lateral positions that the plans go to: others than the lanes' on a way round what cannot move [m].
+    """
+    weights, aside = now.weights, jnp.abs(goal - driven.states[:, -1, 1])
+    share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - aside / LANE, 0.0, 1.0))  # of its change of lane
+    urgent = urgency(now, 1)
+    own = (
+        weights.right * share * (lanes - 1.0)
+        - weights.change * (lanes != 1)
+        - weights.goal * (urgent + share * (urgency(now, lanes) - urgent))
+    )
+    missing = missing_room(now, driven, target)
+    slower, charged = speed_lost(now, driven, jnp.where(share > 0.5, lanes, 1))
+    lost = weights.terminal * slower / now.planning.desired_speed
+    others = weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
+    return TerminalValue(own - jnp.where(charged.any(axis=-1), 0.0, lost), others, missing)
+
+
+def urgency(now: Situation, lanes: Lane) -> Plans:
+    """Return the number of changes of lane that are left from each lane, less where there is room for them."""
+    scene, weights, left = now.scene, now.weights, jnp.abs(now.scene.changes)
+    needed = left * jnp.maximum(scene.robot[3], weights.change_speed) * weights.change_seconds
+    return (left * jnp.exp(-jnp.maximum(scene.room - needed, 0.0) / weights.urgency_range))[lanes]
+
+
+def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
+    """Return what is missing to stop behind each car ahead after a plan, or to the least gap within it [m].
+
+    A car that joins the road, and those near it, may change to the next lane at once, without looking. Ignore gap
+    violations that exist at the start, and static obstacles: there is no gap to keep.
+    """
+    scene, planning, weights, (s, d, _, speed) = now.scene, now.planning, now.weights, driven.robot
+    reach, apart = scene.reach[:, 0], scene.reach[:, 1] + weights.beside
+    gap = driven.s - s - scene.size[0] / 2
+    led = (gap > 0) & (jnp.abs(driven.d - d) < apart[:, None]) & (driven.cosine > SAME_WAY) & scene.moving[:, None]
+    close = jnp.where(led, jnp.maximum(weights.least_headway * speed + reach[:, None] - gap, 0.0), 0.0)
+
+    end, (s, d, speed) = driven.end, (field[..., -1] for field in (s, d, speed))
+    left, right = interpolate(scene.edges, driven.s[..., 0])
+    joins = ((driven.d[..., 0] < left) | (driven.d[..., 0] > right)) & (end.cosine > SAME_WAY) & scene.present
+    near = jnp.abs(end.s[:, :, None] - end.s[:, None]) < weights.disturbed
+    beside, middle = jnp.where((joins[:, None] & near).any(axis=-1), LANE, 0.0), s + scene.size[0] / 2
+    low, high = jnp.minimum(goal[:, None], d) - apart - beside, jnp.maximum(goal[:, None], d) + apart + beside
+    front = (end.s > middle) & (end.d > low) & (end.d < high) & scene.present
+    onward = end.speeds * end.cosine
+    counts = front & ((end.cosine > CROSSING) | (end.speeds < STANDING)) & (onward < speed)
+    closing = jnp.maximum(speed - onward, 0.0)
+    braking = planning.stopping * planning.grip - weights.lead_braking
+    needed = weights.room + weights.reaction * speed + closing**2 / (2 * braking)
+    missing = jnp.where(counts, jnp.maximum(needed - end.s + middle + reach, 0.0), 0.0)
+    return jnp.maximum(missing, jnp.maximum(close.max(axis=-1) - close[..., 0], 0.0))
+
+
+def speed_lost(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans, EachFlag]:
+    """Return the mean loss of speed after each plan [m/s], and which of the others limits it first.
+
+    Plans end in lanes 0 to 2. All go on as points in their lanes, the others at the speed that they have then in the
+    median of all plans. The robot drives as well as it can: dynamic programming over lanes, places and speeds.
+    """
+    scene, weights, fastest = now.scene, now.weights, jnp.asarray(now.planning.desired_speed, float)
+    s, speed, step = driven.states[:, -1, 0] + scene.size[0] / 2, driven.states[:, -1, 3], fastest / (SPEEDS - 1)
+    place, pace = jnp.clip(s / step, 0.0, PLACES - 1.01), jnp.clip(speed / step, 0.0, SPEEDS - 1.01)
+    lost = -map_coordinates(_values(now, driven, step), [lanes + AROUND - 1, place, pace], order=1)
+    there, onward, inside = _others_after(now, driven, lane_of(scene.lanes, lanes, s)[:, None])
+    gap = there - s[:, None]
+    closable = jnp.maximum(gap - scene.reach[:, 0] - weights.close_up_gap, 0.0)
+    allowed = jnp.where(inside[:, 0] & (gap > 0), onward + closable / weights.close_up_seconds, FAR)
+    first = (allowed == allowed.min(axis=-1, keepdims=True)) & (allowed < fastest)
+    return lost * step / weights.horizon, first
+
+
+def _others_after(now: Situation, driven: DrivenPlans, centres: Plans) -> tuple[EachCar, EachCar, EachFlag]:
+    """Return where others are after each plan [m], how fast they go along the route [m/s], and in which lanes."""
+    end = driven.end
+    along = ((jnp.abs(end.cosine) > CROSSING) | (end.speeds < STANDING)) & now.scene.present
+    inside = jnp.abs(end.d[:, None] - centres[..., None]) < LANE / 2 + 0.5
+    return end.s, end.speeds * end.cosine, inside & along[:, None]
+
+
+def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
+    """Return minus the loss of speed that is left from each lane, place and speed after a plan [steps of speed].
+
+    Places are as far apart as a step of speed goes in a second, so that all ways lead from place to place.
+    """
+    scene, weights, fastest = now.scene, now.weights, now.planning.desired_speed
+    places, speeds = step * jnp.arange(PLACES), step * jnp.arange(SPEEDS)
+    centres = LANE * jnp.arange(-AROUND, AROUND + 1.0)
+    left, right = interpolate(scene.edges, places)
+    there = (centres[:, None] > left + LANE / 4) & (centres[:, None] < right - LANE / 4)
+    there = there.at[AROUND].set(True)
+    traffic = _others_after(now, driven, jnp.tile(centres, (len(driven.s), 1)))
+    s, onward, inside = (jnp.median(field, axis=0) for field in traffic)
+    reach, seconds = scene.reach[:, 0], jnp.arange(weights.horizon + 1)
+    ahead = (s + onward * seconds[:, None])[:, None, None] - places[:, None]  # [seconds, 1, places, traffic]
+    room_behind = jnp.minimum(weights.room_behind, weights.headway_behind * fastest)
+    ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - room_behind), ahead - reach, FAR)
+    free = ahead.min(axis=-1, keepdims=True)
+    onward = jnp.where(ahead == free, onward, FAR).min(axis=-1, keepdims=True)  # of whoever is next
+    closing = jnp.maximum(speeds - jnp.maximum(onward, 0.0), 0.0)
+    coming = weights.away * jnp.maximum(-onward, 0.0)
+    needed = weights.room_ahead + weights.reaction * speeds + coming + closing**2 / (2 * weights.comfort_braking)
+    loss = jnp.maximum(jnp.minimum(interpolate(now.caps, places), fastest)[:, None] / step - jnp.arange(SPEEDS), 0.0)
+    hindered = jnp.where((free > needed) & there[..., None], 0.0, weights.blocked)  # [seconds, lanes, places, speeds]
+
+    def back(value: Values, after: tuple[Values, Values]) -> tuple[Values, None]:
+        """Return the values a second earlier: the best change of speed, then of lane into one that is free already."""
+        value = jnp.pad(value - after[1] - loss, ((0, 0), (0, SPEEDS), (0, 0)), mode="edge")
+        value = jnp.stack([value[:, speed : speed + PLACES, speed] for speed in range(SPEEDS)], axis=-1)
+        value = jnp.pad(value, ((0, 0), (0, 0), (SLOWER, FASTER)), constant_values=-jnp.inf)
+        value = reduce(jnp.maximum, (value[..., change : change + SPEEDS] for change in range(SLOWER + FASTER + 1)))
+        aside = jnp.pad(value - after[0] - weights.lane_change, ((1, 1), (0, 0), (0, 0)), constant_values=-FAR)
+        return jnp.maximum(value, jnp.maximum(aside[:-2], aside[2:])), None
+
+    return jax.lax.scan(back, jnp.zeros(hindered.shape[1:]), (hindered[:-1], hindered[1:]), reverse=True)[0]

@@ -1,0 +1,190 @@
+"""Draw predicted drivers (errors, likelihood, calibration, paths); tabulate learned rewards and evaluations."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+from rich.table import Table
+
+from ms_highway.game.learned_drivers import LearnedDrivers
+from ms_highway.game.learned_reward import LearnedReward
+from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
+from ms_highway.irl.mixture import expected_path
+from ms_highway.irl.prediction import PREDICTORS, predict_with
+from ms_highway.irl.recording import Recording
+from ms_highway.irl.snapshots import HORIZONS, cut_snapshots
+from ms_highway.visualization.colors import styled
+from ms_highway.visualization.tables import grid
+
+STYLES = {
+    "model": ("#1f5fbf", "o"),
+    "constant_velocity": ("#8a93a5", "s"),
+    "idm": ("#d9822b", "^"),
+    "fitted_idm": ("#b8433a", "D"),
+    "recorded": ("#111318", "D"),
+}
+"""Colour and marker of each predictor, and of the recorded path."""
+
+RECORDED = STYLES["recorded"][0]
+DRAWN = ("model", "constant_velocity", "fitted_idm")  # of the predictors, in paths
+NEAR = 0.05  # of the right share, in calibrations
+LIKELY = 0.05  # probability from which on a mode is drawn
+
+PANELS = {
+    "errors": {"fde": "mean error at the horizon [m]", "miss": f"share of drivers off by more than {MISS:g} m"},
+    "likelihood": {"log_p": "mean log density of the recorded position [1/m²]"},
+    "calibration": {f"inside {level}": f"share of drivers in the region of {level} %" for level in LEVELS},
+}
+"""What each figure of an evaluation shows, and its label."""
+
+COLUMNS = {
+    "fde": ("FDE", "{:.2f}"),
+    "rmse": ("RMSE", "{:.2f}"),
+    "miss": ("miss", "{:.0%}"),
+    "log_p": ("log p", "{:.2f}"),
+    **{f"inside {level}": (f"in {level} %", "{:.1%}") for level in LEVELS},
+}
+
+
+@styled
+def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
+    """Draw metrics of all predictors against the horizon, a figure for each of `PANELS`.
+
+    Calibration is how often drivers are in the predicted regions of 50, 90 and 99 %; the band is five points to each
+    side of the right share.
+    """
+    figures = {name: _against_horizon(evaluation, labels) for name, labels in PANELS.items()}
+    left, right = figures["errors"].axes
+    left.set_ylim(0, 1.15 * max(evaluation.predictors["constant_velocity"]["fde"].values()))  # without IDM's
+    right.set_ylim(bottom=0)
+    figures["errors"].suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
+    for axes, level in zip(figures["calibration"].axes, LEVELS, strict=True):
+        axes.axhline(level / 100, color=RECORDED, linewidth=1, linestyle="--")
+        axes.axhspan(level / 100 - NEAR, min(level / 100 + NEAR, 1.0), color="#f1f2f4", zorder=0)
+    return figures
+
+
+def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str]) -> Figure:
+    figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2))
+    panels = figure.subplots(1, len(labels), squeeze=False)[0]
+    for axes, (kind, label) in zip(panels, labels.items(), strict=True):
+        for name, predictor in PREDICTORS.items():
+            color, marker = STYLES[name]
+            values = evaluation.predictors[name][kind]
+            axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=predictor)
+        axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
+        if kind not in ("fde", "log_p"):
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axes.grid(axis="y")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+@styled
+def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
+    """Draw predicted and recorded paths at one moment, seen from above; marks are a second apart.
+
+    It is the moment with most drivers that were recorded for the 3 s before and the 5 s after. Of the learned drivers,
+    all modes of 5 % or more are drawn, bolder with their probability; of the others, the expected path.
+
+    Raises:
+        ValueError: if no driver was recorded for as long.
+    """
+    snapshots = cut_snapshots(recordings)
+    states = np.concatenate([snapshots.past, snapshots.future], axis=1)
+    whole = np.isfinite(states).all(axis=(1, 3)) & snapshots.predicted
+    most = int(whole.sum(axis=1).argmax())
+    if not whole[most].any():
+        raise ValueError("no driver was recorded for 8 s on end; there are no paths to be drawn")
+    one = replace(snapshots, predicted=whole).of(np.arange(len(snapshots)) == most)
+    modes = {name: predict_with(name, one, drivers).modes for name in DRAWN}
+    paths = {"recorded": one.recorded, **{name: expected_path(found) for name, found in modes.items()}}
+    start, lanes, width = one.drivers(one.now)[:, None, :2], np.unique(one.lanes), float(one.lane_width[0])
+    figure = Figure(figsize=(11, 6))
+    axes = figure.subplots()
+    for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
+        axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
+    for chances, ways in zip(*map(np.asarray, modes["model"]), strict=True):
+        for chance, way in zip(chances, ways, strict=True):
+            if chance >= LIKELY:
+                axes.plot(*way.T, color=STYLES["model"][0], linewidth=1 + 5 * chance, alpha=0.25)
+    for name, path in paths.items():
+        color, marker = STYLES[name]
+        lines = axes.plot(*np.concatenate([start, path], axis=1).T, color=color, marker=marker, markevery=10)
+        for line in lines:
+            line.set(linewidth=1.3, markersize=4)
+        lines[0].set_label(PREDICTORS.get(name, name))
+    axes.set(xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1))
+    axes.invert_yaxis()  # the driver's left is up
+    figure.legend(loc="outside lower center", ncols=len(paths))
+    return figure
+
+
+def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = None) -> list[Table]:
+    """Tabulate a learned reward, and what was learned of drivers, if anything; 90 % intervals.
+
+    The last columns are mean sums of the features over a segment: the drivers', and those expected under the reward.
+
+    Args:
+        learned: the reward.
+        true: the drivers' weights by name, for a further column, if they are known.
+    """
+    rows = []
+    for name in (*learned.weights, "temperature", *(["tails"] if learned.tails else [])):
+        value, ends = learned.weights.get(name) or getattr(learned, name), "given" if name in learned.weights else ""
+        if name in learned.learned:
+            ends = "{:.3g}, {:.3g}".format(*learned.interval(name))
+        row = {"weight": name, "value": f"{value:.4g}", "90 % interval": ends}
+        if true is not None:
+            row["true"] = f"{true[name]:g}" if name in true else ""
+        for side, heading in (("human", "feature of drivers"), ("model", "feature expected")):
+            counts = learned.feature_counts[side]
+            row[heading] = f"{counts[name]:.3g}" if name in counts else ""
+        rows.append(row)
+    found = [grid(f"learned from {learned.windows} segments", rows)]
+    return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
+
+
+def _drivers_table(drivers: LearnedDrivers) -> Table:
+    """Tabulate what was learned seconds ahead, with 90 % intervals by driver where they were computed."""
+    prior = drivers.prior
+    numbers = {
+        **drivers.weights,
+        "typical headway": prior.median[1],
+        **dict(zip(("desired speeds", "headways", "patiences"), prior.deviations, strict=True)),
+        "noise": prior.noise,
+        **{f"{name} while changing lanes": value for name, value in drivers.changing.items()},
+    }
+    rows = []
+    for name, value in numbers.items():
+        ends = value * np.exp(1.645 * drivers.deviations.get(name, np.nan) * np.array([-1, 1]))
+        text = "{:.3g}, {:.3g}".format(*ends) if np.isfinite(ends[0]) else "given"
+        rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": text})
+    return grid("learned seconds ahead; factors while changing lanes", rows)
+
+
+def evaluation_tables(evaluation: Evaluation) -> list[Table]:
+    """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime, and controls."""
+    rows = [
+        {"predicted by": label, "after": f"{horizon} s"}
+        | {heading: form.format(row[kind][horizon]) for kind, (heading, form) in COLUMNS.items()}
+        for horizon in map(str, HORIZONS)
+        for name, label in PREDICTORS.items()
+        if horizon in (row := evaluation.predictors[name])["fde"]
+    ]
+    title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers, others {evaluation.others}"
+    tables = [grid(title, rows)]
+    for kind, label in (("distance", "mean error, m"), ("log_p", "mean log density")):
+        for horizon in ("3", "5"):
+            rows = []
+            for regime, row in evaluation.situations[kind].items():
+                values = {label: row[name].get(horizon) for name, label in PREDICTORS.items()}
+                texts = {label: "" if value is None else f"{value:.2f}" for label, value in values.items()}
+                rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
+            tables += [grid(f"{label}, after {horizon} s", rows)] if rows else []
+    likely = evaluation.likelihood
+    names = {"model": "learned reward", "constant_velocity": PREDICTORS["constant_velocity"]}
+    rows = [{"predicted by": label, "log p per segment": f"{likely[name]:.2f}"} for name, label in names.items()]
+    return [*tables, grid(f"controls of {likely['windows']:g} segments", rows)]

@@ -1,0 +1,48 @@
+"""Distances of bodies, by NumPy as by JAX."""
+
+import numpy as np
+import pytest
+from highway_env.utils import are_polygons_intersecting, rect_corners
+from jax import numpy as jnp
+
+from ms_highway.geometry.bodies import body_points, ellipse_distance, nearest_ahead, separation
+
+
+def polygon(x, y, heading, length, width):
+    corners = rect_corners(np.array([x, y]), length, width, heading)
+    return np.array([*corners, corners[0]])
+
+
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray])
+def test_rectangles_are_apart_exactly_where_highway_env_says_so(kind):
+    random, number, own = np.random.default_rng(0), 300, (0.5, -0.3, 2.0)
+    others = *random.uniform(-6, 6, (2, number)), random.uniform(-7, 7, number)
+    sizes = random.uniform(0.5, 6, (number, 2))
+    found = np.asarray(separation(tuple(map(kind, own)), kind([5.0, 2.0]), others, sizes))
+    for place, size, apart in zip(np.transpose(others), sizes, found, strict=True):
+        touching, *_ = are_polygons_intersecting(
+            polygon(*own, 5.0, 2.0), polygon(*place, *size), np.zeros(2), np.zeros(2)
+        )
+        assert abs(apart) < 1e-3 or touching == (apart < 0)
+    assert 0.2 < np.mean(found < 0) < 0.8
+
+
+def test_the_distance_to_an_ellipse_is_zero_on_it_and_grows_with_the_square():
+    points = body_points(np.array([4.0, 2.0]))
+    heading = 0.7
+    ends = np.array([2.5, 5.0])[:, None] * np.array([np.cos(heading), np.sin(heading)])
+    own = *ends.T, np.ones(2), np.zeros(2)
+    other = tuple(np.full((1, 2), value) for value in (0.0, 0.0, np.cos(heading), np.sin(heading)))
+    distance = ellipse_distance(own, points, other, 5.0, 2.0)
+    assert distance.shape == (1, 9, 2)
+    np.testing.assert_allclose(distance[0, -1], [0.0, 3.0], atol=1e-6)
+    np.testing.assert_allclose(distance, ellipse_distance(tuple(map(jnp.asarray, own)), points, other, 5.0, 2.0), 1e-5)
+
+
+def test_the_nearest_ahead_counts_and_is_not_behind():
+    distance = np.array([[-1.0, 3.0, 2.0, np.nan], [-1.0, -3.0, -2.0, np.nan]])
+    counts = np.array([True, True, True, False])
+    place, there = nearest_ahead(distance, counts)
+    assert place[0] == 2
+    assert there.tolist() == [True, False]
+    np.testing.assert_array_equal(nearest_ahead(jnp.asarray(distance), counts)[1], there)
