@@ -133,7 +133,7 @@ class InteractionEnv(GameEnv):
             "action": {"type": "Autopilot"},
             "controller": {"type": "learned", "lambda": 1.0},
             "ladder": list(scenario.ladder),
-            "costs": "shipped" if several else "published",
+            "costs": "shipped" if several or scenario.semantics == "physical" else "published",
             "semantics": scenario.semantics,
             "human_reward": None,
             "humans": scenario.humans,

@@ -62,7 +62,9 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
 
 
 def _learned(values: str | None, start: Start, price: float) -> Any:
-    return load_values(values or SHIPPED_VALUES, start.humans).rule(start.ladder, start.costs, price)
+    one = "physical" if start.semantics == "physical" else "pair"
+    learned = load_values(values or SHIPPED_VALUES, "several" if start.humans > 1 else one)
+    return learned.rule(start.ladder, start.costs, price)
 
 
 class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):

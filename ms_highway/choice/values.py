@@ -22,9 +22,11 @@ from ms_highway.runtime.files import read_arrays, reading, replacing
 from ms_highway.runtime.structures import Structure, read
 
 SHIPPED_VALUES = "shipped"
-"""Stands for the values that come with the package: learned with one human, or among several."""
+"""Stands for the values that come with the package."""
 
-SHIPPED_FILES = "values.npz", "several_values.npz"
+SHIPPED_FILES = {"pair": "values.npz", "physical": "physical_values.npz", "several": "several_values.npz"}
+"""Files that come with the package: with one human, in physical semantics, among several humans."""
+
 VERSION = 3
 REMEDY = "learn values with `ms-highway values learn`"
 ANOTHER = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
@@ -120,18 +122,18 @@ def save_values(values: Values, path: Path) -> None:
         np.savez(file, **arrays)
 
 
-def load_values(which: str | PathLike[str], humans: int = 1) -> Values:
+def load_values(which: str | PathLike[str], learned_in: str = "pair") -> Values:
     """Read learned values: those that come with the package (`SHIPPED_VALUES`), or a file that `save_values` wrote.
 
     Args:
         which: values.
-        humans: their number, which tells which of the package's values serve.
+        learned_in: which of the package's values serve, a key of `SHIPPED_FILES`.
 
     Raises:
         ValueError: if the file cannot be read, is damaged, or is of another version.
     """
     if which == SHIPPED_VALUES:
-        return _shipped(SHIPPED_FILES[humans > 1])
+        return _shipped(SHIPPED_FILES[learned_in])
     with reading(Path(which), f"{REMEDY} --out {which}", " as learned values"):
         return _read(Path(which), Path(which).stat().st_mtime_ns)
 

@@ -83,7 +83,7 @@ class OneOf(Rule):
 def rules(humans):
     """All rules at which models are chosen, by name."""
     costs = Costs.of([0.09, 0.17, 0.37], humans)
-    values = load_values("shipped", humans)
+    values = load_values("shipped", "several" if humans > 1 else "pair")
     one_step = OneStepGains(Switching(costs, 0.0, PAPERS))
     return {
         "switching": Switching(costs, 0.1, PAPERS),
