@@ -76,7 +76,6 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         leaders=np.full(TRAFFIC, -1),
         gaps=np.full(TRAFFIC, np.inf, np.float32),
         owners=np.where(present, np.arange(TRAFFIC), -1),
-        names=np.where(present, np.arange(TRAFFIC), -1),
         moving=present.copy(),
         accelerations=np.zeros(TRAFFIC, np.float32),
     )

@@ -64,8 +64,7 @@ class RoadScene:
         limits: speed limits of others [m/s].
         leaders: place of the car ahead of each other car on its path, -1 without one.
         gaps: distance of centres to that car [m].
-        owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
-        names: number of the car that each path belongs to, the same as long as the car is in sight; -1 where none does.
+        owners: number of the car that each path belongs to, the same as long as it is in sight; -1 where none does.
         moving: which of the others can move; obstacles and absent ones cannot.
         accelerations: of others since the last look, 0 of new ones [m/s^2].
     """
@@ -87,7 +86,6 @@ class RoadScene:
     leaders: Places
     gaps: Traffic
     owners: Places
-    names: Places
     moving: Flags
     accelerations: Traffic
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning
 GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
 SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
 BEHIND_KNOTS = round(BEHIND / SPACING)
-KINDS = {"leaders": np.int32, "owners": np.int32, "names": np.int32}
+KINDS = {"leaders": np.int32, "owners": np.int32}
 KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
 
 located, placed = jax.jit(Curve.project), jax.jit(jax.vmap(Curve.place))
@@ -175,7 +175,7 @@ def test_a_car_that_shows_its_route_has_one_way_also_farther_than_branches():
     (far,) = among(ego, (("o3", "ir3", 0), 5.0))
     for goal in ("o0", "o1", "o2"):
         far.plan_route_to(goal)
-        (way,) = _ways(far, 0, road_map(far.road.network), True)
+        (way,) = _ways(far, road_map(far.road.network), True)
         assert [lane.index[:2] for lane in way.chain.lanes[:3]] == [leg[:2] for leg in far.route]
 
 
@@ -185,7 +185,7 @@ def test_a_car_that_changes_lanes_has_a_way_along_both_also_where_it_shows_its_r
     other.plan_route_to("exr")
     other.heading, other.speed = other.heading + 0.25, 12.0
     for shows in (False, True):
-        ways = _ways(other, 0, road_map(other.road.network), shows)
+        ways = _ways(other, road_map(other.road.network), shows)
         assert {way.chain.lanes[0].index[2] for way in ways} == {0, 1}
         assert not shows or all(way.chain.lanes[1].index[:2] == other.route[1][:2] for way in ways)
 
