@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ms_highway.benchmarks.throughput import throughput
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
 from ms_highway.experiments.batch import make_batch, simulated
 from ms_highway.experiments.comparison import Comparison
@@ -122,3 +123,13 @@ def test_a_batch_without_controllers_known_costs_or_devices_is_refused():
         make_batch(Comparison({"merger": ["naive"]}, config={"costs": "measured"}), "merger")
     with pytest.raises(ValueError, match="1000 devices are wanted"):
         use_devices(1000)
+
+
+@pytest.mark.slow
+def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
+    ((name, result),) = throughput("stay_back", ["naive"], [1, 20])
+    assert name == "naive"
+    assert result["environment"] > 1
+    assert result["batch"]["20"] > result["batch"]["1"] > 1
+    assert result["memory_mib"]["20"] >= result["memory_mib"]["1"] > 100
