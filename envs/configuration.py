@@ -18,7 +18,7 @@ from highway_env.envs.common.observation import (
     OccupancyGridObservation,
     TimeToCollisionObservation,
 )
-from msgspec import Meta, Struct, ValidationError, convert, field, to_builtins
+from msgspec import Meta, Struct, ValidationError, convert, to_builtins
 from msgspec.structs import fields
 
 from ms_highway.game.scenario import TIME_STEP
@@ -66,12 +66,6 @@ TYPES: Types = {
     },
 }
 """Types of actions and observations, and the keys that they have."""
-
-
-class ModelAction(Struct, frozen=True, tag_field="type", tag="HumanModelAction"):
-    """What an action says by which the agent chooses models: the price of a second of planning."""
-
-    price: NotNegative = field(name="lambda")
 
 
 def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> None:
@@ -224,7 +218,7 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
         if ends is not None and ends[0] >= ends[1]:
             raise ValueError(f"{place} is {ends!r}; give the lowest value first, then the highest")
     if "lambda" in keys:
-        read(ModelAction, "config['action']", config["action"])
+        _check("config['action']['lambda']", as_json(config["action"].get("lambda")), NotNegative)
     if "steering_range" in keys:
         config["action"] = {"steering_range": STEERING_RANGE, **config["action"]}
     return config

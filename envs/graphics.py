@@ -10,7 +10,6 @@ import numpy as np
 import pygame
 from highway_env.road.graphics import LaneGraphics, RoadGraphics
 
-from ms_highway.choice.learned_value import LearnedValue
 from ms_highway.choice.rule import Order
 from ms_highway.envs.viewer import (
     ASPHALT,
@@ -67,7 +66,7 @@ class InteractionViewer(Viewer):
         RoadGraphics.display_traffic(env.road, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
-        self._draw_names(range(above, below))
+        self._draw_names()
         self._draw_panel(step)
         self.show(surface)
 
@@ -87,21 +86,12 @@ class InteractionViewer(Viewer):
         states = accumulate(controls, partial(move, dynamics), initial=state)
         return [self.sim_surface.vec2pix(each) for each in states]
 
-    def _draw_names(self, road: range) -> None:
-        """Draw the names of robot and human beside them; of several humans, a number on each roof."""
-        humans, (robot, *others) = self.env.humans, self.env.scenario.cars
-        side = -1 if others and robot[1] < others[0][1] else 1
-        labels = {"robot": (self.env.robot, side)}
-        if len(humans) == 1:
-            labels["human"] = humans[0], -side
-        else:
-            labels |= {str(place): (human, 0) for place, human in enumerate(humans, 1)}
-        for name, (car, side) in labels.items():
-            x, y = self.sim_surface.vec2pix(car.position)
-            if side:
-                y = max(self.sim_surface.vec2pix(corner)[1] * side for corner in car.polygon()) * side + 12 * side
-            colors = (INK, None) if not side else (PAPER, ASPHALT) if y in road else (INK, GROUND)
-            self._write(name, MEDIUM, *colors, center=(x, y))
+    def _draw_names(self) -> None:
+        """Write on their roofs who is the robot and who the human; several humans have numbers."""
+        humans = self.env.humans
+        names = ["human"] if len(humans) == 1 else map(str, range(1, 1 + len(humans)))
+        for name, car in zip(("robot", *names), (self.env.robot, *humans), strict=True):
+            self._write(name, SMALL, center=self.sim_surface.vec2pix(car.position))
 
     def _draw_panel(self, step: ControlStep | None) -> None:
         env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
@@ -141,7 +131,7 @@ class InteractionViewer(Viewer):
         controller, cones, remarks = self.env.robot.controller, self.env.distance_to_cones, []
         times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": controller.budget}
         if len(step.models) == 1 and not isinstance(controller.rule, Order):
-            remarks.append(_reason(step, isinstance(controller.rule, LearnedValue)))
+            remarks.append(_reason(step))
         if self.env.scenario.streams and cones < np.inf:
             remarks.append(f"cones in {cones:.0f} m")
         if step.status != "planned":
@@ -210,15 +200,11 @@ class InteractionViewer(Viewer):
         return self.sim_surface.blit(label, label.get_rect(**place))
 
 
-def _reason(step: ControlStep, learned: bool) -> str:
-    """Say why this model plans: the gain that was estimated, net of the price of planning.
-
-    Algorithm 1 estimates what a step earns more, a learned value what all coming steps are worth more.
-    """
-    gains, model = step.highest_gains(), step.model
+def _reason(step: ControlStep) -> str:
+    """Say why this model plans: the gains that were estimated, net of the price of planning."""
+    gains = step.highest_gains()
     if step.choice_failed:
-        return f"choice failed: {model} to be safe"
-    if model in gains:
-        return f"switched: {'worth' if learned else 'estimated net gain'} {gains[model]:+.3f}"
-    message = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
-    return f"stays: {'worth' if learned else 'net gain'} of {message}" if gains else "no switch considered"
+        return f"choice failed: {step.model} to be safe"
+    told = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
+    verb = "switched" if step.model in gains else "stays"
+    return f"{verb}: net gain of {told}" if gains else "no switch considered"

@@ -1,7 +1,5 @@
 """Stretches of road for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
 
-from dataclasses import replace
-
 import jax
 import numpy as np
 from jax import numpy as jnp
@@ -19,7 +17,6 @@ from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 NOBODY = np.zeros(TRAFFIC, bool)
-ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
@@ -64,7 +61,6 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         lanes=np.tile(lanes[:, None], KNOTS).astype(np.float32),
         open=np.ones((LANES, KNOTS), bool),
         edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
-        paved=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         changes=np.zeros(LANES, np.float32),
         room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
@@ -80,17 +76,9 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         leaders=np.full(TRAFFIC, -1),
         gaps=np.full(TRAFFIC, np.inf, np.float32),
         owners=np.where(present, np.arange(TRAFFIC), -1),
-        names=np.where(present, np.arange(TRAFFIC), -1),
         moving=present.copy(),
         accelerations=np.zeros(TRAFFIC, np.float32),
     )
-
-
-def country_road(*cars, speed=8.0):
-    """A road of one lane for each direction: nobody but who goes round something drives on the left."""
-    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=cars, limit=10.0)
-    paved = np.tile(np.array([[-6.0], [2.0]], np.float32), KNOTS)
-    return replace(scene, open=ONE_LANE, edges=np.clip(paved, -2.0, 2.0), paved=paved)
 
 
 def crossing(robot_s, come_from, speed=10.0):
@@ -119,14 +107,6 @@ def coming(scene, car):
     scene.paths.x[car] = 2 * scene.paths.x[car, round(BEHIND / SPACING)] - scene.paths.x[car]
     scene.paths.heading[car] += np.pi
     return scene
-
-
-def turning_off(robot_s):
-    """A standing robot, and a car from ahead, on the left lane, that turns left across its route at s = 44 to 50."""
-    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, 10.0)])
-    along = SPACING * np.arange(TRAFFIC_KNOTS) - BEHIND
-    path = winding(np.where((along > 60) & (along < 80), -1 / 13, 0.0))
-    return on_path(scene, 115.0 - path.x, -LANE - path.y, path.heading + np.pi, path.curvature)
 
 
 @jax.jit
@@ -167,7 +147,7 @@ def driven_and_judged(scene, planning, others, plans):
     return driven, score(now, driven, plans)
 
 
-def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
+def judged(scene, controls, lanes, follows, planning=PLANNING):
     """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
     number = len(controls)
     assert number <= PROPOSALS
@@ -175,7 +155,6 @@ def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
     plans = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS, axis=0), PLANS)
     plans = plans._replace(
         lane=np.asarray(lanes, np.int32)[filled],
-        side=np.broadcast_to(np.asarray(sides, np.int32), number)[filled],
         controls=np.asarray(controls, np.float32)[filled],
     )
     found = driven_and_judged(scene, planning, told(follows), plans)

@@ -13,7 +13,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, check_costs, with_human
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, with_human
 from ms_highway.game.game import (
     Game,
     each_human,
@@ -96,7 +96,6 @@ class Quadratic(Rule):
         def one(human: Index) -> Control:
             return self._gains(*with_human(game, outcome, human), jnp.asarray(memory.rungs)[human], memory, human)
 
-        check_costs(self)
         up, down = jnp.moveaxis(each_human(game, one), 1, 0)
         rungs, top = jnp.asarray(memory.rungs), len(self.ladder) - 1
         chosen = jnp.where(up > 0, top, jnp.where(down > 0, rungs - 1, rungs))

@@ -140,8 +140,10 @@ class Rule:
         costs, price = getattr(self, "costs", None), np.asarray(getattr(self, "price", 0.0))
         if costs is None:
             return
-        check_costs(self)
         each = np.asarray(costs.each)
+        if each.shape != (len(self.ladder),):
+            names = ", ".join(model.name for model in self.ladder)
+            raise ValueError(f"costs are of shape {each.shape}; give one for each of {names}")
         if not (price >= 0).all() or (each < 0).any():
             raise ValueError(f"the price is {price} and the costs are {each.tolist()}; neither may be negative")
 
@@ -195,17 +197,6 @@ def with_human(game: Game, outcome: Outcome, human: Index) -> tuple[Game, Outcom
     return alone, outcome._replace(
         before=before, after=after, humans=jnp.asarray(outcome.humans)[human][None], plan=plan
     )
-
-
-def check_costs(rule: Any) -> None:
-    """Check that there is one cost per rung.
-
-    Raises:
-        ValueError: if there are fewer or more.
-    """
-    if np.shape(rule.costs.each) != (len(rule.ladder),):
-        names = ", ".join(model.name for model in rule.ladder)
-        raise ValueError(f"costs are of shape {np.shape(rule.costs.each)}; give one for each of {names}")
 
 
 def first_memory(rule: Rule, humans: int) -> Memory:

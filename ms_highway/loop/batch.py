@@ -27,12 +27,11 @@ from ms_highway.loop.step import (
     begin,
     complete_outcome,
     continues_plan,
-    remaining_plan,
     responsive_rungs,
 )
 from ms_highway.loop.yielding import unmoved_control
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan, cold_start, may_continue
+from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import (
@@ -186,7 +185,7 @@ def _plan(loop: Loop, own: _Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
         start = cold_start(game, seen)
         if may_continue(models, game):
             left = continues_plan(models, game, used, rest)
-            start = jax.tree.map(lambda new, cold: jnp.where(left, new, cold), remaining_plan(rest), start)
+            start = jax.tree.map(lambda new, cold: jnp.where(left, new, cold), one_step_later(rest.start), start)
         return plan_for(models, game, seen, rungs, start)
 
     each, given = partial(_for_each, loop), (own, seen, rest, rungs)

@@ -10,10 +10,10 @@ from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always
 from ms_highway.game.game import Game, constant_velocity
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.fallback import STATUSES, Followed, brake, follow, follow_escape, no_rest
-from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide, remaining_plan
+from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan
+from ms_highway.planning.plans import Plan, one_step_later
 from ms_highway.runtime.arrays import State
 from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single
 from ms_highway.runtime.forks import refuse_after_fork
@@ -132,7 +132,7 @@ class Driver:
         carry, decision, deciding = self._decide(self._carried(now, before), now)
         rungs = decision.memory.rungs
         continues = continues_plan(self.rule.ladder, self.game, rungs, self._rest)
-        plan, planning = self._plans.plan(now, rungs, remaining_plan(self._rest) if continues else None)
+        plan, planning = self._plans.plan(now, rungs, one_step_later(self._rest.start) if continues else None)
         late = self.budget is not None and perf_counter() - start + self._checking > self.budget
         followed, self._checking = self._follow(follow(plan, rungs, self._rest, late), now)
         self._carry, (rest, self._rest, status) = advance(carry, decision, followed, now), followed
@@ -210,16 +210,13 @@ class Driver:
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
         """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""
         if followed.now.steps == 0:
-            followed = followed.instead(self._braking(state))
+            robot = brake(self.game, state[0]) / np.asarray(self.game.planner.control_scale)
+            humans = constant_velocity(self.game, state[1 : 1 + self.game.number])
+            followed = followed.instead(Plan(robot, humans))
         if not self.way_out:
             return followed, 0.0
         escape, seconds = self._plans.keep_way_out(state, followed.now.plan.robot[0])
         return follow_escape(followed, escape), seconds
-
-    def _braking(self, state: State) -> Plan:
-        """Return a plan in which the robot brakes to a stop and humans keep their velocity."""
-        robot = brake(self.game, state[0]) / np.asarray(self.game.planner.control_scale)
-        return Plan(robot, constant_velocity(self.game, state[1 : 1 + self.game.number]))
 
 
 @cache

@@ -16,7 +16,7 @@ from ms_highway.game.features import reward
 from ms_highway.game.game import Game
 from ms_highway.loop.fallback import Followed, Rest
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.planning.plans import Plan, one_step_later
+from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Belief, Rungs, State
 
 
@@ -87,17 +87,12 @@ def decide(
 
 
 def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, rest: Rest) -> bool:
-    """Return whether the coming plan starts from the `remaining_plan`, as the planner or a rung in use wants it."""
+    """Return whether the coming plan goes on from the rest of the last one, as the planner or a rung wants it."""
     warm = np.array([model.warm for model in ladder])
     wanted = game.planner.persistent or bool(warm.all())
     if not wanted and warm.any():
         wanted = rungs.__array_namespace__().asarray(warm)[rungs].any()
     return wanted & (rest.steps > 0)
-
-
-def remaining_plan(rest: Rest) -> Plan:
-    """Return the plan that a plan may start from: what is left of the last one."""
-    return one_step_later(rest.start)
 
 
 def advance(carry: Carry, decision: Decision, followed: Followed, state: State) -> Carry:

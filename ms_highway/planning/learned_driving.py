@@ -1,7 +1,7 @@
 """Drive like recorded drivers, all cars of a moment together, on a straight road: by the traits that each has shown."""
 
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import jax
 from jax import numpy as jnp
@@ -32,8 +32,8 @@ TraitLogarithms = Float[Any, "cars 3"]
 Estimate = tuple[Float[Any, "3"], Float[Any, "3 3"]]  # mean and covariance
 
 
-class Surroundings(Protocol):
-    """What drivers drive in.
+class Surroundings(NamedTuple):
+    """What drivers drive in; snapshots of recordings have the same attributes.
 
     Attributes:
         sizes: length and width of every car [cars, 2].
@@ -41,12 +41,9 @@ class Surroundings(Protocol):
         speed_limit: of the road [m/s].
     """
 
-    @property
-    def sizes(self) -> Any: ...  # noqa: D102
-    @property
-    def lane_width(self) -> Any: ...  # noqa: D102
-    @property
-    def speed_limit(self) -> Any: ...  # noqa: D102
+    sizes: Float[Any, "cars 2"]
+    lane_width: Any
+    speed_limit: Any
 
 
 def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 4"]:
@@ -54,7 +51,7 @@ def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 
     return jnp.where(jnp.isfinite(states).all(axis=-1, keepdims=True), states, jnp.array([-FAR, -FAR, 0.0, 0.0]))
 
 
-def leader_of(around: Surroundings, states: States, others: States, lane: Cars) -> Leader:
+def leader_of(around: Any, states: States, others: States, lane: Cars) -> Leader:
     """Return the nearest of the others ahead of each car in the lane with this lateral position."""
     not_itself, lengths = ~jnp.eye(len(states), dtype=bool), around.sizes[:, 0]
     place, there = leaders(states[:, 0], lane, others, not_itself, around.lane_width / 2)
@@ -64,7 +61,7 @@ def leader_of(around: Surroundings, states: States, others: States, lane: Cars) 
 
 def moved(
     drivers: Drivers,
-    around: Surroundings,
+    around: Any,
     logarithms: TraitLogarithms,
     side: Int[Any, "cars"],
     wanted: Cars,
@@ -75,7 +72,7 @@ def moved(
 
     Args:
         drivers: what was learned.
-        around: what they drive in.
+        around: `Surroundings`.
         logarithms: of their traits, see `shown_traits`.
         side: lanes to the right by which each changes lanes, -1, 0 or 1; who changes follows the leader there.
         wanted: lateral position of the middle of the lane that each wants [m].
@@ -103,7 +100,7 @@ def moved(
     return jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1), leader
 
 
-def shown_traits(drivers: Drivers, around: Surroundings, past: Float[Any, "times cars 4"]) -> TraitLogarithms:
+def shown_traits(drivers: Drivers, around: Any, past: Float[Any, "times cars 4"]) -> TraitLogarithms:
     """Return the means of the logarithms of traits, as deviations from the medians', given the past 3 s.
 
     For each full second of a car's past, an extended Kalman update with its mean acceleration, which the plan of the
@@ -111,7 +108,7 @@ def shown_traits(drivers: Drivers, around: Surroundings, past: Float[Any, "times
 
     Args:
         drivers: what was learned.
-        around: what they drive in.
+        around: `Surroundings`.
         past: states of all cars 3 s before, and at each step until now; NaN where they were not seen.
     """
     prior, seen, past = drivers.prior, jnp.isfinite(past).all(axis=-1), seen_states(past)

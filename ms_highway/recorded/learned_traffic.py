@@ -12,7 +12,16 @@ from ms_highway.game.learned_drivers import Drivers
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.planning.learned_driving import PAST, SECOND, Cars, States, moved, seen_states, shown_traits
+from ms_highway.planning.learned_driving import (
+    PAST,
+    SECOND,
+    Cars,
+    States,
+    Surroundings,
+    moved,
+    seen_states,
+    shown_traits,
+)
 from ms_highway.recorded.scenario import KEPT, SPEED_LIMIT, RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import map_of
 from ms_highway.recorded.traffic import CLEAR, DrivenRoad, GuidedVehicle
@@ -50,14 +59,6 @@ class LearnedVehicle(GuidedVehicle):
         """Return the lane change that it wants (-1 left, 0 none, 1 right), and its speed without a leader [m/s]."""
         later = min(int(np.searchsorted(self.way.x, x + LOOK_AHEAD * speed)), len(self.way.x) - 1)
         return np.sign(self.way.lanes[later] - lane), np.interp(x, self.way.x, self.way.states[:, 3])
-
-
-class Surroundings(NamedTuple):
-    """What learned drivers drive in, see `ms_highway.planning.learned_driving.Surroundings`."""
-
-    sizes: Float[Any, "cars 2"]
-    lane_width: float
-    speed_limit: float
 
 
 class Wishes(NamedTuple):

@@ -2,11 +2,12 @@
 
 import itertools
 from collections.abc import Sequence
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
-from highway_env.road.road import RoadNetwork
+from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.utils import get_class_path
 
 from ms_highway.geometry.curve import Curve, wrapped
@@ -16,6 +17,7 @@ from ms_highway.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 STEP = 1.0  # m, between samples of a lane
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
 WITHIN = 0.1  # m, from the middle of a lanelet to that of its lane
+ASKED = 5_000  # positions in lanes that are remembered: in a step, each car's is asked for often
 
 
 class Axes(NamedTuple):
@@ -101,8 +103,7 @@ class SampledLane(AbstractLane):
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
         """Return the place along the lane and the distance to the right of its middle [m]."""
-        along, right = self.curve.locate(np.asarray(position, dtype=float))
-        return float(along), float(right)
+        return _local_coordinates(self, *map(float, position))
 
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":
@@ -120,6 +121,33 @@ class SampledLane(AbstractLane):
         return {"class_path": get_class_path(self.__class__), "config": config}
 
 
+@lru_cache(ASKED)
+def _local_coordinates(lane: SampledLane, x: float, y: float) -> tuple[float, float]:
+    along, right = lane.curve.locate(np.array([x, y]))
+    return float(along), float(right)
+
+
+class LaneletNetwork(RoadNetwork):
+    """A road network of sampled lanes that measures the distance only to lanes that may be the closest one."""
+
+    @cached_property
+    def _samples(self) -> tuple[Points, list[int]]:
+        """Centres of all lanes, one after the other, and where each lane's begin."""
+        centres = [lane.centres for lane in self.lanes_list()]
+        return np.concatenate(centres), [0, *np.cumsum([len(lane) for lane in centres[:-1]]).tolist()]
+
+    def get_closest_lane_index(self, position: np.ndarray, heading: float | None = None) -> LaneIndex:
+        """Return the index of the lane that is nearest in position and heading."""
+        samples, firsts = self._samples
+        least = np.minimum.reduceat(np.hypot(*(samples - position).T), firsts) - STEP  # no lane is nearer than that
+        indexes, best = [*self.lanes_dict()], (np.inf, 0)
+        for lane in np.argsort(least).tolist():
+            if least[lane] > best[0]:
+                break
+            best = min(best, (self.get_lane(indexes[lane]).distance_with_heading(position, heading), lane))
+        return indexes[best[1]]
+
+
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
     """Build the road network of a recording: lanelets side by side are the lanes of a road, from the left.
 
@@ -127,7 +155,7 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
         ValueError: for lanes of two directions, a lanelet that is beside itself, or roads that part and meet again.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
-    network, roads = RoadNetwork(), side_by_side(lanelets)
+    network, roads = LaneletNetwork(), side_by_side(lanelets)
     for road, (start, end) in zip(roads, _nodes(roads), strict=True):
         if end in network.graph.get(start, {}):
             raise ValueError(

@@ -95,7 +95,7 @@ class RoadDriver:
         self._memory = first_memory(self._rule, TRAFFIC)
         self._last = no_plan(self.planning)
         self._left = 0  # controls of the last plan that are left, the executed one included
-        self._speeds: dict[int, float] = {}  # of others at the last look, by their names
+        self._speeds: dict[int, float] = {}  # of others at the last look, by their numbers
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Return what to do now."""
@@ -136,7 +136,7 @@ class RoadDriver:
 
     def _with_accelerations(self, scene: RoadScene) -> RoadScene:
         """Return the road with the accelerations of others since the last look."""
-        seen, speeds = scene.names.tolist(), scene.states[:, 3].tolist()
+        seen, speeds = scene.owners.tolist(), scene.states[:, 3].tolist()
         changes = [speed - self._speeds.get(name, speed) for name, speed in zip(seen, speeds, strict=True)]
         self._speeds = dict(zip(seen, speeds, strict=True))
         accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))

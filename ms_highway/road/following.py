@@ -106,7 +106,7 @@ def accelerations_now(now: Situation) -> Traffic:
     """Return the accelerations now by the Intelligent Driver Model: the least on all ways of a car, never backwards."""
     scene, (along, across, _, speeds) = now.scene, jnp.asarray(now.scene.states).T
     each = follow_all(now, now.ways.at(along, across), along, speeds, jnp.asarray(scene.robot))
-    same = scene.names[:, None] == scene.names
+    same = scene.owners[:, None] == scene.owners
     return jnp.maximum(jnp.where(same, each, jnp.inf).min(axis=1), -speeds / now.planning.time_step)
 
 

@@ -52,7 +52,6 @@ class RoadScene:
         lanes: lateral positions of the centres of `LANES` lanes at the knots of the route: left, own, right [m].
         open: where each of them may be driven on.
         edges: lateral positions of the left and the right edge of the road at the knots [m].
-        paved: the same of all lanes side by side, those included that lead elsewhere or the other way [m].
         changes: changes of lane to the right that the goal asks for from each lane, negative to the left.
         room: distance left for them [m]; infinite where the goal asks for none.
         robot: state of the middle of the robot's rear axle.
@@ -65,8 +64,7 @@ class RoadScene:
         limits: speed limits of others [m/s].
         leaders: place of the car ahead of each other car on its path, -1 without one.
         gaps: distance of centres to that car [m].
-        owners: number of the car that each path belongs to, in the order of distance; -1 where none does.
-        names: number of the car that each path belongs to, the same as long as the car is in sight; -1 where none does.
+        owners: number of the car that each path belongs to, the same as long as it is in sight; -1 where none does.
         moving: which of the others can move; obstacles and absent ones cannot.
         accelerations: of others since the last look, 0 of new ones [m/s^2].
     """
@@ -75,7 +73,6 @@ class RoadScene:
     lanes: Knots
     open: Knots
     edges: Knots
-    paved: Knots
     changes: Numbers
     room: Scalar
     robot: Car
@@ -89,7 +86,6 @@ class RoadScene:
     leaders: Places
     gaps: Traffic
     owners: Places
-    names: Places
     moving: Flags
     accelerations: Traffic
 

@@ -36,7 +36,6 @@ NOBODY = {
     "present": False,
     "limits": LIMIT,
     "owners": -1,
-    "names": -1,
     "moving": False,
 }
 """An unused row of what is known of others."""
@@ -47,7 +46,6 @@ class Way(NamedTuple):
 
     Attributes:
         car: the vehicle, or an obstacle.
-        owner: number of it, nearest first.
         chain: lanes.
         path: along them.
         state: of the vehicle on the path.
@@ -55,7 +53,6 @@ class Way(NamedTuple):
     """
 
     car: RoadObject
-    owner: int
     chain: Chain
     path: Curve
     state: Car
@@ -77,9 +74,9 @@ def traffic_of(
     seen = _in_sight(vehicle)
     for car in seen:
         numbers.setdefault(car, len(numbers))
-    ways = [way for owner, car in enumerate(seen) for way in _ways(car, owner, roads, intentions)]
+    ways = [way for car in seen for way in _ways(car, roads, intentions)]
     if len(ways) > TRAFFIC:
-        ways = sorted(ways, key=lambda way: (not _meets(way.path, route), way.owner))[:TRAFFIC]
+        ways = sorted(ways, key=lambda way: not _meets(way.path, route))[:TRAFFIC]
     rows = [
         {
             "paths": way.path,
@@ -87,8 +84,7 @@ def traffic_of(
             "sizes": np.array([way.car.LENGTH, way.car.WIDTH]),
             "present": True,
             "limits": way.limit,
-            "owners": way.owner,
-            "names": numbers[way.car],
+            "owners": numbers[way.car],
             "moving": _drives(way.car),
         }
         for way in ways
@@ -121,7 +117,7 @@ def _drives(car: RoadObject) -> bool:
     return isinstance(car, Vehicle) and not car.crashed
 
 
-def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list[Way]:
+def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
     """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane.
 
     Where it shows its intentions, these are the ways from all lanes of the road from which most of its route follows.
@@ -130,9 +126,7 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
     if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
         x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
         path = Curve(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
-        return [
-            Way(car, owner, roads.chain((own,)), path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))
-        ]
+        return [Way(car, roads.chain((own,)), path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))]
     legs = frozenset(leg[:2] for leg in (intentions and getattr(car, "route", None)) or ())
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
@@ -148,7 +142,7 @@ def _ways(car: RoadObject, owner: int, roads: RoadMap, intentions: bool) -> list
         curve = chain.curve(place // BLOCK)
         s, d, heading = curve.project(car.position, car.heading, place)
         path = curve.path(s, TRAFFIC_KNOTS)
-        ways.append(Way(car, owner, chain, path, np.array([0.0, d, heading, car.speed]), chain.lanes[0].limit))
+        ways.append(Way(car, chain, path, np.array([0.0, d, heading, car.speed]), chain.lanes[0].limit))
     return ways
 
 

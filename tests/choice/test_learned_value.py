@@ -1,7 +1,6 @@
 """Learned values of computation: what they look at, choose, and their files."""
 
 import json
-import zipfile
 from dataclasses import replace
 
 import gymnasium as gym
@@ -136,13 +135,6 @@ def refused(file, problem=""):
         make_environment("merger", f"learned:1:{file}")
 
 
-def test_a_missing_and_a_cut_file_of_values_are_refused_by_name(file):
-    file.write_bytes(file.read_bytes()[:60_000])
-    refused(file)
-    file.unlink()
-    refused(file)
-
-
 def about(**changes):
     return lambda told: np.array(json.dumps(json.loads(str(told)) | changes))
 
@@ -165,12 +157,6 @@ def test_a_file_of_values_that_says_or_holds_wrong_things_is_refused_by_them(fil
         arrays = dict(archive)
     np.savez(file, **arrays | {name: change(arrays[name])})
     refused(file, problem)
-
-
-def test_archives_that_unpack_to_more_than_values_have_are_refused_before_they_are_read(file):
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        archive.writestr("about.npy", bytes(20_000_000))
-    refused(file, "unpacks to 20000000 bytes")
 
 
 def over_naive(gains, price=0.0):
@@ -223,14 +209,3 @@ def test_over_the_cheapest_rung_doubts_and_failed_estimates_choose_it(two):
     failed = chosen(rule, game, np.full_like(state, np.nan))
     assert failed.failed
     assert failed.memory.rungs.tolist() == [0, 0]
-
-
-def test_a_price_of_0_plans_with_dear_rungs_and_a_very_large_one_with_the_cheapest():
-    assert models_of(learned(0.0)).count("tom") > 30
-    assert set(models_of(learned(1e5))) == {"naive"}
-
-
-@pytest.mark.usefixtures("stopped_by_nans")
-def test_values_choose_by_costs_that_are_measured():
-    models = models_of(learned(1.0), costs="measured")
-    assert models.count("tom") > 20  # which takes milliseconds

@@ -43,38 +43,6 @@ def test_nobody_merges_in_front_of_a_human_who_ignored_the_nudge(controller):
     assert (states[:, 0, 1] > -1.25).all()  # within its own lane
 
 
-def test_who_counts_on_such_a_human_collides():
-    *_, infos = drive(make("merger", "tom", yielding="never"), SEED, steps=15)
-    assert any(info["collision"] for info in infos)
-
-
-def test_who_never_yields_keeps_its_velocity_and_who_always_does_brakes_for_a_robot_beside_it():
-    _, states, _, infos = drive(make("merger", "tom", yielding="never"), SEED, steps=10)
-    np.testing.assert_allclose(states[:, 1, 2:], np.tile(states[0, 1, 2:], (11, 1)), atol=1e-4)
-    assert infos[-1]["human_status"] == ("planned",)
-    _, states, *_ = drive(make("merger", yielding="always"), SEED, steps=10)
-    np.testing.assert_allclose(np.diff(states[:, 1, 3]), -0.3)
-    assert states[-1, 0, 1] > -1.25  # the robot is still in the other lane
-
-
-def test_humans_who_keep_their_velocity_brake_for_slower_ones_but_not_for_the_robot():
-    starts = np.array([[12.0, -3.3, 0, 15], [0, -3.3, 0, 20], [30, -3.3, 0, 10]])
-    _, states, *_ = drive(make("dense_merge", yielding="never"), starts=starts, steps=1)
-    assert 20 > states[1, 1, 3] > 19.5  # 2 m/s^2 for the slower human, not 5 for the robot
-    assert states[1, 2, 3] == pytest.approx(10.0)
-
-
-def test_mixed_humans_are_drawn_for_every_episode():
-    env = make("dense_merge", yielding="mixed", humans=12).unwrapped
-
-    def drawn(seed):
-        env.reset(seed=seed)
-        return [car.controller.yields for car in env.humans]
-
-    assert drawn(0) == drawn(0) != drawn(1)
-    assert {*drawn(0)} == {True, False}
-
-
 @pytest.mark.parametrize(("scenario", "config"), [("merger", {}), ("dense_merge", TWO)])
 def test_a_frame_shows_every_humans_belief(scenario, config):
     def shown(controller):

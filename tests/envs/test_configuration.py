@@ -8,13 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from msgspec import defstruct
 
 from ms_highway import always, drive
 from ms_highway.envs import (
     ENVIRONMENTS,
     SCENARIOS,
-    DemonstrationEnv,
     MergerEnv,
     add_scenario,
     environment_id,
@@ -104,28 +102,6 @@ def test_a_wrong_configuration_is_refused_with_key_value_and_remedy(config, mess
             ENVIRONMENTS[scenario].checked_config(config)
 
 
-def test_one_human_is_one_and_streams_have_several():
-    for scenario, humans, message in ((PAIR, 2, "from 1 to 1"), (SEVERAL, 1, "from 2 to 20")):
-        with pytest.raises(ValueError, match=f"'humans'.* is {humans}; it must be a whole number {message}"):
-            make(scenario, humans=humans)
-
-
-def test_numpys_numbers_count_as_numbers():
-    config = {"horizon": np.int64(7), "control_limit": np.array([0.2, 9.0]), "grip": np.float32(8)}
-    env = make(controller=NAN_MODEL, **config)
-    assert env.game.planner.horizon == 7
-    np.testing.assert_allclose(env.game.planner.control_limit, [0.2, 9.0])
-
-
-def test_the_demonstration_refuses_what_it_has_not():
-    for config, message in (
-        ({"density": "empty"}, "choose one of 'sparse', 'medium', 'dense'"),
-        ({"action": {"type": "Autopilot"}}, "'action'.*its 'type' must be one of ContinuousAction"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            DemonstrationEnv.checked_config(config)
-
-
 def test_nested_configurations_merge_and_a_new_type_replaces():
     assert make(controller={"lambda": 3}).config["controller"] == {"type": "learned", "lambda": 3}
     assert make(controller=NAN_MODEL).config["controller"] == NAN_MODEL
@@ -198,23 +174,6 @@ def test_a_change_that_is_refused_in_an_episode_leaves_it_as_it_was(change, mess
     env.reset(seed=0)
 
 
-def test_a_controller_that_is_set_in_the_configuration_itself_drives_from_the_next_reset_on():
-    env = make(controller=NAN_MODEL)
-    for controller in ({"type": "fixed", "model": "turn"}, "turn"):
-        env.config["controller"] = controller
-        env.reset(seed=0)
-        assert env.step(0)[-1]["model"] == "turn"
-
-
-def test_cooldown_and_trust_radius_are_those_of_the_rule():
-    rule = make(
-        controller={"type": "switching", "lambda": 0.1, "cooldown": 5, "trust_radius": 0.5}
-    ).robot.controller.rule
-    assert (rule.price, rule.cooldown, rule.trust_radius) == (0.1, 5, 0.5)
-    rule = make(controller="horizon:0.1").robot.controller.rule
-    assert (rule.price, rule.cooldown, rule.trust_radius) == (0.1, 3, 1.5)
-
-
 @pytest.mark.parametrize(
     ("text", "config"),
     [
@@ -248,14 +207,6 @@ def test_a_short_name_stands_for_a_configuration(text, config):
 def test_what_is_no_short_name_is_refused_with_an_example(text, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         controller_config(text)
-
-
-@pytest.mark.parametrize("name", ["merger", "two words"])
-def test_a_scenario_of_ones_own_needs_a_name_of_its_own(name):
-    environment = type("Environment", (MergerEnv,), {"scenario": replace(MergerEnv.scenario, name=name)})
-    with pytest.raises(ValueError, match=f"cannot be called '{name}'; choose one word in lower case"):
-        add_scenario(environment)
-    assert list(SCENARIOS) == ["stay_back", "merger", "give_way", "dense_merge", "crossing_crowd"]
 
 
 class ZipperEnv(MergerEnv):
@@ -312,11 +263,6 @@ def test_planners_are_told_all_actions_of_a_discrete_space(scenario, action, ava
     assert all(env.action_space.contains(each) for each in available)
 
 
-def test_planners_are_told_that_continuous_actions_have_no_list():
-    with pytest.raises(ValueError, match=r"config\['action'\] is .*ContinuousAction.*; give discrete ones"):
-        make(**CONTINUOUS).get_available_actions()
-
-
 class Plain(ControllerSettings, tag="plain"):
     """A rule without numbers."""
 
@@ -346,27 +292,6 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
             controller_config(wrong)
     add_rule(type("Rule", (Plain,), {}, tag="dear"))
     assert registry.priced_types() == ["switching", "horizon", "learned"]
-
-
-@pytest.mark.usefixtures("rules")
-@pytest.mark.parametrize(
-    ("own", "known"),
-    [
-        ({"top": int}, {"cc:3": {"top": 3}, "cc": None, "cc:3.5": None}),
-        ({"top": (float, 2.0), "last": (str, "")}, {"cc:3": {"top": 3.0}, "cc": {}}),
-        ({"kind": str}, {"cc:near": {"kind": "near"}, "cc": None}),
-    ],
-)
-def test_the_short_name_of_a_rule_of_ones_own_is_read_by_the_type_of_its_first_field(own, known):
-    own = [(name, *(kind if isinstance(kind, tuple) else (kind,))) for name, kind in own.items()]
-    rule = {"rule": Plain.rule}
-    add_rule(defstruct("Rule", own, bases=(ControllerSettings,), namespace=rule, tag="cc", frozen=True, kw_only=True))
-    for text, config in known.items():
-        if config is None:
-            with pytest.raises(ValueError, match=f"controller '{text}'"):
-                controller_config(text)
-        else:
-            assert controller_config(text) == {"type": "cc"} | config
 
 
 @pytest.mark.parametrize(

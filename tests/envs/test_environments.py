@@ -1,10 +1,8 @@
 """The environments as a Gymnasium user meets them."""
 
-import pickle
 import subprocess
 import sys
 import warnings
-from importlib import reload
 from itertools import product
 
 import gymnasium as gym
@@ -15,7 +13,7 @@ from episodes import drive, make
 from gymnasium.utils.env_checker import check_env
 
 import ms_highway
-from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
+from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
 from ms_highway.envs.demonstration import ACTION
 from ms_highway.envs.game_env import Timing
 from ms_highway.game.learned_reward import shipped
@@ -44,54 +42,6 @@ def test_gymnasiums_checker_passes_without_a_warning(scenario, action):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env.unwrapped)
-
-
-def test_ids_are_registered_once_and_for_good():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # Gymnasium warns when an id is registered again
-        reload(ms_highway)
-    assert all(environment_id(name).removeprefix("ms_highway:") in gym.registry for name in SCENARIOS)
-
-
-@pytest.mark.parametrize(("scenario", "steps"), [("stay_back", 35), ("merger", 40), ("give_way", 40)])
-def test_episodes_have_the_papers_length_at_ten_hertz(scenario, steps):
-    _, states, rewards, infos = drive(make(scenario))
-    assert len(rewards) == steps
-    assert states[-1, 1, 0] - states[0, 1, 0] == pytest.approx(steps * 0.1 * states[:, 1, 3].mean(), rel=0.05)
-    assert infos[-1]["collision_effect"] == "reward only"
-
-
-def test_the_same_seed_gives_the_same_episode_and_another_one_another():
-    env = make("merger", "switching:0.1")
-    first, again, other = drive(env, 7), drive(env, 7), drive(env, 8)
-    np.testing.assert_array_equal(first.states, again.states)
-    np.testing.assert_array_equal(first.rewards, again.rewards)
-    assert [info["model"] for info in first.infos] == [info["model"] for info in again.infos]
-    assert abs(first.states - other.states).max() > 1e-3
-
-
-def test_initial_states_can_be_given_and_are_checked():
-    env = make("merger")
-    given = np.array([[0, 0, 0.0, 19.0], [-5, -3.3, 0.01, 20.0], [8, -3.3, 0.0, 21.0]])
-    env.reset(options={"initial_states": given})
-    np.testing.assert_array_equal(env.unwrapped.car_states, given)
-    for options, message in (
-        ({"initial_states": given[:2]}, r"merger needs an array \(3, 4\) of finite numbers"),
-        ({"initial_states": given * np.nan}, "is \\[\\[nan"),
-        ({"initial_state": given}, "'initial_state' in the reset options; did you mean 'initial_states'"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            env.reset(options=options)
-
-
-def test_released_semantics_follow_the_logged_cars(reference):
-    env = make("merger", "turn", semantics="released")
-    with np.load(reference / "merger__turn.npz") as logs:
-        logged, rewards = logs["states"], logs["rewards"]
-    for run in range(3):
-        episode = drive(env, starts=logged[run, 0] * TO_METRES)
-        np.testing.assert_allclose(episode.states[:-1] / TO_METRES, logged[run], atol=1e-3)
-        np.testing.assert_allclose(episode.rewards, rewards[run], atol=1e-2)
 
 
 def test_info_holds_the_reward_by_feature_and_measured_times():
@@ -187,34 +137,6 @@ def test_observations_stay_in_their_space_and_name_the_cars_by_role():
     for _ in range(40):
         observation, *_ = env.step(0)
         assert env.observation_space.contains(observation)
-
-
-SEVERAL = {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}, {"type": "TimeToCollision"}]}
-
-
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        ("merger", "CarStates"),
-        *product(("merger", "recorded"), ("Kinematics", "OccupancyGrid", "TimeToCollision", "TupleObservation")),
-    ],
-)
-def test_observations_have_finite_spaces(name, kind):
-    kinds = SEVERAL if kind == "TupleObservation" else {"type": kind}
-    env = gym.make(f"ms-highway/{name}-v0", config={"observation": kinds})
-    observation, _ = env.reset(seed=0)
-    spaces = env.observation_space if kind == "TupleObservation" else [env.observation_space]
-    assert all(np.isfinite([space.low, space.high]).all() for space in spaces)
-    assert env.observation_space.contains(observation)
-
-
-def test_spaces_do_not_depend_on_the_car_of_the_last_episode():
-    env = gym.make("ms-highway/recorded-v0", config={"action": {"type": "ContinuousAction"}}).unwrapped
-    env.reset(seed=0)
-    changes = {"action": {"type": "DiscreteMetaAction"}, "observation": {"type": "TimeToCollision"}}
-    observation, _ = env.reset(seed=0, options={"config": changes})
-    assert observation.any()
-    assert observation in env.observation_space
 
 
 def test_action_spaces_and_frame_rates_are_an_environments_own():
@@ -383,24 +305,6 @@ def test_each_key_of_info_has_one_type_and_shape_in_all_steps_that_have_it(made)
     assert len(kinds) > 5
 
 
-@pytest.mark.parametrize("controller", ["naive", "switching:0.1"])
-def test_a_copy_through_pickle_goes_on_like_the_original(controller):
-    env = make("merger", controller)
-    drive(env, steps=1)
-    twin = pickle.loads(pickle.dumps(env))
-    for _ in range(8):
-        (observation, reward, *_), (other, others, *_) = env.step(0), twin.step(0)
-        np.testing.assert_array_equal(observation, other)
-        assert reward == others
-
-
-def test_a_continuous_action_drives_the_robot():
-    env = make("merger", action=ACTIONS["continuous"])
-    _, states, *_ = drive(env, steps=1, action=np.array([1.0, 0.0]))
-    before, after = states[:, 0, 3]
-    assert after == pytest.approx(before + 0.1 * (5.0 - 0.2 * before))  # 5 m/s^2 against 0.2 1/s of friction
-
-
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
@@ -416,23 +320,6 @@ def test_full_braking_stops_a_car_and_drives_it_backwards_only_if_a_range_of_spe
         env.vehicle.speed = 1.0
         driven = [(env.step(brakes), env.vehicle.speed)[1] for _ in range(8)]
         assert driven[-1] == min(driven) == pytest.approx(lowest, abs=1e-6)
-
-
-def test_a_recorded_road_has_highway_envs_dynamical_car():
-    config = {"action": {"type": "ContinuousAction", "dynamical": True}, "traffic": "replay"}
-    env = gym.make("ms-highway/recorded-v0", config=config).unwrapped
-    env.reset(seed=0)
-    env.step(np.array([0.0, 0.1], np.float32))
-    assert env.vehicle.lateral_speed != 0
-    with pytest.raises(ValueError, match="unknown key 'dynamical' in config\\['action'\\]"):
-        make("merger", action=config["action"])
-
-
-def test_a_longer_time_step_makes_fewer_steps_of_the_same_episode():
-    inner, states, rewards, _ = drive(make("merger", time_step=0.2, horizon=3))
-    assert len(rewards) == 20
-    assert inner.metadata["render_fps"] == 5
-    assert states[-1, 2, 0] - states[0, 2, 0] == pytest.approx(4.0 * states[0, 2, 3], rel=1e-3)
 
 
 @pytest.mark.parametrize("scenario", PAPER_SCENARIOS)

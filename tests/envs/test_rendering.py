@@ -5,16 +5,15 @@ import os
 import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
-import pygame
 import pytest
 from episodes import make
 
 from ms_highway import drive
 from ms_highway.cli.main import main
-from ms_highway.envs.graphics import MEDIUM, TEXT_WIDTH
-from ms_highway.envs.viewer import ASPHALT, CONE, GROUND, INK, MODEL_COLORS, PAPER, words
+from ms_highway.envs.graphics import TEXT_WIDTH
+from ms_highway.envs.viewer import MODEL_COLORS, PAPER
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
-from ms_highway.visualization.video import HEADING_HEIGHT, film_together, scaled, side_by_side, write
+from ms_highway.visualization.video import HEADING_HEIGHT, film_together, scaled, side_by_side
 
 
 @pytest.fixture(scope="module")
@@ -68,39 +67,10 @@ def test_pictures_are_never_black_and_leave_the_process_and_the_pictures_of_othe
     assert os.environ == before
 
 
-def test_texts_are_kerned_and_stand_on_one_line():
-    apart = sum(words(letter, 26, INK).get_width() for letter in "AV")
-    assert words("AV", 26, INK).get_width() < apart
-    assert len({words(text, 15, INK).get_height() for text in ("x", "planning", "Ap")}) == 1
-
-
 @pytest.mark.parametrize("controller", ["tom", "switching:0.1"])
 def test_only_where_the_model_is_chosen_the_panel_says_why(controller):
     reason = rendered("merger", controller).render()[-42:, : TEXT_WIDTH - 60]
     assert (reason == PAPER).all() == (controller == "tom")
-
-
-def test_cones_stand_on_the_road_of_stay_back():
-    assert pixels(rendered("stay_back").render(), CONE) > 1500
-
-
-def test_closing_one_environment_leaves_the_others_drawing():
-    one, other = rendered("merger"), rendered("merger")
-    one.render()
-    other.render()
-    one.close()
-    other.step(0)
-    assert other.render().std() > 10
-
-
-def test_the_picture_moves_and_the_history_grows():
-    env = rendered("merger", steps=0)
-    first = env.render()
-    for _ in range(5):
-        env.step(0)
-    later = env.render()
-    assert (first != later).any()
-    assert pixels(later, MODEL_COLORS["naive"]) > pixels(first, MODEL_COLORS["naive"])
 
 
 def halves(picture):
@@ -117,46 +87,6 @@ def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
     assert (above[:HEADING_HEIGHT] != below[:HEADING_HEIGHT]).any()
     assert pixels(above[:HEADING_HEIGHT], MODEL_COLORS["naive"]) > pixels(below[:HEADING_HEIGHT], MODEL_COLORS["naive"])
     assert pixels(below[:HEADING_HEIGHT], MODEL_COLORS["turn"]) > pixels(above[:HEADING_HEIGHT], MODEL_COLORS["turn"])
-
-
-def test_both_films_have_one_scale_of_planning_time_in_every_picture(films):
-    scale = slice(352 - 150 + 18, 352 - 150 + 35), slice(TEXT_WIDTH - 60, TEXT_WIDTH - 4)  # the number at its top
-    above, below = (np.array(film_.pictures)[:, *scale] for film_ in films)
-    np.testing.assert_array_equal(above, below)
-    assert (above != PAPER).any()
-
-
-def test_the_robots_name_stands_beside_it_in_whatever_lane_it_is():
-    env = rendered("merger", steps=0)
-    robot = env.unwrapped.robot
-    for lane, colors in zip(env.unwrapped.game.scene.lanes, ((PAPER, ASPHALT), (INK, GROUND)), strict=True):
-        name = pygame.surfarray.array3d(words("robot", MEDIUM, *colors)).swapaxes(0, 1)
-        robot.position = np.array([robot.position[0], float(lane)])
-        picture = env.render()
-        x, y = env.unwrapped.viewer.sim_surface.vec2pix(robot.position)
-        below = np.lib.stride_tricks.sliding_window_view(picture[y : y + 45, x - 40 : x + 40], name.shape)
-        assert (below == name).all(axis=(-3, -2, -1)).any()
-
-
-def test_the_bar_of_computing_time_grows_to_the_full_width_of_the_more_expensive_one(films):
-    seconds = [sum(float(record["planning_seconds"]) for record in film_.records) for film_ in films]
-    early, late = (side_by_side(films)[place] for place in (3, 39))
-    widths = [
-        [pixels(half[HEADING_HEIGHT - 1 : HEADING_HEIGHT], MODEL_COLORS[film_.controller]) for half, film_ in pairs]
-        for pairs in (zip(halves(picture), films, strict=True) for picture in (early, late))
-    ]
-    assert max(widths[1]) == 960
-    assert widths[1][0] / widths[1][1] == pytest.approx(seconds[0] / seconds[1], rel=0.05)
-    assert 0 < widths[0][0] < widths[1][0]
-
-
-def test_a_small_gif_keeps_the_colours_of_the_models(films, tmp_path):
-    write(scaled(side_by_side(films), 640), tmp_path / "film.gif", 10)
-    assert (tmp_path / "film.gif").stat().st_size < 400_000
-    last = imageio.imread(tmp_path / "film.gif", plugin="pyav")[-1]
-    assert last.shape == (544, 640, 3)
-    for model in ("naive", "turn"):
-        assert pixels(last, MODEL_COLORS[model], off=12) > 1000
 
 
 def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path, monkeypatch):

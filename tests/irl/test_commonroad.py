@@ -3,7 +3,6 @@
 import gzip
 import re
 import sys
-from itertools import count
 
 import numpy as np
 import pytest
@@ -12,14 +11,11 @@ from recordings import (
     STEPS,
     TURN,
     car,
-    headings,
     lanelet,
-    moving,
     pedestrian,
     scenario,
     sign,
     straight,
-    turning,
     two_lanes,
 )
 
@@ -66,23 +62,6 @@ def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path):
     np.testing.assert_allclose(recording.lanes, [0, 3.5], atol=1e-6)
 
 
-@pytest.mark.parametrize("beside", [True, False])
-def test_reading_takes_about_as_many_times_more_calls_as_there_are_more_lanelets(beside, tmp_path):
-    calls = []
-    for number in (2, 50, 250):  # the first call also imports
-        side_by_side = [lanelet(1000 + lane, 3.5 * lane, straight(0, 200)) for lane in range(number)]
-        links = [f'<predecessor ref="{999 + place}"/><successor ref="{1001 + place}"/>' for place in range(number)]
-        in_a_row = [lanelet(1000 + n, 0, straight(9 * n, 9 * n + 9), link) for n, link in enumerate(links)]
-        made, before = count(), sys.getprofile()
-        sys.setprofile(lambda *_, made=made: next(made))
-        try:
-            read(tmp_path, scenario(lanelets="".join(side_by_side if beside else in_a_row)))
-        finally:
-            sys.setprofile(before)
-        calls.append(next(made))
-    assert calls[2] < 2 * 250 / 50 * calls[1]
-
-
 def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path):
     second = scenario(cars=ALONE + car(102, 60, 3.0), number=2)
     recordings = read(tmp_path, scenario(), second, second.replace("Test-1_2", "Test-2_2"))
@@ -90,42 +69,20 @@ def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path):
     assert all(recording.seen.all() for recording in recordings)
 
 
-def test_cars_seen_once_are_neighbours_but_no_drivers(tmp_path):
-    (recording,) = read(tmp_path, scenario(cars=car(100, 20, 0, samples=1) + car(101, 40, 3.0)))
-    assert recording.drivers.tolist() == [1]
-    assert recording.seen.sum(axis=0).tolist() == [1, STEPS]
-
-
-@pytest.mark.parametrize("kind", ["pedestrian", "bicycle", "train", "pillar", "balloon"])
+@pytest.mark.parametrize("kind", ["pedestrian", "balloon"])
 def test_who_does_not_drive_is_a_neighbour_but_no_driver(kind, tmp_path):
     (recording,) = read(tmp_path, scenario(cars=ALONE + pedestrian(101, 60, kind=kind)))
     assert recording.drivers.tolist() == [0]
     assert recording.seen.all()
 
 
-@pytest.mark.parametrize("radius", [5, 15, 30, 100])
-def test_a_car_in_the_middle_of_a_turning_lane_is_in_its_middle(radius, tmp_path):
-    line = turning(radius)
-    states = [
-        (step, *point, heading, SPEED) for step, (point, heading) in enumerate(zip(line, headings(line), strict=True))
-    ]
-    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, line), cars=moving(100, states)))
-    assert np.abs(recording.states[:, 0, 1]).max() < 0.2
-
-
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
         (scenario()[:3000], "cannot be read as a CommonRoad scenario .*; fetch it again"),
-        (scenario(time_step=0.2), "the time step is 0.2 s; it must be 0.1 s"),
         (scenario(lanelets=re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)), "lanelet 3: <x> of <point> is 'inf'"),
         (scenario(lanelets=two_lanes() + lanelet(9, 2e5, straight(0, 9))), "lanelets are more than 100000 m apart"),
-        (scenario(cars=ALONE + car(101, 1e9, 0)), "dynamicObstacle 101: <position/point/x> of <initialState> is"),
         (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "100: its times do not follow each other"),
-        (
-            scenario(cars=ALONE.replace("<exact>19<", "<exact>1000000000<")),
-            "<time/exact> of <state> is '1000000000'; it must be from 0 to 100000",
-        ),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, text, problem):

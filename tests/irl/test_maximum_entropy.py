@@ -92,19 +92,6 @@ def test_segments_at_a_kink_or_at_a_limit_are_not_learned_from(demonstrated):
     assert not regular(replace(demonstrated, controls=demonstrated.controls + np.array([0.0, 60.0]))).any()
 
 
-@pytest.mark.parametrize(
-    ("learned", "given", "message"),
-    [
-        ("sped", "comfort_acceleration", "'sped' cannot be learned"),
-        ("speed", "speed comfort_acceleration", "named twice"),
-        ("speed", "", "sets the scale"),
-    ],
-)
-def test_an_impossible_model_is_refused(learned, given, message):
-    with pytest.raises(ValueError, match=message):
-        RewardModel(tuple(learned.split()), dict.fromkeys(given.split(), 0.1))
-
-
 def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demonstrated):
     broken = demonstrated.of(np.arange(len(demonstrated)) < 3)
     derivatives = differentiate(broken, SIMULATED.names)

@@ -48,20 +48,6 @@ def test_noise_is_not_taken_for_driving():
     assert np.std(track.controls[:, 0] - WAVE[:, 0]) < 0.0005
 
 
-def test_a_car_that_comes_to_rest_keeps_its_heading_there():
-    time = np.arange(100) * 0.1
-    speed = np.maximum(8 - 2 * time, 0)
-    x = np.r_[0, np.cumsum((speed[:-1] + speed[1:]) / 2 * 0.1)]
-    noise = np.random.default_rng(1).normal(size=(100, 2)) * 0.1
-    states = np.stack([x + noise[:, 0], 0.05 * x + noise[:, 1], 0 * x, speed], axis=-1)
-    track, slow = tracked(states), time > 4.5
-    assert (track.states[:, 3] >= 0).all()
-    assert (track.states[slow, 3] < 0.3).all()
-    assert np.ptp(track.states[slow, 2]) < 0.01
-    assert (np.abs(track.controls[slow[:-1], 0]) < 0.01).all()
-    assert error(track, states) < 0.2
-
-
 def test_a_standing_car_and_the_shortest_track_have_controls():
     standing = tracked(np.zeros((30, 4)))
     np.testing.assert_allclose(standing.states, 0, atol=1e-9)

@@ -13,9 +13,7 @@ from ms_highway.choice.quadratic import Switching
 from ms_highway.choice.rule import Order, always
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.game.dynamics import step as move
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.loop.fallback import brake
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import MODELS, ladder
 
@@ -77,51 +75,9 @@ def test_a_late_step_has_the_models_of_the_plan_that_was_followed_and_the_rule_g
     assert np.isfinite(steps[2].gains[0, 1])  # of going up once more, as the robot has not gone up yet
 
 
-def test_braking_brings_a_car_to_a_stop_along_the_road(played):
-    game, _ = played("merger", control_limit=(0.05, 6.0))
-    car = np.array([0.0, 0.0, 0.2, 12.0])
-    for _ in range(40):
-        control = brake(game, car)[0]
-        assert (abs(control) <= [0.05 + 1e-6, 6.0 + 1e-6]).all()
-        car = move(game.dynamics, car, control)
-    assert car[3] == pytest.approx(0.0, abs=1e-6)
-    assert abs(car[2]) < 0.01
-
-
 def persistent(game):
     """The game whose plans start from the rest of the last one."""
     return replace(game, planner=replace(game.planner, persistent=True))
-
-
-def test_a_state_that_is_no_state_is_refused(played):
-    game, state = played("merger")
-    controller = fixed(game)
-    with pytest.raises(ValueError, match=r"shape \[cars, 4\].*\(4,\)"):
-        controller.step(np.asarray(state)[0])
-    with pytest.raises(ValueError, match="car 1 is not finite: speed is nan"):
-        controller.step(np.asarray(state.at[1, 3].set(jnp.nan)))
-
-
-def test_a_state_may_be_changed_in_place_between_steps(played):
-    game, state = played("merger")
-    switching = Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn")))
-    fresh, reusing = Driver(game, switching), Driver(game, switching)
-    states = [np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)) for count in range(4)]
-    reused = states[0].copy()
-    for now in states:
-        reused[:] = now
-        expected, step = fresh.step(now), reusing.step(reused)
-        np.testing.assert_array_equal(step.gains, expected.gains)
-        np.testing.assert_array_equal(step.plan, expected.plan)
-
-
-@pytest.mark.usefixtures("stopped_by_nans")
-def test_switching_without_a_known_cost_stays_on_its_rung_and_drives_on(played):
-    game, state = played("merger")
-    controller = Driver(game, Switching(Costs(0.0, np.array([np.nan, 0.17])), 0.1, ladder(("naive", "turn"))))
-    steps = [controller.step(np.asarray(state)) for _ in range(3)]
-    assert [step.models for step in steps] == [("naive",)] * 3
-    assert all(step.status == "planned" and np.isnan(step.gains).all() for step in steps)
 
 
 def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(played):
@@ -142,23 +98,6 @@ def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(
     assert np.isfinite(controller.step(moved[-1]).gains).any()
 
 
-def test_what_was_before_may_be_told_in_the_coordinates_of_now(played):
-    """Where coordinates begin at the car, as they do for those that drive by themselves."""
-    game, state = played("stay_back")
-    state = np.asarray(state) + np.array([game.scene.obstacles[0, 0] - 5.0 - state[0, 0], 0, 0, 0])
-    switching = Switching(Costs(0.0, np.array([0.0, 0.0])), 0.0, ladder(("naive", "turn")))
-    still, informed, left_out = (Driver(game, switching) for _ in range(3))
-    for controller in (still, informed, left_out):
-        controller.step(state)
-    later = state + np.outer(state[:, 3] * 0.1, [1, 0, 0, 0])
-    back = np.array([-2.0, 0, 0, 0])  # where the coordinates of now begin
-    for controller in (informed, left_out):
-        controller.game = replace(game, scene=replace(game.scene, obstacles=game.scene.obstacles + back[:2]))
-    expected = pytest.approx(still.step(later).gains, rel=1e-2, abs=1e-3, nan_ok=True)
-    assert informed.step(later + back, state + back).gains == expected
-    assert left_out.step(later + back).gains != expected
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -175,18 +114,6 @@ def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, 
         Driver(game, replace(switching, **changes))
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
         Driver(game, replace(switching, ladder=ladder(("tom@4", "tom"))), belief=True)
-
-
-def test_another_rule_decides_from_the_next_step_on(played):
-    game, state = played("merger")
-    free = Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn")))
-    controller, expensive = Driver(game, free), replace(free, price=1e4)
-    controller.step(np.asarray(state))
-    controller.rule = expensive
-    gains = controller.step(np.asarray(state)).gains
-    np.testing.assert_allclose(gains[0, 1], -0.08 * 1e4, rtol=0.1)
-    controller.rule = Order(np.ones((1, 1), int), free.ladder)
-    assert controller.step(np.asarray(state)).models == ("turn",)
 
 
 def test_another_order_is_followed_at_once_also_with_a_belief_and_on_the_same_ladder_only(played):
@@ -241,14 +168,3 @@ def test_an_escape_is_followed_where_the_next_plan_fails_and_plans_go_on_from_th
     goes_on = driver.step(now).plan
     np.testing.assert_array_equal(goes_on, bold.step(now).plan)
     assert np.abs(goes_on - fixed(game).step(now).plan).max() > 1e-3
-
-
-def test_a_warm_start_goes_on_from_the_last_plan(played):
-    game, state = played("merger")
-    cold, warm = fixed(game), fixed(persistent(game))
-    state = np.asarray(state)
-    first = [controller.step(state) for controller in (cold, warm)]
-    np.testing.assert_array_equal(first[0].plan, first[1].plan)
-    again = [controller.step(state) for controller in (cold, warm)]
-    np.testing.assert_array_equal(again[0].plan, first[0].plan)
-    assert abs(again[1].plan - first[1].plan).max() > 1e-3

@@ -1,6 +1,6 @@
 """Limits hold for what is executed, whoever planned it: bounds of each control, and what tyres hold in all."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -37,48 +37,6 @@ def test_a_plan_of_a_users_model_is_executed_within_the_limits(played, grip):
     assert (abs(step.plan) <= np.array([0.05, 6.0]) * 1.0001).all()
     assert grip is None or held_by(step.control, float(state[0, 3])) <= GRIP * 1.0001
     assert grip is not None or step.control == pytest.approx([0.05, 6.0])
-
-
-@dataclass(frozen=True)
-class Paired(Naive):
-    """A model of a user's, whose plans are plain pairs."""
-
-    name: ClassVar[str] = "paired"
-
-    def plan(self, game, state, start=None):
-        return tuple(super().plan(game, state, start))
-
-
-def test_a_users_model_may_return_a_plain_pair(played):
-    game, state = played("merger")
-    plans = [fixed(game, model).step(np.asarray(state)).plan for model in (Paired(), Naive())]
-    np.testing.assert_allclose(*plans, rtol=1e-6)
-
-
-def test_a_users_plan_that_is_not_finite_fails_as_any_other_does(played):
-    game, state = played("merger", control_limit=(0.05, 6.0))
-    for excess in (np.inf, np.nan):
-        assert fixed(game, Reckless(excess=excess)).step(np.asarray(state)).status == "braking"
-
-
-@pytest.mark.slow
-def test_with_a_grip_no_car_of_the_papers_scenes_leaves_the_friction_circle():
-    """From places and speeds: the path's curvature times v^2, and the change of speed."""
-    config = {"ladder": ["naive", "tom"]}
-    free = Comparison({"merger": ["naive", "tom"]}, 5, config=config)
-    records = simulated(replace(free, config=config | {"grip": GRIP}))
-    for car in ("robot", "human"):
-        assert accelerations(records, car).max() <= GRIP * 1.01
-    assert accelerations(simulated(free), "human").max() > 2 * GRIP
-
-
-def accelerations(records, car):
-    """The total acceleration of a car in every step but the first [m/s^2]."""
-    totals = []
-    for _, steps in records.groupby(["controller", "seed"]):
-        heading, speed = (steps[f"{car}_{name}"].to_numpy() for name in ("heading", "speed"))
-        totals.append(np.hypot(speed[:-1] * np.diff(heading), np.diff(speed)) / 0.1)
-    return np.concatenate(totals)
 
 
 def held_by(control, speed):

@@ -57,21 +57,6 @@ def test_whole_episodes_agree_with_the_environment_step_by_step(records, control
         assert (found[name] == expected[name]).all()
 
 
-def test_a_period_is_repeated_to_the_end_of_every_episode(records):
-    models = records.query(f"controller == '{PERIOD}'").pivot(index="seed", columns="step", values="model")
-    for _, used in models.iterrows():
-        assert used.tolist() == (["turn", "naive", "naive"] * 14)[:40]
-
-
-def test_a_random_controller_draws_the_models_of_each_seed_anew_with_its_shares_from_the_same_starts(records):
-    models = records.query(f"controller == '{COIN}'").pivot(index="seed", columns="step", values="model")
-    assert len(models.drop_duplicates()) == 6
-    assert set(np.unique(models)) == {"naive", "turn"}
-    assert abs((models == "turn").to_numpy().mean() - 0.75) < 3 * np.sqrt(0.75 * 0.25 / 240)
-    batch = make_batch(COMPARISON, "merger")
-    np.testing.assert_array_equal(*(batch.episodes([(name, 5)]).starts for name in (COIN, "naive")))
-
-
 @pytest.mark.slow
 def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(reference):
     config = {"semantics": "released", "ladder": ["naive", "turn"]}
@@ -96,13 +81,6 @@ def test_a_plan_that_is_not_finite_gives_way_to_braking_and_leaves_the_other_epi
     assert found.states[0, -1, 0, 3] == pytest.approx(0, abs=1e-4)
     alone = records.query("controller == 'naive' and seed == 1")
     np.testing.assert_allclose(found.states[1, :, :2].reshape(40, -1), alone[STATES], atol=1e-3)
-
-
-def test_starts_are_those_of_the_environment(scenario):
-    env = make_environment(scenario, "naive")
-    env.reset(seed=3)
-    batch = make_batch(Comparison({scenario: ["naive"]}), scenario)
-    np.testing.assert_array_equal(batch.episodes([("naive", 3)]).starts[0], np.float32(env.unwrapped.car_states))
 
 
 class NearsightedEnv(MergerEnv):
@@ -138,15 +116,6 @@ def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkey
         make_batch(comparison, nearsighted)
 
 
-@pytest.mark.slow
-def test_a_batch_plans_as_far_ahead_and_as_often_as_the_environment():
-    config = {"horizon": 3, "time_step": 0.2, "control_limit": [0.2, 9.0]}
-    comparison = Comparison({"merger": ["turn"]}, seeds=2, config=config)
-    expected, found = driven(comparison, "merger", "turn"), simulated(comparison).set_index(KEYS)
-    assert len(found) == 2 * 20
-    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
-
-
 def test_a_batch_without_controllers_known_costs_or_devices_is_refused():
     with pytest.raises(ValueError, match="no controllers for 'give_way'"):
         make_batch(COMPARISON, "give_way")
@@ -164,10 +133,3 @@ def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
     assert result["environment"] > 1
     assert result["batch"]["20"] > result["batch"]["1"] > 1
     assert result["memory_mib"]["20"] >= result["memory_mib"]["1"] > 100
-
-
-def test_a_scenario_whose_environment_ends_early_is_not_simulated(monkeypatch):
-    config = {**ENVIRONMENTS["merger"].default_config(), "terminate_on_collision": True}
-    monkeypatch.setattr(ENVIRONMENTS["merger"], "default_config", classmethod(lambda cls: config))
-    with pytest.raises(ValueError, match=r"terminate_on_collision True, which a simulation does not do"):
-        make_batch(COMPARISON, "merger")

@@ -1,7 +1,5 @@
 """How humans answer the robot on any road."""
 
-from dataclasses import replace
-
 import jax
 import numpy as np
 import pytest
@@ -79,13 +77,6 @@ def test_its_derivatives_are_exact():
         np.testing.assert_allclose(part, exact, atol=1e-4 * np.abs(exact).max())
 
 
-def test_a_free_human_approaches_the_speed_limit_gently():
-    slow = answered(scene_of(cars=[(0.0, 0, 20.0)], limit=30.0), AWAY)
-    fast = answered(scene_of(cars=[(0.0, 0, 30.0)], limit=20.0), AWAY)
-    assert ((slow > 0) & (slow < 1)).all()
-    assert ((fast < 0) & (fast > -1.5)).all()
-
-
 def test_a_human_behind_a_braking_robot_brakes_and_one_beside_a_cut_in_slows():
     scene = scene_of(cars=[(0.0, 0, 20.0)])
     braking = robot_at(20 + 20 * TIMES - 2 * TIMES**2, 20 - 4 * TIMES)
@@ -109,9 +100,3 @@ def test_a_human_does_not_look_at_itself_nor_at_its_other_way():
     owned = scene.__class__(**{**vars(scene), "owners": np.array([0, 0, *[-1] * (len(scene.owners) - 2)])})
     owned.present[2:] = False
     np.testing.assert_allclose(answered(owned, AWAY), alone, atol=1e-3)
-
-
-def test_humans_stop_and_never_reverse():
-    human = commuter_of(scene_of(cars=[(0.0, 0, 2.0)]), replace(PLANNING, steps=4), 0)
-    held = jax.jit(Commuter.held)(human, jnp.array([[-9.0, -9, -9, 9], [-1, -20, 5, -1]]) / UNIT)
-    np.testing.assert_allclose(UNIT * held, [[-6, -4, 0, 3], [-1, -6, 3, -1]], atol=1e-5)

@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import registry
-from highway_env.vehicle.behavior import IDMVehicle
 
 import ms_highway
 from ms_highway.envs.viewer import PAPER, model_color
@@ -85,21 +84,6 @@ def test_the_robot_no_longer_crashes_where_it_did(name, seed, ahead, why):
         *_, terminated, truncated, _ = env.step(env.action_space.sample())
         done = terminated or truncated
     assert not car.crashed, why
-
-
-@pytest.mark.parametrize(("lane", "place", "turned"), [(("ir0", "il1", 0), 10.0, 1.6), (("il1", "o1", 0), 10.0, 0.0)])
-def test_the_robot_goes_round_a_car_that_has_crashed_in_its_way_over_lanes_of_others(lane, place, turned):
-    env = driven("intersection-v0", config={"initial_vehicle_count": 1, "spawn_probability": 0.0, "duration": 20})
-    env.reset(seed=0)
-    road, robot = env.unwrapped.road, env.unwrapped.vehicle
-    wreck = IDMVehicle.make_on_lane(road, lane, place, speed=0.0)
-    wreck.heading, wreck.crashed, wreck.route = wreck.heading + turned, True, [lane]
-    road.vehicles, ended = [robot, wreck], False
-    while not ended:
-        *_, terminated, truncated, info = env.step(None)
-        ended = terminated or truncated
-    assert info["road"]["success"]
-    assert not robot.crashed
 
 
 def test_a_budget_that_no_plan_keeps_makes_all_plans_late_and_says_so():
@@ -248,16 +232,6 @@ def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside,
     assert len(frames) == count
     env.close()
     assert bool(list(tmp_path.glob("films/*.mp4"))) == outside
-
-
-def test_vector_environments_are_driven():
-    envs = gym.vector.SyncVectorEnv([lambda: driven("highway-fast-v0", "fixed:idm")] * 2)
-    envs.reset(seed=[5, 5])
-    for _ in range(2):
-        observations, rewards, _, _, infos = envs.step(envs.action_space.sample())
-    np.testing.assert_array_equal(*observations)
-    assert rewards[0] == rewards[1]
-    assert (infos["road"]["acceleration"] <= 5.0).all()
 
 
 def test_vector_environments_go_on_where_some_episodes_end_before_others():

@@ -27,11 +27,6 @@ def test_answers_of_cars_far_away_and_of_absent_ones_are_worth_nothing():
     np.testing.assert_array_equal(gains_of(scene_of(cars=[(-250.0, 0, 10.0), (95.0, 1, 38.0)])), 0.0)
 
 
-def test_a_leader_does_not_answer():
-    gains = gains_of(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(25.0, 0, 5.0)]))
-    np.testing.assert_array_equal(gains, 0.0)
-
-
 def test_the_answer_of_a_car_that_is_in_the_way_and_could_yield_is_worth_something():
     """The goal asks for the lane in which a car comes from behind."""
     scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
@@ -77,8 +72,3 @@ def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
         assert extra == 0 or spent + costs.base + extra <= milliseconds / 1e3 + 1e-6
         assert (np.diff(models[np.argsort(-gains, kind="stable")]) <= 0).all()
         assert (models[gains == 0] == 0).all()
-
-
-def test_only_models_on_the_ladder_are_chosen():
-    for driver in ("priced:1e-6", "budget:1000"):
-        np.testing.assert_array_equal(chosen(driver, COSTS, ladder=("naive", "idm")), np.where(GAINS > 0, IDM, 0))

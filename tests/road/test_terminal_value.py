@@ -14,7 +14,7 @@ from ms_highway.runtime.compilation import jit_quickly
 
 MEMORY = no_plan(PLANNING)
 FOLLOWING, CLOSING_UP, BRAKING, KEEPING_SPEED = (
-    [plan[:5] for plan in ALL].index((1, 1.0, *profile))
+    [plan[:4] for plan in ALL].index((1, *profile))
     for profile in ((0.0, True, False), (0.0, True, True), (-3.0, False, False), (0.0, False, False))
 )  # in the own lane
 
@@ -42,13 +42,6 @@ def test_behind_a_wall_of_slow_cars_more_speed_is_lost_than_behind_a_single_one(
     assert lost(wall)[CLOSING_UP] > lost(single)[CLOSING_UP] + 3.0
 
 
-def test_a_gap_beside_that_opens_later_is_foreseen():
-    """The car in the next lane has to be passed first; both cars beside each other could not be."""
-    beside = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(75.0, 0, 18.0), (40.0, 1, 18.0), (75.0, -1, 18.0)])
-    wall = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(75.0, 0, 18.0), (75.0, 1, 18.0), (75.0, -1, 18.0)])
-    assert lost(beside)[CLOSING_UP] < lost(wall)[CLOSING_UP] - 1.0
-
-
 def test_who_comes_after_a_plan_is_in_the_way_and_then_has_passed_unlike_who_stands_there():
     narrow = np.repeat(np.float32([[-2.0], [2.0]]), KNOTS, axis=1)
     stands = replace(scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(204.0, 0, 0.0)]), edges=narrow, moving=NOBODY)
@@ -63,13 +56,6 @@ def test_closing_up_keeps_its_speed_longer_than_following_and_still_leaves_room_
     room = missing(scene)
     assert room[CLOSING_UP, 0] == 0
     assert room[KEEPING_SPEED, 0] > 0
-
-
-def test_tailgating_within_a_plan_counts_even_if_it_ends_with_room():
-    scene = scene_of(robot=(0.0, 0.0, 0.0, 26.0), cars=[(18.0, 0, 20.0)])
-    gaps = np.asarray(proposed(scene).driven.s[BRAKING, 0] - proposed(scene).driven.states[BRAKING, :, 0]) - 7.5
-    assert gaps[-1] > gaps.min() + 1
-    assert missing(scene)[BRAKING, 0] > 0
 
 
 def test_a_car_that_joins_the_road_may_go_on_into_the_robots_lane():

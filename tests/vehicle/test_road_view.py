@@ -6,11 +6,11 @@ import pytest
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
-from highway_env.vehicle.objects import Landmark, Obstacle
+from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.vehicle import HumanVehicle
-from ms_highway.vehicle.road_view import MAX_LANES, MAX_OBSTACLES, followed_lane, look
+from ms_highway.vehicle.road_view import MAX_LANES, look
 
 AROUND = {  # lanes and what they are like beside their middle
     "straight": lambda side: StraightLane([0, 4 * side], [400, 4 * side], speed_limit=20),
@@ -56,18 +56,6 @@ def test_a_view_is_in_the_coordinates_of_the_drivers_lane(shape):
     np.testing.assert_allclose(view.scene.lanes, [0.0] + [4.0] * (MAX_LANES - 1), atol=1e-4)
 
 
-def test_cars_in_the_middle_of_winding_lanes_and_behind_joints_are_seen_in_the_middle_of_the_road():
-    onward = CircularLane([400, 30], 30, -np.pi / 2, 0)
-    road, (lane,) = road_with("winding")
-    joined, (before,) = road_with("straight", c=onward)
-    winds, joins = put(road, HumanVehicle, lane, 100.0), put(joined, HumanVehicle, before, 390.0)
-    joins.plan_route_to("c")
-    put(road, Vehicle, lane, 130.0)
-    put(joined, Vehicle, onward, 20.0)
-    for view, distance in ((look(winds), 30.17), (look(joins, joins.route), 30.0)):
-        np.testing.assert_allclose(view.states[:2, :3], [[0, 0, 0], [distance, 0, 0]], atol=0.1)
-
-
 def test_whatever_is_on_the_road_a_view_has_the_same_shapes():
     shapes = set()
     for road, lanes in (road_with("straight", lanes=9), road_with("winding")):
@@ -80,21 +68,6 @@ def test_whatever_is_on_the_road_a_view_has_the_same_shapes():
     assert len(shapes) == 1
 
 
-def test_the_nearest_lanes_and_obstacles_ahead_are_seen_and_landmarks_and_far_cars_are_not():
-    road, lanes = road_with("straight", lanes=9)
-    driver = put(road, HumanVehicle, lanes[7], 50.0)
-    put(road, Landmark, lanes[7], 60.0)
-    put(road, Vehicle, lanes[7], 160.0)
-    for along in (120.0, 20.0, 90.0, 70.0):
-        put(road, Obstacle, lanes[7], along, 1.0)
-    view = look(driver)
-    np.testing.assert_allclose(view.scene.lanes, [-16, -12, -8, -4, 0, 4])
-    far = [-1000.0, 0.0]
-    np.testing.assert_allclose(view.scene.obstacles, [[20.0, 1.0], [40.0, 1.0]] + [far] * (MAX_OBSTACLES - 2))
-    np.testing.assert_allclose(view.scene.obstacle_size, [2.0, 2.0])
-    assert (view.states[1:, 0] == far[0]).all()
-
-
 @pytest.mark.parametrize(
     ("along", "onward", "lanes"),
     [(10.0, True, [-4, 0]), (350.0, True, [-4, -2]), (385.0, True, [-4]), (385.0, False, [-4, 0])],
@@ -105,16 +78,6 @@ def test_a_lane_that_ends_runs_into_the_nearest_lane_that_goes_on_if_there_is_on
     driver = put(road, HumanVehicle, ramp, along)
     view = look(driver)
     np.testing.assert_allclose(sorted(set(view.scene.lanes - view.states[0, 1])), lanes)
-
-
-@pytest.mark.parametrize("goal", ["ahead", "right"])
-def test_where_roads_part_a_driver_follows_its_route(goal):
-    right = CircularLane([400, 30], 30, -np.pi / 2, 0)
-    road, (lane,) = road_with("straight", ahead=StraightLane([400, 0], [500, 0]), right=right)
-    driver = put(road, HumanVehicle, lane, 360.0)
-    driver.plan_route_to(goal)
-    driver.position = np.array([403.0, 0.0])
-    assert followed_lane(driver, driver.route).index == ("b", goal, 0)
 
 
 @pytest.mark.parametrize("shape", AROUND)

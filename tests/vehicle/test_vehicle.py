@@ -45,15 +45,6 @@ def test_a_step_of_the_bicycle_vehicle_is_the_cores_step_and_steering_means_the_
     assert car.state.dtype == np.float64
 
 
-def test_a_crashed_bicycle_brakes_to_a_stop_as_highway_env_has_it():
-    road, car, hit = road_with((BicycleVehicle, (0.0, 0.0), 20.0), (BicycleVehicle, (8.0, 0.0), 0.0))
-    for _ in range(30):
-        road.step(0.1)
-    assert car.crashed
-    assert car.speed < 1.0
-    assert hit.position[0] > 8.0  # solid bodies push each other
-
-
 @pytest.mark.parametrize("kind", [BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, RoadRobot])
 def test_copies_of_a_vehicle_such_as_its_drawn_trajectory_draw_no_random_numbers(kind):
     road, car = road_with((kind, (0.0, 0.0), 20.0))
@@ -79,26 +70,6 @@ def test_a_car_that_is_not_solid_is_hit_where_highway_env_sees_the_bodies_overla
     assert 0.2 < np.mean(hits) < 0.8
 
 
-def test_a_scripted_car_keeps_its_velocity_against_friction():
-    _, car = road_with((ScriptedVehicle, (0.0, 0.0), 20.0))
-    for _ in range(30):
-        car.act({"steering": 0.3, "acceleration": -5.0})
-        car.step(0.1)
-    assert car.speed == pytest.approx(20.0)
-    np.testing.assert_allclose(car.position, [60.0, 0.0])
-
-
-def test_a_human_in_a_foreign_scene_finds_its_lane_and_its_speed_past_a_cone():
-    road, human, _ = road_with((HumanVehicle, (0.0, 1.0), 16.0), (ScriptedVehicle, (-60.0, 4.0), 20.0))
-    road.objects.append(Cone(road, [40.0, 4.0]))
-    drive(road, 40)
-    assert human.position[0] > 60.0
-    assert abs(human.position[1]) < 0.5
-    assert human.speed == pytest.approx(20.0, abs=1.5)
-    assert not human.crashed
-    assert human.last_step.status == "planned"
-
-
 @pytest.mark.parametrize("slower", [8.0, 12.0, 20.0])
 def test_a_human_does_not_run_into_a_car_that_is_slower(slower):
     road, human, leader = road_with(
@@ -108,22 +79,6 @@ def test_a_human_does_not_run_into_a_car_that_is_slower(slower):
     assert not human.crashed
     assert 1.0 < leader.position[0] - human.position[0] - human.LENGTH < 25.0
     assert human.speed == pytest.approx(20.0 - slower, abs=1.0)
-
-
-def test_a_human_at_highway_speed_stops_behind_a_standing_car():
-    cars = (HumanVehicle, (0.0, 0.0), 30.0), (ScriptedVehicle, (150.0, 0.0), 0.0)
-    road, human, leader = road_with(*cars, lanes=1, limit=30.0)
-    drive(road, 150)
-    assert not human.crashed
-    assert 1.0 < leader.position[0] - human.position[0] - human.LENGTH < 25.0
-
-
-def test_cars_that_are_not_in_the_way_do_not_slow_a_human_down():
-    alone, beside = (
-        drive(road_with((HumanVehicle, (0.0, 0.0), 10.0), *others, lanes=3)[0], 15)
-        for others in ([], [(ScriptedVehicle, (30.0, 8.0), 0.0), (ScriptedVehicle, (-30.0, 0.0), 10.0)])
-    )
-    assert beside[-1] == pytest.approx(alone[-1], abs=0.5)
 
 
 @pytest.mark.slow
