@@ -32,7 +32,7 @@ class GiveWayEnv(InteractionEnv):
 
 
 class StayBackV1Env(InteractionEnv):
-    """Stay Back within what tyres hold: plans of two seconds, and a start farther before the cones."""
+    """Stay Back within what tyres hold: plans of two seconds, and a human who starts ahead."""
 
     scenario = STAY_BACK_V1
 

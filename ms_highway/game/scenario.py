@@ -94,8 +94,8 @@ class Scenario:
     Attributes:
         name: in commands and records.
         lanes: lateral position of each lane's centre.
-        cars: start (x, y) of the robot, the human, and the scripted cars; all start at the speed limit, heading 0. With
-            streams, of the robot alone.
+        cars: start (x, y) of the robot, the human, and the scripted cars; all start at the speed limit, heading 0,
+            unless a third number says how much faster. With streams, of the robot alone.
         steps: length of an episode.
         ladder: names of the human models to choose from by default, cheapest first.
         prices: two lambdas, aggressive and conservative, of the paper's comparison [reward per second].
@@ -115,7 +115,7 @@ class Scenario:
 
     name: str
     lanes: tuple[float, ...]
-    cars: tuple[tuple[float, float], ...]
+    cars: tuple[tuple[float, ...], ...]
     steps: int
     ladder: tuple[str, ...]
     prices: tuple[float, float]
@@ -281,7 +281,7 @@ def draw_starts(scenario: Scenario, random: np.random.Generator) -> State:
     Normal noise of standard deviation 5e-4 units on x and y and 1e-3 on speed and heading; another 0.01 units on the x
     of the merging car.
     """
-    cars = np.array([(x, y, 0.0, SPEED_LIMIT) for x, y in scenario.cars])
+    cars = np.array([(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars])
     noise = [POSITION_NOISE, POSITION_NOISE, MOTION_NOISE, MOTION_NOISE]
     cars += random.normal(scale=noise, size=cars.shape)
     if scenario.merging_car is not None:

@@ -68,12 +68,16 @@ def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
         changes: of what else differs.
     """
     name = scenario.name.replace("_", "-") + "-v1"
-    physical = replace(scenario, name=name, semantics="physical", grip=GRIP, solver="convex_newton")
+    physical = replace(scenario, name=name, semantics="physical", grip=GRIP, solver="convex_newton", prices=(10.0, 1.0))
     return replace(physical, planning=PlanningSettings(horizon=horizon), **changes)
 
 
-STAY_BACK_V1 = _physical(STAY_BACK, 20, cars=((-1.8, -0.14), (-1.8, 0.0)), steps=60)
-"""The cars start far enough before the cones that a good plan within what tyres hold passes them."""
+STAY_BACK_V1 = _physical(STAY_BACK, 20, cars=((-1.24, -0.14), (-1.03, 0.0, 0.045)), steps=60)
+"""The robot starts 32 m before the cones, with a human 7 m ahead who is 1.5 m/s faster.
+
+Within what tyres hold, one car has to slow down in time for the other one. Nearer starts leave no room for that, and
+from farther ones, or beside the human, all models earn the same.
+"""
 
 MERGER_V1 = _physical(MERGER, 10)
 GIVE_WAY_V1 = _physical(GIVE_WAY, 10)
