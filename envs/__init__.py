@@ -1,8 +1,9 @@
 """The environments: scenarios of a robot with one human or several, and one to record driving in.
 
-``import ms_highway`` registers the ids ``ms-highway/stay-back-v0``, ``ms-highway/merger-v0``,
-``ms-highway/give-way-v0``, ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and
-``ms-highway/demonstration-v0`` with Gymnasium, and the wings theirs. Imports `ms_highway.vehicle` and what
+``import ms_highway`` registers with Gymnasium the ids ``ms-highway/stay-back-v1``, ``ms-highway/merger-v1`` and
+``ms-highway/give-way-v1``, in which cars keep to what tyres hold, the same at version 0, as in the paper;
+``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and ``ms-highway/demonstration-v0``; and what the wings
+add. Imports `ms_highway.vehicle` and what
 stands below it.
 """
 

@@ -58,8 +58,8 @@ class InteractionEnv(GameEnv):
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm``, or ``"best"``, see
       `ms_highway.planning.human_models`.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
-      ``"published"`` (default with one human); ``"shipped"`` (default with several), what plans among several humans
-      take on one core; ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in
+      ``"published"`` (default with one human); ``"shipped"`` (default with several and in physical scenarios), what
+      plans take on one core, among several humans or of a second with one; ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in
       proportion). T of any plan is additive in the humans. With ``"shipped"``, budgets choose by measured times, and
       ``counted_seconds`` stay the shipped ones. The same seed is another episode only where the clock has a say, which
       ``info["clocked"]`` tells.

@@ -28,7 +28,8 @@ def compare(options: argparse.Namespace) -> None:
     period:MODEL=STEPS,..., an order that is repeated, such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model
     drawn for every step, such as random:naive=0.7,tom=0.3: a choice that looks at nothing, which others have to beat.
     Without scenarios and controllers, the paper's comparison runs: its three scenarios, each with its ladder and the
-    paper's two lambdas, and learned:1 beside them.
+    paper's two lambdas, and learned:1 beside them. stay-back-v1, merger-v1 and give-way-v1 are the same scenes within
+    what tyres hold.
 
     In dense_merge and crossing_crowd, a controller chooses a model for each of several humans. A model's name stands
     for all humans; nearest:K predicts the K nearest humans by tom, and the others naively; budget:MILLISECONDS chooses
@@ -45,6 +46,7 @@ def compare(options: argparse.Namespace) -> None:
 
     Examples:
       ms-highway compare
+      ms-highway compare merger-v1 give-way-v1 stay-back-v1 --out results/physical
       ms-highway compare merger --controllers naive tom learned:1 switching:0.1 --seeds 10 --out results/merger
       ms-highway compare merger --controllers tom switching schedule:tom={4,6,8},naive --lambdas 0.01:1:9 --out out
       ms-highway compare merger --set ladder=naive,tom --controllers switching:0.1 --out results/two_rungs

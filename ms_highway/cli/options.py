@@ -47,7 +47,8 @@ KEYS = f"""\
 --set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists the
 keys; these are the usual ones:
 
-  semantics=released      the paper's released code exactly (default: paper, its dynamics and a damped theory of mind)
+  semantics=released      the paper's released code exactly; paper, its dynamics and a damped theory of mind; physical,
+                          the same within what tyres hold (default of scenarios that end in -v1; else paper)
   human_reward=published  what humans drive for: learned from demonstrations (default), published (default in released
                           semantics), or a file that `ms-highway irl fit` wrote
   ladder=naive,tom        models to choose from, cheapest first (default: the scenario's), or best, the rungs that

@@ -23,7 +23,7 @@ from ms_highway.visualization.roads import driver_rows
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
 LIMITS = ("limit_50", "limit_9", "limit_6")
-RUNS = ("compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", *LIMITS)
+RUNS = ("physical", "compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", *LIMITS)
 """Directories in results/."""
 
 OUTCOME = "controller", "reward/step", "90 % interval", "collisions"  # cells of a run that stand beside others
@@ -34,14 +34,17 @@ ROADS = "road", "road_commuters"
 RECORDED = "recorded"
 """Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road recorded``, and what keeps them."""
 
-SHOWN = {  # in the project's README
+PHYSICAL = {  # in the project's README
+    "merger-v1": ["naive", "turn", "tom", "learned:1", "switching:1"],
+    "give-way-v1": ["naive", "turn", "tom", "learned:1", "switching:1"],
+    "stay-back-v1": ["naive", "turn", "learned:1", "switching:1"],
+}
+SHOWN = {  # below it
     "merger": ["naive", "tom", "learned:1", "switching:0.1"],
     "give_way": ["naive", "tom", "learned:1", "switching:0.01"],
 }
 
-SHOWN_COLUMNS = [
-    *("reward per step (90 % interval)", "counted ms", "reward less T", "plan ms", "decide ms", "naive / turn / tom %")
-]
+SHOWN_COLUMNS = ["reward per step (90 % interval)", "counted ms", "plan ms", "decide ms", "naive / turn / tom %"]
 
 
 def collect(results: Path) -> None:
@@ -88,13 +91,13 @@ def kept_table(name: str, run: str) -> pd.DataFrame:
 
 def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
-    whole = overview(compare="")
+    whole, physical = overview(compare=""), overview(physical="")
     limits = overview(
         limit_50=", 0.2 and 50 control limit", limit_9=", 0.2 and 9 control limit", limit_6=", 0.1 and 6 control limit"
     )
-    shown = [(scenario, name) for scenario, names in SHOWN.items() for name in names]
     shown_tables = {
-        "shown": whole.set_index(["scenario", "controller"]).loc[shown, SHOWN_COLUMNS].reset_index(),
+        "physical": rows_of(physical, PHYSICAL, [*SHOWN_COLUMNS, "episodes with a collision"]),
+        "shown": rows_of(whole, SHOWN, SHOWN_COLUMNS),
         "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
         "human rewards": brief(overview(compare=", learned human reward", published=", published human reward")),
         **{name: brief(overview(**{name.replace(" ", "_"): ""})) for name in ("worth", "crowd", "crowd peers")},
@@ -104,6 +107,12 @@ def tables() -> dict[str, str]:
         **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
     }
     return {name: markdown(table) for name, table in shown_tables.items()}
+
+
+def rows_of(table: pd.DataFrame, shown: dict[str, list[str]], columns: list[str]) -> pd.DataFrame:
+    """The rows of some scenarios and controllers, with some columns."""
+    chosen = [(scenario, name) for scenario, names in shown.items() for name in names]
+    return table.set_index(["scenario", "controller"]).loc[chosen, columns].reset_index()
 
 
 def overview(**names: str) -> pd.DataFrame:
