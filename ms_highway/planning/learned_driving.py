@@ -1,7 +1,7 @@
 """Drive like recorded drivers, all cars of a moment together, on a straight road: by the traits that each has shown."""
 
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 from jax import numpy as jnp
@@ -32,21 +32,8 @@ TraitLogarithms = Float[Any, "cars 3"]
 Estimate = tuple[Float[Any, "3"], Float[Any, "3 3"]]  # mean and covariance
 
 
-class Surroundings(Protocol):
-    """What drivers drive in.
-
-    Attributes:
-        sizes: length and width of every car [cars, 2].
-        lane_width: of a lane [m].
-        speed_limit: of the road [m/s].
-    """
-
-    @property
-    def sizes(self) -> Any: ...  # noqa: D102
-    @property
-    def lane_width(self) -> Any: ...  # noqa: D102
-    @property
-    def speed_limit(self) -> Any: ...  # noqa: D102
+Surroundings = Any
+"""What drivers drive in: the sizes of all cars [cars, 2], the width of a lane and the speed limit, by these names."""
 
 
 def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 4"]:
