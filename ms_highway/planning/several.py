@@ -45,7 +45,7 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
     A loop over the humans under each rung takes as many rounds as there are: the time of a plan is additive in the
     models, and one compiled function plans under all assignments. See `most_steps` for how many steps it takes.
     """
-    answers = [model.responds for model in ladder]
+    answers = _answers(ladder)
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
     for rung, model in enumerate(ladder):
         if not answers[rung] and type(model) is not Naive:
@@ -69,11 +69,22 @@ def _predict(
     return for_each(rungs == rung, predict, expected)
 
 
-def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tuple[Index, Index]:
-    """Return the most steps that rungs in use ask for, without answers and with.
+def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tuple[Index, Index] | None:
+    """Return the most steps that rungs in use ask for, without answers and with; None if all ask for the planner's.
 
     Only theory of mind counts for steps that are answered.
     """
+    counted = [model.steps for model in ladder]
+    if not any(counted):
+        return None
     alone, answered = game.planner.steps
-    each = [(model.steps or alone, (model.steps or answered) if model.responds else 0) for model in ladder]
+    each = [
+        (own or alone, (own or answered) if answers else 0)
+        for own, answers in zip(counted, _answers(ladder), strict=True)
+    ]
     return tuple(jnp.asarray(each)[rungs].max(axis=0))
+
+
+def _answers(ladder: tuple[HumanModel, ...]) -> list[bool]:
+    """Return under which of the models a human answers the robot's plan: a registered one as under theory of mind."""
+    return [model.responds for model in ladder]

@@ -112,7 +112,7 @@ def test_the_order_of_humans_changes_nothing(three, plans):
 @pytest.mark.parametrize(
     ("names", "rungs", "steps"),
     [
-        ("naive tom", [1, 1, 0], (8, 4)),
+        ("naive tom", [1, 1, 0], None),
         ("naive tom@6", [1, 0, 0], (8, 6)),
         ("naive tom@2 tom", [1, 0, 1], (8, 2)),
         ("naive@2 naive@12 tom", [0, 1, 0], (12, 0)),  # nobody answers
@@ -120,7 +120,7 @@ def test_the_order_of_humans_changes_nothing(three, plans):
 )
 def test_answers_limit_the_steps_of_a_plan_unless_a_rung_in_use_asks_for_a_number(three, names, rungs, steps):
     found = most_steps(ladder(names.split()), three[0], np.array(rungs))
-    assert tuple(map(int, found)) == steps
+    assert (found and tuple(map(int, found))) == steps
 
 
 def test_plans_start_from_zero_controls_or_at_once_from_keeping_the_velocity(three, plans):
