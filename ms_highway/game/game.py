@@ -135,7 +135,7 @@ def swap_roles(game: Game, human: Index = 0) -> Game:
     their own comfort only.
     """
     solver = game.planner.solver if game.planner.smooth else "gradient"
-    planner = replace(game.planner, solver=solver, persistent=False, manoeuvres=False, ease=0.0)
+    planner = replace(game.planner, solver=solver, persistent=False, ease=0.0)
     return replace(game, robot=game.human(human), humans=_alone(game.robot), planner=planner)
 
 

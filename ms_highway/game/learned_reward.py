@@ -105,7 +105,13 @@ def load(path: Path) -> LearnedReward:
         content = read_json(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as a learned reward: {error}") from error
-    return _checked(content, str(path))
+    version = content.pop("version", None) if isinstance(content, dict) else None
+    if version != VERSION:
+        raise ValueError(f"{path} holds a learned reward of version {version}, not {VERSION}; {REMEDY}")
+    try:
+        return read(content, LearnedReward)
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged: {error}; {REMEDY}") from error
 
 
 @cache
@@ -117,7 +123,7 @@ def shipped(name: str) -> LearnedReward:
     """
     if name not in SHIPPED:
         raise ValueError(f"no learned reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}")
-    return _checked(json.loads((resources.files("ms_highway") / "data" / f"{name}.json").read_text()), name)
+    return load(Path(str(resources.files("ms_highway") / "data" / f"{name}.json")))
 
 
 def named(name: str) -> LearnedReward:
@@ -142,13 +148,3 @@ def commuter_traits() -> TraitPrior:
     drivers = shipped("us101").drivers
     assert drivers is not None  # the package's own file
     return drivers.prior
-
-
-def _checked(content: Any, place: str) -> LearnedReward:
-    version = content.pop("version", None) if isinstance(content, dict) else None
-    if version != VERSION:
-        raise ValueError(f"{place} holds a learned reward of version {version}, not {VERSION}; {REMEDY}")
-    try:
-        return read(content, LearnedReward)
-    except ValueError as error:
-        raise ValueError(f"{place} is damaged: {error}; {REMEDY}") from error

@@ -203,7 +203,7 @@ def build_game(
     plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
     planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning)
     if scenario.streams:  # a robot among streams keeps to its plan
-        planner = replace(planner, persistent=True, manoeuvres=planner.smooth)
+        planner = replace(planner, persistent=True)
     if planner.smooth:
         planner = replace(planner, ease=EASE)
     influence: Influence = "exact" if semantics == "released" else "damped"
@@ -271,7 +271,6 @@ def _planner(
         iterations=iterations,
         solver=solver,
         smooth=smooth,
-        cold="velocity" if smooth else "zero",
     )
 
 

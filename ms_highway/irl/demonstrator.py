@@ -17,7 +17,6 @@ from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.recording import Controls, States
 from ms_highway.numerics.newton import Optimum, find_optimum
 from ms_highway.numerics.objective import Objective
-from ms_highway.numerics.second_derivatives import eigenpairs
 from ms_highway.runtime.arrays import Scalar, Trajectory
 
 DRIVER_WEIGHTS = {
@@ -77,7 +76,7 @@ def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature:
         temperature: in reward.
     """
     best = optimal(game, car, others)
-    values, vectors = eigenpairs(best.hessian)
+    values, vectors = jnp.linalg.eigh(best.hessian)
     spread = vectors * jnp.sqrt(temperature / jnp.maximum(jnp.abs(values), FLOOR))
     proposing, accepting = jax.random.split(key)
     normal = jax.random.normal(proposing, (DRAWS, len(values))).at[0].set(0.0)

@@ -87,30 +87,13 @@ def response(
     """
     if influence == "damped":
         return damped_inverse(hessian, 1.0) @ vector
-    if len(hessian) == 2:
-        (a, b), (c, d) = hessian
-        return jnp.array([[-d, b], [c, -a]]) @ vector / (a * d - b * c)
     return -jnp.linalg.solve(hessian, vector)
 
 
 def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
     """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``: positive definite, so steps ascend."""
-    values, vectors = eigenpairs(hessian)
+    values, vectors = jnp.linalg.eigh(hessian)
     return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
-
-
-def eigenpairs(symmetric: Matrix) -> tuple[Vector, Matrix]:
-    """Return eigenvalues, ascending, and eigenvectors in columns.
-
-    In closed form for 2 x 2, which XLA can fuse with the surrounding operations, unlike a call of LAPACK.
-    """
-    if len(symmetric) != 2:
-        return jnp.linalg.eigh(symmetric)
-    (a, b), (_, d) = symmetric
-    mean, half = (a + d) / 2, (a - d) / 2
-    spread, angle = jnp.hypot(half, b), jnp.arctan2(b, half) / 2
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([mean - spread, mean + spread]), jnp.array([[-sine, cosine], [cosine, sine]])
 
 
 @jax.custom_jvp

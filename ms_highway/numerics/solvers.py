@@ -36,11 +36,10 @@ class Planner:
             they do not follow every bump of the reward at once; less for steering at low speed, see
             `ms_highway.game.game.discomfort`.
         solver: ``gradient``, the paper's, ``newton`` or ``convex_newton``, see `optimize_controls` (static).
-        smooth: whether plans climb a reward whose jumps are smooth, and keep room to stop before obstacles (static).
-        cold: what plans start from without a last one: ``zero`` controls, the paper's, or those that keep the
-            ``velocity`` (static).
-        persistent: whether plans start from the rest of the last one (static).
-        manoeuvres: whether the robot's plans start from a simple manoeuvre where that earns more (static).
+        smooth: whether plans climb a reward whose jumps are smooth, keep room to stop before obstacles, and start,
+            without a last plan, from constant velocity instead of the paper's zero controls (static).
+        persistent: whether plans start from the rest of the last one or, under a smooth reward, from a simple manoeuvre
+            where that earns more (static).
     """
 
     control_scale: Control
@@ -54,9 +53,7 @@ class Planner:
     answered_steps: int = field(default=ANSWERED_STEPS, metadata={"static": True})
     solver: Solver = field(default="gradient", metadata={"static": True})
     smooth: bool = field(default=False, metadata={"static": True})
-    cold: Literal["zero", "velocity"] = field(default="zero", metadata={"static": True})
     persistent: bool = field(default=False, metadata={"static": True})
-    manoeuvres: bool = field(default=False, metadata={"static": True})
 
     @property
     def steps(self) -> tuple[int, int]:

@@ -53,10 +53,10 @@ def one_step_later(plan: Plan) -> Plan:
 def cold_start(game: Game, state: State) -> Plan:
     """Return the plan that plans start from without a last one.
 
-    All controls are zero, the paper's start, or keep the velocity, as the planner's ``cold`` says.
+    All controls are zero, the paper's start, or keep the velocity where the planner climbs a smooth reward.
     """
     cars = 1 + game.number
-    if game.planner.cold == "velocity":
+    if game.planner.smooth:
         controls = constant_velocity(game, state[:cars])
     else:
         controls = np.zeros((cars, game.planner.horizon, 2), np.float32)
@@ -87,7 +87,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
     NaN where none of them earns anything finite.
 
     Steps of a solver do not leave a local optimum: there is a start per gap, and one per lane and acceleration, see
-    `ms_highway.planning.manoeuvres`. Only where the planner has ``manoeuvres``.
+    `ms_highway.planning.manoeuvres`. Only where plans are persistent and climb a smooth reward.
 
     Args:
         game: of the robot.
@@ -95,7 +95,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
         last: scaled controls to start from otherwise.
         others: trajectories of all others.
     """
-    if not game.planner.manoeuvres:
+    if not (game.planner.persistent and game.planner.smooth):
         return last
     held = manoeuvres(game, car, game.planner.horizon, ACCELERATIONS)
     gaps = into_gaps(game, car, Motion(*jnp.moveaxis(others, 1, 0)))

@@ -68,17 +68,6 @@ def test_no_reward_bends_upwards_whatever_its_weights():
         assert np.linalg.eigvalsh(bent)[0] > -1e-4 * np.abs(bent).max()
 
 
-@pytest.mark.parametrize(("y", "heading"), [(-5.6, 0.1), (-5.6, -0.1), (2.3, 0.1), (2.3, -0.1)])
-def test_on_both_sides_the_edge_of_the_road_bends_position_and_heading_as_the_reward_does(y, heading):
-    reward = linear_reward({"off_road": -2500.0}, 20.0)
-    bent = np.asarray(curvature(GAME.scene, reward, motion(y, heading), FAR)[0])
-    exact = np.asarray(hessian(GAME.scene, reward, motion(y, heading), FAR))
-    assert bent[1, 1] > 0
-    assert bent[1, 1] == pytest.approx(exact[1, 1], rel=0.35)
-    assert np.sign(bent[1, 3]) == np.sign(exact[1, 3])
-    assert np.sign(bent[1, 2]) == np.sign(exact[1, 2])
-
-
 def test_closeness_bends_by_the_squares_of_the_slopes_of_distances_and_their_own_bend():
     """The distance of each point of the body, written down once more, and differentiated by JAX."""
     own, other = motion(-1.5, 0.1), motion(-3.3, -0.05, x=3.0)

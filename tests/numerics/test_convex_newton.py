@@ -101,16 +101,6 @@ def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_changes_ne
     assert np.isnan(rest(1.0, left=np.nan))
 
 
-def test_steps_end_exactly_on_their_limits_and_carry_what_does_not_count():
-    def step(point):
-        controls, count = point
-        return jnp.minimum(controls + 0.1, jnp.float32(0.24)), count + 1
-
-    controls, count = until_still(step, (jnp.linspace(-0.1, 0.2, 7), jnp.float32(0)), 50, lambda point: point[0])
-    np.testing.assert_array_equal(controls, np.float32(0.24))
-    assert count == 4  # the fifth moves nothing
-
-
 def test_what_is_not_finite_is_never_the_best():
     candidates = jnp.arange(3.0)[:, None]
     assert best_of(candidates, jnp.array([jnp.nan, -1.0, jnp.inf])) == 1.0

@@ -130,5 +130,5 @@ def test_plans_start_from_zero_controls_or_at_once_from_keeping_the_velocity(thr
     *_, begin = plans.call(state, [TOM] * 3)
     np.testing.assert_allclose(begin.humans[2, 4] * game.planner.control_scale, kept, rtol=1e-6)
     assert {type(part) for part in cold_start(game, state)} == {np.ndarray}  # JAX, uncounted here, takes no part
-    papers = replace(game, planner=replace(game.planner, cold="zero"))
+    papers = replace(game, planner=replace(game.planner, smooth=False))
     assert not np.concatenate([each.ravel() for each in cold_start(papers, state)]).any()
