@@ -91,7 +91,7 @@ class InteractionViewer(Viewer):
         humans = self.env.humans
         names = ["human"] if len(humans) == 1 else map(str, range(1, 1 + len(humans)))
         for name, car in zip(("robot", *names), (self.env.robot, *humans), strict=True):
-            self._write(name, SMALL, center=self.sim_surface.vec2pix(car.position))
+            self._write(name, SMALL, PAPER, ASPHALT, center=self.sim_surface.vec2pix(car.position))
 
     def _draw_panel(self, step: ControlStep | None) -> None:
         env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
