@@ -1,6 +1,8 @@
 """The figures of a comparison: which there are, what they show, and the formats of their files."""
 
 import io
+from collections.abc import Callable
+from functools import partial
 
 import pandas as pd
 from matplotlib import rc_context
@@ -33,8 +35,8 @@ CAPTIONS = {
 """What the figures of `figures` show."""
 
 
-def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
-    """Draw all figures of a scenario, by the names that `CAPTIONS` explains.
+def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Callable[[], Figure]]:
+    """Return functions that draw the figures of a scenario, by the names that `CAPTIONS` explains.
 
     Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars. Decisions are
     those of two controllers that choose online, beside the best fixed model, from the first start that all of them have
@@ -46,19 +48,18 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
         scenario: its name.
     """
     main, rows = main_controllers(summaries, scenario), summaries.query("scenario == @scenario")
-    drawn = {}
     if rows.groupby("kind")["price"].nunique().max() >= FEWEST_LAMBDAS:
-        drawn["curve"] = curve(summaries, scenario)
+        found: dict[str, Callable[[], Figure]] = {"curve": partial(curve, summaries, scenario)}
     else:
-        drawn["bars"] = bars(rows[rows["controller"].isin(main)], scenario)
-    drawn["timeline"] = timeline(records[records["controller"].isin(main)], scenario)
+        found = {"bars": partial(bars, rows[rows["controller"].isin(main)], scenario)}
+    found["timeline"] = partial(timeline, records[records["controller"].isin(main)], scenario)
     deciding = choosing_controllers(summaries, scenario)[:MOST_DECIDING]
     beside = [name for name in most_informative_pair(summaries, scenario) if name not in deciding][:1]
     seeds = common_seeds(records, scenario, [*deciding, *beside])
     if deciding and seeds:
         episodes = [one_episode(records, scenario, name, seeds[0]) for name in (*deciding, *beside)]
-        drawn["decisions"] = decisions(episodes[: len(deciding)], *episodes[len(deciding) :])
-    return drawn
+        found["decisions"] = partial(decisions, episodes[: len(deciding)], *episodes[len(deciding) :])
+    return found
 
 
 def content(figure: Figure, kind: str = "png") -> bytes:
