@@ -6,11 +6,10 @@ import subprocess
 import sys
 
 import pytest
-from commands import run
 
 from ms_highway.cli import irl, options
 from ms_highway.cli.command import number, output
-from ms_highway.cli.main import COMMANDS, main, parse
+from ms_highway.cli.main import COMMANDS, parse
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.demonstration import DENSITIES
 from ms_highway.planning.human_models import PAPER_MODELS
@@ -108,16 +107,6 @@ def test_a_place_that_cannot_be_written_is_named_before_anything_is_driven_or_re
         assert message.startswith(f"ms-highway: {place} cannot be written: {problem}; ")
 
 
-@pytest.mark.parametrize(("word", "commands"), [("irl", ["record", "fit", "evaluate"]), ("values", ["learn"])])
-def test_a_word_that_commands_begin_with_lists_them(word, commands, capsys, refused):
-    with pytest.raises(SystemExit, match="0"):
-        main([word, "--help"])
-    rows = capsys.readouterr().out.splitlines()
-    assert [row[2:26].strip() for row in rows if row.startswith(f"  {word}")] == [f"{word} {name}" for name in commands]
-    for command in (word, f"{word} others"):
-        assert f"{word} is no command; name one of {word} {commands[0]}" in refused(command)
-
-
 def test_the_names_in_help_texts_are_those_that_are_known():
     assert tuple(ENVIRONMENTS) == options.SCENARIO_NAMES
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
@@ -126,9 +115,3 @@ def test_the_names_in_help_texts_are_those_that_are_known():
     keys = set(re.findall(r"\b([a-z]+(?:_[a-z]+)?)=[^=,\s]", options.KEYS))
     assert {"semantics", "horizon", "step_size", "costs", "way_out"} <= keys
     assert keys <= known | {"naive", "a", "b", "turn", "tom"}
-
-
-def test_the_version_is_told(capsys):
-    with pytest.raises(SystemExit, match="0"):
-        run("--version")
-    assert capsys.readouterr().out.startswith("ms-highway 2")

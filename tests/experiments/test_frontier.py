@@ -14,7 +14,6 @@ from commands import run
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.frontier import Outcomes, controller_name, search
-from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
 SEEDS, STEPS, PRICES = 3, 40, (0.03, 0.1)
@@ -56,15 +55,6 @@ def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searc
     assert said.max() == pytest.approx(everywhere.max())
 
 
-@pytest.mark.slow
-def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
-    for row in pd.read_csv(searched / "orders.csv").query("price == 0.03").to_dict("records"):
-        env = make_environment("merger", row["controller"], ladder=LADDER)
-        steps = pd.DataFrame(episode(env, row["seed"]))
-        assert steps["reward"].mean() == pytest.approx(row["reward"], abs=1e-3)
-        assert steps["counted_seconds"].mean() == pytest.approx(row["counted_seconds"])
-
-
 class Toy:
     """Outcomes that are known: a human at a time is worth thinking about, from step to step another one."""
 
@@ -104,13 +94,6 @@ def test_a_search_among_several_humans_changes_the_models_of_all_and_of_one():
     names = {name for name, _ in several.table}
     assert {"naive", "tom"} <= names
     assert any("/" in name for name in names)
-
-
-def test_a_search_at_many_prices_tries_little_more_than_one_at_three():
-    few, many = Toy(1), Toy(1)
-    list(search(few, range(3), [0.1, 0.4, 0.9], 8, 4))
-    list(search(many, range(3), [0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 0.9], 8, 4))
-    assert len(many.table) < 1.3 * len(few.table)
 
 
 @pytest.mark.slow

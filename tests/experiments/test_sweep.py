@@ -155,12 +155,6 @@ def changed(part, **columns):
     rows.to_parquet(part, index=False)
 
 
-def test_a_file_that_pandas_would_read_with_the_parts_is_refused(swept, tmp_path, refused):
-    shutil.copytree(swept, tmp_path / "out")
-    pd.DataFrame({"other": [1]}).to_parquet(tmp_path / "out" / "episodes" / "mine.parquet")
-    assert "out/episodes/mine.parquet is no part of this sweep" in refused(f"{SWEEP} out")
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

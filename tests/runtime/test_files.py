@@ -1,14 +1,12 @@
 """Files that are either whole or not there, whatever happens, and whoever else writes."""
 
-import errno
-import fcntl
 import resource
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
 
-from ms_highway.runtime.files import LOCK, held, reading, remove_temporary, replacing, temporary, tidy
+from ms_highway.runtime.files import LOCK, held, reading, replacing, tidy
 
 SIZE = 20_000  # bytes
 
@@ -59,12 +57,6 @@ def test_a_link_that_somebody_has_planted_is_not_followed(tmp_path):
     assert (victim.read_text(), file.read_text()) == ("precious", "{}")
 
 
-def test_devices_and_directories_are_not_replaced(tmp_path):
-    for name in ("/dev/null", tmp_path):
-        with pytest.raises(OSError, match="is a directory or a device"), replacing(tmp_path / name):
-            pass
-
-
 def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(tmp_path):
     directory = tmp_path / "out"
     (directory / "steps").mkdir(parents=True)
@@ -79,25 +71,6 @@ def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands
         pass
     assert {path.name for path in directory.iterdir()} == {"steps", ".part.notes.txt", "download.part"}
     assert not (tmp_path / "other").exists()
-
-
-@pytest.mark.parametrize("kind", [errno.ENOLCK, errno.ENOTSUP])
-def test_on_a_disk_without_locks_commands_write_all_the_same(kind, tmp_path, monkeypatch):
-    def no_lock(*_):
-        raise OSError(kind, "no locks here")
-
-    monkeypatch.setattr(fcntl, "flock", no_lock)
-    with held(tmp_path / "out"):
-        (tmp_path / "out" / "results").touch()
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["results"]
-
-
-def test_what_is_temporary_can_be_removed_at_once(tmp_path):
-    with temporary(tmp_path / "work") as directory:
-        directory.mkdir()
-        (directory / "file").touch()
-        remove_temporary()
-        assert not directory.exists()
 
 
 def test_what_is_wrong_with_a_file_names_it_and_what_is_wrong_with_the_program_does_not(tmp_path):

@@ -4,7 +4,6 @@ import json
 import shutil
 from importlib.metadata import version
 
-import numpy as np
 import pandas as pd
 import pytest
 from commands import run
@@ -12,8 +11,6 @@ from comparisons import COMPARE
 
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers, most_informative_pair
-from ms_highway.experiments.results import read_results
-from ms_highway.visualization.comparison import timeline
 
 
 def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
@@ -43,11 +40,6 @@ def test_results_that_are_no_results_are_refused_in_one_line(name, spoil, messag
     directory = shutil.copytree(compared, tmp_path / "results", ignore=shutil.ignore_patterns("*.html"))
     (directory / name).write_text(spoil((directory / name).read_text()))
     assert message in refused("report results --out page.html")
-
-
-def test_results_know_the_settings_of_their_environments(compared):
-    config = read_results(compared).config("stay_back")
-    assert config == {"semantics": "paper", "solver": "gradient", "human_reward": "learned", "costs": "published"}
 
 
 def summarised(rewards):
@@ -81,12 +73,3 @@ def test_of_many_controllers_the_papers_are_shown_and_of_others_the_first_eight(
     schedules = {f"schedule:tom={steps},naive": 3.0 for steps in range(1, 10)}
     assert main_controllers(summarised(schedules | {"tom": 5, "learned:3": 4}), "merger") == ["tom", "learned:3"]
     assert main_controllers(summarised(schedules), "merger") == list(schedules)[:8]
-
-
-def test_a_timeline_has_a_row_for_every_controller_that_chooses_online():
-    names = ["tom", "switching:0.1", "learned:0.1"]
-    records = pd.DataFrame({"controller": np.repeat(names, 2), "step": [0, 1] * 3, "model": ["tom", "naive"] * 3})
-    records = records.assign(scenario="merger", seed=0, planning_seconds=1e-3, decision_seconds=1e-4)
-    above, *rows = timeline(records, "merger").axes
-    assert [row.get_title(loc="left") for row in rows] == names[1:]
-    assert len({line.get_color() for line in above.lines}) == 3
