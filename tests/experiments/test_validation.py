@@ -75,11 +75,11 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
     file = tmp_path / "merger__tom.npz"
     for change, message in (
         ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
-        ({"states": np.zeros(3)}, r"states is of shape \(3,\); it must hold"),
-        ({"states": arrays["states"] * 1e300}, "states holds numbers that are not finite, or beyond 1e.38; it must"),
-        ({"states": arrays["states"] > 0}, "states holds bool; it must hold finite numbers"),
-        ({"models": arrays["models"] * 1.0}, "models holds float64; it must hold integers"),
-        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, r"rewards is of shape \(0, "),
+        ({"states": np.zeros(3)}, r"states holds float64 of shape \(3,\); it must hold"),
+        ({"states": arrays["states"] * 1e300}, "states holds .*; it must hold finite numbers below 1e.38"),
+        ({"states": arrays["states"] > 0}, "states holds bool .*; it must hold finite numbers"),
+        ({"models": arrays["models"] * 1.0}, "models holds float64 .*; it must hold integers"),
+        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, r"rewards holds .* of shape \(0, "),
     ):
         np.savez(file, **{**arrays, **change})
         with pytest.raises(ValueError, match=message):
