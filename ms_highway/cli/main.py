@@ -4,16 +4,16 @@ import argparse
 import shlex
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench
 from ms_highway.cli.bench_road import bench_road
-from ms_highway.cli.command import COLUMN, Command, filled, option
+from ms_highway.cli.command import COLUMN, Command, option
 from ms_highway.cli.compare import compare
-from ms_highway.cli.console import printing, say, warn
+from ms_highway.cli.console import printing, warn
 from ms_highway.cli.frontier import frontier
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.report import report
@@ -73,13 +73,10 @@ def parse(given: Sequence[str]) -> Any:
         SystemExit: after help texts.
     """
     options = _before().parser().parse_args(given)
-    first, *rest = options.words
+    first = options.words[0]
     name = next((name for name in (" ".join(options.words[:2]), first) if name in COMMANDS), "")
     if not name:
         longer = [each for each in COMMANDS if each.startswith(f"{first} ")]
-        if longer and rest in (["--help"], ["-h"]):
-            say(f"usage: ms-highway {first} COMMAND ...\n\n{filled(_list_of(longer))}")
-            raise SystemExit(0)
         raise ValueError(f"{first} is no command; name one of {', '.join(longer or COMMANDS)}")
     options.command, options.command_line = COMMANDS[name], shlex.join(["ms-highway", *given])
     rest = options.words[len(name.split()) :]
@@ -102,13 +99,13 @@ def _before() -> Command:
             option("--no-compilation-cache", CACHE, action="store_true"),
             option("--import", IMPORT, [], dest="modules", action="append", metavar="MODULE"),
             option("--version", "show the version", action="version", version=f"ms-highway {version('ms-highway')}"),
-            option("words", "with its options", notes=_list_of(COMMANDS), nargs=argparse.PARSER, metavar="COMMAND"),
+            option("words", "with its options", notes=_commands(), nargs=argparse.PARSER, metavar="COMMAND"),
         ),
     )
 
 
-def _list_of(names: Iterable[str]) -> str:
-    rows = [f"  {name:{COLUMN - 2}}{COMMANDS[name].summary}" for name in names]
+def _commands() -> str:
+    rows = [f"  {name:{COLUMN - 2}}{command.summary}" for name, command in COMMANDS.items()]
     return "\n".join(["commands:", *rows])
 
 

@@ -89,16 +89,12 @@ class Sweep:
         """Return the parts that are not there yet, and how many episodes each has.
 
         Raises:
-            ValueError: if the sweep cannot be simulated, there is a file beside the parts that pandas would read with
-                them, or as `read`.
+            ValueError: if the sweep cannot be simulated, or as `read`.
         """
         kinds = [STEPS, EPISODES] if self.steps else [EPISODES]
-        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
-        files = {part: {self.file(part, kind) for kind in kinds} for part in self.parts}
-        if strangers := sorted(there.difference(*files.values())):
-            raise ValueError(f"{strangers[0]} is no part of this sweep, but would be read as one; move it away")
-        self.read([part for part in self.parts if files[part] <= there])
-        places = {part: self.places(part) for part in self.parts if not files[part] <= there}
+        there = [part for part in self.parts if all(self.file(part, kind).exists() for kind in kinds)]
+        self.read(there)
+        places = {part: self.places(part) for part in sorted({*self.parts} - {*there})}
         return {part: last - first for part, (first, last) in places.items()}
 
     def read(self, parts: Sequence[int] | None = None) -> pd.DataFrame:

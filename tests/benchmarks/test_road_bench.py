@@ -98,15 +98,6 @@ def test_a_scene_without_a_version_is_driven_in_all_of_them_the_newest_first():
     assert {scene for scene in SCENES if "-v1" in scene} >= {"roundabout-v1", "merge-v1", "exit-v1", "u-turn-v1"}
 
 
-def test_idm_is_paid_for_its_speed_like_an_ego_with_target_speeds():
-    env = make_driver(Block("roundabout-v0", "idm"))
-    env.reset(seed=0)
-    ego = env.unwrapped.vehicle
-    ego.speed = 16.0
-    assert MDPVehicle.get_speed_index(ego) == 2
-    assert MDPVehicle.speed_to_index_default(ego.speed) == 0
-
-
 @pytest.mark.slow
 def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path, capsys):
     file, log = tmp_path / "road.json", tmp_path / "road.csv"

@@ -13,7 +13,7 @@ from commands import run
 
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
-from ms_highway.experiments.frontier import Outcomes, controller_name, search
+from ms_highway.experiments.frontier import controller_name, search
 
 LADDER = ["naive", "turn"]
 SEEDS, STEPS, PRICES = 3, 40, (0.03, 0.1)
@@ -122,13 +122,3 @@ def test_the_name_of_an_order_stands_for_its_models_step_by_step():
         assert [*models, *[models[-1]] * (STEPS - len(models))] == [LADDER[rung] for rung in order[:, 0]]
     assert controller_name(LADDER, np.ones((STEPS, 2), int)) == "turn"
     assert controller_name(LADDER, np.array([[0, 1], [0, 1], [1, 1]])) == "schedule:naive/turn=2,turn"
-
-
-@pytest.mark.parametrize(
-    ("row", "problem"),
-    [("", ""), (",scenario,reward,counted_seconds\ntom,3,merger,nan,0.3\n", "reward of tom with seed 3")],
-)
-def test_outcomes_that_were_damaged_are_named(row, problem, tmp_path):
-    (tmp_path / "merger_episodes.csv").write_text(f"controller,seed{row}")
-    with pytest.raises(ValueError, match=rf"merger_episodes\.csv cannot be read.*{problem}.*remove it"):
-        Outcomes(None, tmp_path / "merger_episodes.csv")

@@ -74,12 +74,6 @@ def test_a_guide_is_a_page_that_the_map_names(name):
     assert f"](examples/{name}.py)" in (DIRECTORY.parent / "MAP.md").read_text()
 
 
-def test_an_example_imports_the_package_by_one_line_beside_experiments():
-    for name, text in EXAMPLES.items():
-        lines = re.findall(r"^(?:from|import) ms_highway\b(?!\.experiments).*", text, re.MULTILINE)
-        assert name == LEARNING or len(lines) <= 1, name
-
-
 @pytest.mark.slow
 def test_an_agent_learns_to_choose_and_is_set_beside_switching_and_tom():
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
