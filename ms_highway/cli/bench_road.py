@@ -85,6 +85,7 @@ def bench_road(options: argparse.Namespace) -> None:
 
     from ms_highway.benchmarks.road.blocks import run_blocks
     from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
+    from ms_highway.benchmarks.road.recorded import RecordedStart, starts_of
     from ms_highway.cli.results_directory import save_figures, write_table
     from ms_highway.road.constants import MODELS
     from ms_highway.road.driver import SHIPPED_COSTS
@@ -95,10 +96,13 @@ def bench_road(options: argparse.Namespace) -> None:
     for driver in drivers:
         check_driver(driver)
     _check_recorded(options, scenes, drivers)
-    seeds, starts = range(options.seed, options.seed + (options.seeds or 20)), []
+    seeds = range(options.seed, options.seed + (options.seeds or 20))
+    starts: list[RecordedStart] = []
     if scenes == [RECORDED]:
-        starts = _starts(options)
+        starts = starts_of(options.data, options.egos or EGOS[0])
         seeds = range(len(starts))[options.seed :][: options.seeds]
+        if not seeds:
+            raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
     traffic = options.traffic or (RECORDED_TRAFFIC[0] if starts else "idm")
     blocks = [Block(scene, driver, traffic, tuple(starts), options.export) for scene in scenes for driver in drivers]
     for block in blocks:
@@ -154,17 +158,3 @@ def _check_recorded(options: argparse.Namespace, scenes: list[str], drivers: lis
         raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
     if options.figure and options.figure.suffix[1:] not in FORMATS:
         raise ValueError(f"--figure is {options.figure}; name a file that ends in .{', .'.join(FORMATS)}")
-
-
-def _starts(options: argparse.Namespace) -> list[Any]:
-    """Return the starts in recordings.
-
-    Raises:
-        ValueError: if there is none, or the first one that is asked for does not exist.
-    """
-    from ms_highway.benchmarks.road.recorded import starts_of
-
-    starts = starts_of(options.data, options.egos or EGOS[0])
-    if options.seed >= len(starts):
-        raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
-    return starts

@@ -25,13 +25,6 @@ def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_ro
     assert (usual["collisions"], usual["success_changes"]) == ([0, 0], None)
 
 
-def test_noise_in_what_is_seen_acts_through_plans_and_changes_little_where_the_robot_merges():
-    small, usual = changes(NAIVE, "merger", "naive", [1e-3, 1e-2], seen=True).values()
-    assert 1e-6 < small["change_m"]["1"]["p50"] < usual["change_m"]["1"]["p50"] < 1e-3  # it moves no car by itself
-    assert usual["change_m"]["20"]["p50"] < 5e-2
-    assert abs(usual["reward"]["mean"]) < 2e-2
-
-
 @pytest.mark.slow
 def test_the_command_shows_figures_of_each_noise_in_what_the_robot_sees(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "150")

@@ -5,7 +5,6 @@ import sys
 import warnings
 from pathlib import Path
 
-import imageio.v3 as imageio
 import pandas as pd
 import pytest
 from commands import run
@@ -42,16 +41,6 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
 )
 def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(command, message, refused):
     assert message in refused(command)
-
-
-@pytest.mark.slow
-def test_a_video_plays_at_true_speed(tmp_path):
-    film = tmp_path / "films" / "stay_back.gif"
-    run(f"video stay_back --controller naive --seed 1 --out {film}")
-    assert imageio.imread(film, plugin="pyav").shape == (35, 352, 960, 3)
-    seconds = imageio.immeta(film, plugin="pyav")["duration"]
-    assert seconds == pytest.approx(3.5, abs=0.11)
-    assert [path.name for path in film.parent.iterdir()] == [film.name]
 
 
 @pytest.mark.slow

@@ -48,15 +48,6 @@ def test_several_may_write_the_same_file_and_readers_find_it_whole(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_link_that_somebody_has_planted_is_not_followed(tmp_path):
-    victim, file = tmp_path / "victim", tmp_path / "settings.json"
-    victim.write_text("precious")
-    file.symlink_to(victim)
-    with replacing(file) as path:
-        path.write_text("{}")
-    assert (victim.read_text(), file.read_text()) == ("precious", "{}")
-
-
 def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(tmp_path):
     directory = tmp_path / "out"
     (directory / "steps").mkdir(parents=True)

@@ -10,7 +10,7 @@ from commands import run
 from comparisons import COMPARE
 
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.analysis.selection import choosing_controllers, most_informative_pair
+from ms_highway.experiments.analysis.selection import most_informative_pair
 
 
 def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
@@ -54,11 +54,3 @@ def test_the_best_fixed_model_is_shown_beside_switching_at_the_papers_conservati
     assert most_informative_pair(summaries[summaries["price"] != 0.1], "merger") == ["tom", "switching:0.001"]
     assert most_informative_pair(summaries[summaries["reward"] < 3], "merger") == ["naive", "turn"]
     assert most_informative_pair(summaries[summaries["reward"] == 5], "merger") == ["tom"]
-
-
-def test_learned_values_are_shown_rather_than_switching_where_both_were_compared():
-    rewards = {"tom": 5, "switching:0.1": 4, "learned:10": 3, "learned:0.1:own.npz": 4.9, "learned:0.01": 5}
-    summaries = summarised(rewards)
-    assert most_informative_pair(summaries, "merger") == ["tom", "learned:0.1:own.npz"]  # at the paper's lambda
-    assert most_informative_pair(summaries.drop(index=3), "merger") == ["tom", "learned:0.01"]
-    assert choosing_controllers(summaries, "merger") == ["learned:0.1:own.npz", "switching:0.1"]

@@ -7,7 +7,6 @@ from ms_highway.cli.console import print_tables
 from ms_highway.experiments.analysis.findings import answer
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.visualization.comparison import cells
-from ms_highway.visualization.comparison import table as printed
 from ms_highway.visualization.tables import grid
 
 COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}
@@ -53,13 +52,6 @@ def test_tables_show_the_steps_whose_plans_failed_where_there_are_any():
     assert "fallback steps" not in cells(summary(table), "merger")
     table.loc[[1, 2], "status"] = ["previous plan", "braking"]
     assert cells(summary(table), "merger")["fallback steps"].tolist() == ["2", "0"]
-
-
-def test_counted_milliseconds_have_two_digits_and_a_table_names_the_controllers_without_them():
-    table = records(naive=[1], tom=[2], idm=[3]).replace({"counted_seconds": {0.09: 0.000432}})
-    assert cells(summary(table), "merger")["counted ms"].tolist() == ["0.43", "370", ""]
-    assert printed(summary(table), "merger").caption.startswith("counted ms: T(M) is not known of idm; put")
-    assert printed(summary(table[:2]), "merger").caption is None
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
