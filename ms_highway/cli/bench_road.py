@@ -84,7 +84,7 @@ def bench_road(options: argparse.Namespace) -> None:
     import pandas as pd
 
     from ms_highway.benchmarks.road.blocks import run_blocks
-    from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
+    from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, summary
     from ms_highway.benchmarks.road.recorded import RecordedStart, starts_of
     from ms_highway.cli.results_directory import save_figures, write_table
     from ms_highway.road.constants import MODELS
@@ -108,23 +108,19 @@ def bench_road(options: argparse.Namespace) -> None:
     for block in blocks:
         if is_agent(block.driver):
             make_driver(block).close()  # or refuse scenes that it does not fit
-    episodes: dict[Block, list[Episode]] = {block: [] for block in blocks}
+    rows: list[dict[str, Any]] = []
     results: dict[str, dict[str, Any]] = {scene: {} for scene in scenes}
 
     def driven() -> Iterator[int]:
         runs = run_blocks(blocks, seeds, options.jobs, options.films, options.modules)
-        for count, (block, episode) in enumerate(runs, start=1):
-            episodes[block].append(episode)
-            yield count
-            if len(episodes[block]) == len(seeds):  # what is done is kept, whatever happens next
-                own = {block.driver: summary(block, episodes[block])} | results[block.scene]
-                results[block.scene] = {driver: own[driver] for driver in drivers if driver in own}
-                if options.json:
-                    write_json(options.json, results)
-                if options.log:
-                    done = [one for one in blocks if one.driver in results[one.scene]]
-                    rows = [row(one, episode) for one in done for episode in episodes[one]]
-                    write_table(pd.DataFrame(rows), options.log)
+        for count, (block, episodes) in enumerate(runs, start=1):
+            results[block.scene][block.driver] = summary(block, episodes)
+            rows.extend(row(block, episode) for episode in episodes)
+            if options.json:  # what is done is kept, whatever happens next
+                write_json(options.json, results)
+            if options.log:
+                write_table(pd.DataFrame(rows), options.log)
+            yield count * len(seeds)
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
     costs = zip(MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
