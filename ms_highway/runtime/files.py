@@ -1,9 +1,12 @@
 """Files that are either whole or not there."""
 
+import errno
 import json
 import os
 import shutil
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,7 +20,25 @@ PART = ".part."
 
 LOCK = f"{PART}lock"
 
+NO_LOCKS = errno.ENOLCK, errno.ENOTSUP
+"""Errors of shared disks without locks."""
+
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
+
+DAMAGES = (
+    ArithmeticError,
+    EOFError,
+    LookupError,
+    MemoryError,  # of arrays that declare sizes beyond all memory
+    OSError,
+    RuntimeError,  # of archives that are encrypted, and of JSON nested too deeply
+    SyntaxError,  # of XML
+    ValueError,
+    tokenize.TokenError,  # of headers of arrays
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What readers raise for files that are damaged or not there."""
 
 _temporary: set[Path] = set()  # what `temporary` is to remove
 
@@ -79,6 +100,7 @@ def held(directory: Path) -> Iterator[None]:
 
     Raises:
         ValueError: if another command is writing to it.
+        OSError: if it cannot be locked, though the disk has locks.
     """
     from filelock import FileLock, Timeout
 
@@ -92,8 +114,11 @@ def held(directory: Path) -> Iterator[None]:
         except Timeout as error:
             remedy = "wait for its end, or choose another"
             raise ValueError(f"another command is writing to {directory}; {remedy}") from error
-        except (NotImplementedError, OSError):
-            pass  # on a shared disk without locks
+        except NotImplementedError:
+            pass
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise OSError(f"{directory} cannot be locked: {error}; mend that, or choose another place") from error
         with temporary(file):  # removed while it is held
             yield
     finally:
@@ -142,7 +167,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path, remedy: str, kind: str = "") -> Iterator[None]:
-    """Let whatever goes wrong in a block that reads a file name the file; readers raise errors of a dozen types.
+    """Let what is wrong with a file, any of `DAMAGES`, name it; other errors in the block are the program's own.
 
     Args:
         path: of the file.
@@ -150,11 +175,11 @@ def reading(path: Path, remedy: str, kind: str = "") -> Iterator[None]:
         kind: what the file is read as, beginning with `` as``.
 
     Raises:
-        ValueError: in place of any error.
+        ValueError: in place of any of `DAMAGES`.
     """
     try:
         yield
-    except Exception as error:
+    except DAMAGES as error:
         raise ValueError(f"{path} cannot be read{kind} ({str(error).strip()}); {remedy}") from error
 
 
@@ -166,7 +191,7 @@ def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
         most: how many bytes it may unpack to.
 
     Raises:
-        ValueError: if that is no file, or unpacks to more.
+        ValueError: if that is no file, or unpacks to more; any other of `DAMAGES`, if it is damaged.
     """
     if not path.is_file():
         raise ValueError("it is missing, a directory or a device")

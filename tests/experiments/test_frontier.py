@@ -14,6 +14,7 @@ from commands import run
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.frontier import controller_name, search
+from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
 SEEDS, STEPS, PRICES = 3, 40, (0.03, 0.1)
@@ -53,6 +54,15 @@ def test_nothing_that_was_tried_from_a_start_is_better_than_its_best_order(searc
     said = behind.loc[behind["kind"].isin(["fixed", "schedule", "period"]), "meta_reward"]
     assert said.idxmax() == everywhere.idxmax()
     assert said.max() == pytest.approx(everywhere.max())
+
+
+@pytest.mark.slow
+def test_the_best_orders_earn_in_the_environment_what_the_search_says(searched):
+    for row in pd.read_csv(searched / "orders.csv").query("price == 0.03").to_dict("records"):
+        env = make_environment("merger", row["controller"], ladder=LADDER)
+        steps = pd.DataFrame(episode(env, row["seed"]))
+        assert steps["reward"].mean() == pytest.approx(row["reward"], abs=1e-3)
+        assert steps["counted_seconds"].mean() == pytest.approx(row["counted_seconds"])
 
 
 class Toy:

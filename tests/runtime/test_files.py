@@ -1,5 +1,7 @@
 """Files that are either whole or not there, whatever happens, and whoever else writes."""
 
+import errno
+import fcntl
 import resource
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -64,8 +66,24 @@ def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands
     assert not (tmp_path / "other").exists()
 
 
-def test_what_is_wrong_with_a_file_names_it(tmp_path):
+def test_only_a_disk_without_locks_is_written_to_without_one(tmp_path, monkeypatch):
+    def failing(*_):
+        raise OSError(kind, "no lock")
+
+    monkeypatch.setattr(fcntl, "flock", failing)
+    for kind in (errno.ENOLCK, errno.ENOTSUP):
+        with held(tmp_path / "out"):
+            pass
+    kind = errno.EIO
+    with pytest.raises(OSError, match="out cannot be locked: .*no lock; mend that"), held(tmp_path / "out"):
+        pass
+
+
+def test_what_is_wrong_with_a_file_names_it_and_what_is_wrong_with_the_program_does_not(tmp_path):
     file = tmp_path / "settings.json"
     named = pytest.raises(ValueError, match=r"settings\.json cannot be read as text \(.*No such file.*\); write it")
     with named, reading(file, "write it", " as text"):
         file.read_text()
+    for error in (AttributeError, NameError, TypeError):
+        with pytest.raises(error), reading(file, "write it"):
+            raise error
