@@ -112,7 +112,6 @@ def bench(options: argparse.Namespace) -> None:
         ladders = {scenario: config.get("ladder", SCENARIOS[scenario].ladder) for scenario in scenarios}
         controllers = {scenario: options.controllers or rung_names(ladder) for scenario, ladder in ladders.items()}
         asked = Comparison(controllers, options.seeds or STARTS, options.seed or 0, config)
-        asked.check()
     with telling() as tell:
         for scenario in scenarios:
             if options.noise:

@@ -37,7 +37,7 @@ def video(options: argparse.Namespace) -> None:
 
     controllers = [name for name in (options.controller, options.against) if name]
     config = configuration(options)
-    Comparison({options.scenario: controllers}, config=config).check()
+    Comparison({options.scenario: controllers}, config=config)  # or refuse it before anything is filmed
     video.check_format(options.out)
     films = video.film_together(options.scenario, controllers, options.seed, **config)
     pictures = video.side_by_side(films) if options.against else films[0].pictures

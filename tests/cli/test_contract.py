@@ -4,12 +4,13 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 
 from ms_highway.cli import irl, options
 from ms_highway.cli.command import number, output
-from ms_highway.cli.main import COMMANDS, parse
+from ms_highway.cli.main import COMMANDS, main, parse
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.demonstration import DENSITIES
 from ms_highway.planning.human_models import PAPER_MODELS
@@ -66,11 +67,13 @@ def test_help_teaches_every_command_and_loads_neither_jax_nor_highway_env_nor_wh
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monkeypatch):
+def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monkeypatch, capsys):
     texts = set()
     for width in (60, 80, 100):
         monkeypatch.setenv("COLUMNS", str(width))
-        text, _, examples = COMMANDS[name].parser().format_help().partition("\nexamples:\n")
+        with suppress(SystemExit):
+            main([*name.split(), "--help"])
+        text, _, examples = capsys.readouterr().out.partition("\nexamples:\n")
         _, _, told = text.partition("\n\n")
         assert max(map(len, told.splitlines())) <= width
         texts.add(re.sub(r"\s", "", told))
@@ -84,7 +87,7 @@ def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monke
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_unknown_option_is_refused_with_a_remedy(name, refused):
     message = refused(f"{name}{LEAST[name]} --no-such-option")
-    assert message == f"ms-highway: unrecognized arguments: --no-such-option; see ms-highway {name} --help"
+    assert message.startswith("ms-highway: unrecognized arguments: --no-such-option; see the --help of the command")
 
 
 @pytest.mark.parametrize(("name", "option"), CHECKED)
