@@ -18,7 +18,7 @@ from ms_highway.benchmarks.road import (
 )
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import count_episodes, print_tables
-from ms_highway.cli.options import FORMATS, MOST_SEEDS
+from ms_highway.cli.options import MOST_SEEDS
 
 STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
 OTHERS = (
@@ -40,7 +40,7 @@ OTHERS = (
     number("--jobs", None, "processes at once (default: number of cores)"),
     output("--export", "write drives of planning problems as CommonRoad files", directory=True),
     output("--films", "film the first success and failure of each driver", directory=True),
-    output("--figure", "draw the share of episodes that succeed, a .png, .pdf or .svg file"),
+    output("--figure", "draw the share of episodes that succeed, a .png, .pdf or .svg file", ".png", ".pdf", ".svg"),
     output("--json", "write all figures to a JSON file"),
     output("--log", "write a row per episode to a CSV file"),
 )
@@ -138,19 +138,14 @@ def _check_recorded(options: argparse.Namespace, scenes: list[str], drivers: lis
     Raises:
         ValueError: naming the option and what goes with the scenes.
     """
-    recorded = RECORDED in scenes
-    given = {"--data": options.data, "--egos": options.egos, "--export": options.export, HUMAN: HUMAN in drivers}
-    for name in [name for name, value in given.items() if value and not recorded]:
-        raise ValueError(f"{name} is for the scene {RECORDED!r} only: ms-highway bench road {RECORDED} ...")
+    recorded, kinds = RECORDED in scenes, RECORDED_TRAFFIC if RECORDED in scenes else TRAFFIC
+    if not recorded and (options.data or options.egos or options.export):
+        raise ValueError(f"--data, --egos and --export are for the scene {RECORDED}: ms-highway bench road {RECORDED}")
     if recorded and scenes != [RECORDED]:
-        raise ValueError(f"the scene {RECORDED!r} has traffic and starts of its own; measure it in a command by itself")
-    kinds = RECORDED_TRAFFIC if recorded else TRAFFIC
-    if options.traffic is not None and options.traffic not in kinds:
+        raise ValueError(f"the scene {RECORDED} has traffic and starts of its own; measure it in a command by itself")
+    if options.traffic not in {None, *kinds}:
         raise ValueError(f"--traffic {options.traffic} is not for {scenes[0]}; choose one of {', '.join(kinds)}")
-    problems = options.egos != "changing"
-    if recorded and problems and HUMAN in drivers:
-        raise ValueError(f"the driver {HUMAN} does not drive with --egos problem; leave it out, or say --egos changing")
-    if options.export and (options.data is None or not problems):
+    if HUMAN in drivers and options.egos != "changing":
+        raise ValueError(f"the driver {HUMAN} takes a recorded vehicle's place; say {RECORDED} --egos changing")
+    if options.export and (options.egos == "changing" or not options.data):
         raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
-    if options.figure and options.figure.suffix[1:] not in FORMATS:
-        raise ValueError(f"--figure is {options.figure}; name a file that ends in .{', .'.join(FORMATS)}")

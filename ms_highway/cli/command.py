@@ -57,11 +57,16 @@ def number(name: str, default: Any, text: str, least: float = 1, most: float = M
     return option(name, text, default, type=read, **more)
 
 
-def output(name: str, text: str, directory: bool = False, **more: Any) -> Option:
-    """Return an option that is the path of a file, or of a directory of files, and is refused if it is not writable."""
+def output(name: str, text: str, *ends: str, directory: bool = False, **more: Any) -> Option:
+    """Return an option that is the path of a file whose name has one of these ends, or of a directory of files.
+
+    It is refused if it is not writable.
+    """
 
     def path(word: str) -> Path:
         check_writable(Path(word), directory)
+        if not word.endswith(ends or ""):
+            raise argparse.ArgumentTypeError(f"{word!r} is no name that ends in {', '.join(ends)}")
         return Path(word)
 
     return option(name, text, type=path, metavar="DIR" if directory else "FILE", **more)

@@ -16,7 +16,7 @@ from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NA
     number("--seed", 0, "of the episode", 0, MOST_SEEDS),
     number("--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100),
     number("--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS"),
-    output("--out", "an .mp4 or .gif file", required=True),
+    output("--out", "an .mp4 or .gif file", ".mp4", ".gif", required=True),
     SET,
 )
 def video(options: argparse.Namespace) -> None:

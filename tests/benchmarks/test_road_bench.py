@@ -122,7 +122,7 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
         ("merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, idle, random, human"),
         ("merge --drivers agents/mine.zip", "there is no agent agents/mine.zip; notebooks/examples/train_peers.py"),
         ("merge --drivers switching", "unknown driver 'switching'"),
-        ("merge --export drives", "--export is for the scene 'recorded' only"),
+        ("merge --export drives", "--export are for the scene recorded: "),
         ("recorded --traffic commuter", "--traffic commuter is not for recorded; choose one of learned, replay, idm"),
     ],
 )

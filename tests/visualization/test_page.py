@@ -108,7 +108,7 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
         ("", "the following arguments are required: DIR; see ms-highway report --help"),
         ("elsewhere", "there is no directory elsewhere; name a directory that `ms-highway compare` wrote"),
         (".", "has no settings.json; name a directory that `ms-highway compare` wrote"),
-        ("{} --out page.pdf", "--out is page.pdf; name an .html file"),
+        ("{} --out page.pdf", "'page.pdf' is no name that ends in .html"),
     ],
 )
 def test_a_page_that_cannot_be_is_refused_in_one_line(words, message, compared, refused):
