@@ -8,13 +8,14 @@ import pandas as pd
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers, most_informative_pair
+from ms_highway.experiments.analysis.selection import choosing_controllers, most_informative_pair
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
 from ms_highway.visualization.tradeoff import curve
 
 FEWEST_LAMBDAS = 3  # that make a curve
+MOST_CONTROLLERS = 8  # in bars and timelines, the first ones
 MOST_DECIDING = 2  # controllers whose decisions are drawn beside each other
 DPI = 160
 
@@ -47,7 +48,8 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
-    main, rows = main_controllers(summaries, scenario), summaries.query("scenario == @scenario")
+    rows = summaries.query("scenario == @scenario")
+    main = rows["controller"][:MOST_CONTROLLERS]
     if rows.groupby("kind")["price"].nunique().max() >= FEWEST_LAMBDAS:
         found: dict[str, Callable[[], Figure]] = {"curve": partial(curve, summaries, scenario)}
     else:

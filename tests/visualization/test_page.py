@@ -105,7 +105,7 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("", "the following arguments are required: DIR; see ms-highway report --help"),
+        ("", "the following arguments are required: DIR; see the --help of the command"),
         ("elsewhere", "there is no directory elsewhere; name a directory that `ms-highway compare` wrote"),
         (".", "has no settings.json; name a directory that `ms-highway compare` wrote"),
         ("{} --out page.pdf", "'page.pdf' is no name that ends in .html"),
