@@ -27,7 +27,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.comparison import Comparison, EpisodeKey
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
-from ms_highway.experiments.records import CARS, KEYS, check_records, columns, gain_column, state_columns
+from ms_highway.experiments.records import KEYS, by_column, check_records
 from ms_highway.runtime.files import reading, replacing
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
@@ -206,19 +206,16 @@ def measured_seconds(scenario: str, comparison: Comparison) -> dict[str, float]:
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
-    """Run one episode with the robot's own controller; yield a record per step, with the `columns` from ``step`` on."""
+    """Run one episode with the robot's own controller; yield a record per step.
+
+    It has the columns from ``step`` on, see `ms_highway.experiments.records.columns`, and all of ``info``.
+    """
     env.reset(seed=seed)
     inner = env.unwrapped
     assert isinstance(inner, InteractionEnv)
-    rungs = [model.name for model in inner.settings.models]
-    wanted = columns(rungs, rungs[1:] if inner.scenario.streams else None)
     for step in count():
         _, reward, terminated, truncated, info = env.step(0)
-        values = {**info, **asdict(info["timing"])}
-        record = {key: values[key] for key in wanted if key in values} | {"step": step, "reward": reward}
-        record |= {gain_column(name): gain for name, gain in info["gains"].items()}
-        for car, state in zip(CARS, inner.car_states, strict=False):
-            record |= dict(zip(state_columns(car), state, strict=True))
-        yield record
+        columns = by_column(info["gains"], inner.car_states)
+        yield {**info, **asdict(info["timing"]), **columns, "step": step, "reward": reward}
         if terminated or truncated:
             return
