@@ -62,7 +62,8 @@ A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
 
 SCENARIOS = option("scenarios", f"{', '.join(SCENARIO_NAMES)} (default: the paper's)", nargs="*", metavar="SCENARIO")
-SET = Option("--set", {"help": "see below", "default": [], "dest": "keys", "action": "append", "metavar": "KEY=VALUE"}, KEYS)
+KEY = {"default": [], "dest": "keys", "action": "append", "metavar": "KEY=VALUE"}
+SET = Option("--set", {"help": "see below", **KEY}, KEYS)
 DEVICES = number("--devices", None, "how many devices to use (default: all, or one per core)")
 FORMATS = ("png", "pdf", "svg")
 FORMAT = option("--format", "of figures", FORMATS[0], choices=FORMATS)

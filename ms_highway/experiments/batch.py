@@ -6,7 +6,6 @@ plan is late: a budget counts planning at the seconds that are given, and decidi
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from math import isnan
 from typing import Any, TypeAlias
 

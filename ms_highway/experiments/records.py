@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS
@@ -57,8 +58,8 @@ def state_columns(car: str) -> list[str]:
 def by_column(gains: Mapping[str, Any], states: Any) -> dict[str, Any]:
     """Return gains by model, and the states [..., cars, 4] of the first cars, by the columns of records."""
     cells = {gain_column(name): gain for name, gain in gains.items()}
-    for number, car in enumerate(CARS):
-        cells |= {name: states[..., number, place] for place, name in enumerate(state_columns(car))}
+    for car, state in zip(CARS, np.moveaxis(states, (-2, -1), (0, 1)), strict=False):
+        cells |= dict(zip(state_columns(car), state, strict=True))
     return cells
 
 

@@ -6,14 +6,13 @@ again. All of them together become ``steps.csv`` at the end.
 
 import json
 import shutil
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack
 from dataclasses import asdict
 from functools import lru_cache, partial
 from itertools import count
+from math import ceil
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -92,30 +91,24 @@ def _episodes(
 ) -> Iterator[pd.DataFrame]:
     """Drive episodes in this process, or many in several, each on a core; yield their records in any order.
 
-    Every other process begins at the end, so that two rarely compile the same functions.
+    Each process has a share of neighbours, so that two rarely compile the same functions.
     """
     _environment.cache_clear()
     if processes == 1 or len(keys) < FEWEST:
         yield from (_driven(comparison, measured, key) for key in keys)
         return
-    remaining, running = deque(keys), dict[Future[pd.DataFrame], int]()
-    with ExitStack() as stack:
-        pools = [
-            stack.enter_context(own_process(partial(low_latency_on_core, core), modules)) for core in range(processes)
-        ]
-        free = [*range(processes)] * 2  # a second episode waits, so that no process has to
-        while remaining or running:
-            while remaining and free:
-                place = free.pop()
-                key = remaining.pop() if place % 2 else remaining.popleft()
-                running[pools[place].submit(_driven, comparison, measured, key)] = place
-            for done in wait(running, return_when=FIRST_COMPLETED).done:
-                free.append(running.pop(done))
-                try:
-                    yield done.result()
-                except BrokenProcessPool as error:
-                    remedy = "start the same comparison again, which resumes"
-                    raise OSError(f"a process that drove episodes has ended; {remedy}") from error
+    pools = [own_process(partial(low_latency_on_core, core), modules) for core in range(processes)]
+    share = ceil(len(keys) / processes)
+    try:
+        driven = (pools[place // share].submit(_driven, comparison, measured, key) for place, key in enumerate(keys))
+        for done in as_completed(driven):
+            yield done.result()
+    except BrokenProcessPool as error:
+        remedy = "start the same comparison again, which resumes"
+        raise OSError(f"a process that drove episodes has ended; {remedy}") from error
+    finally:
+        for pool in pools:
+            pool.shutdown(cancel_futures=True)
 
 
 def _driven(comparison: Comparison, measured: Mapping[str, Any], key: EpisodeKey) -> pd.DataFrame:

@@ -5,6 +5,7 @@ import fcntl
 import resource
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 
@@ -67,15 +68,15 @@ def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands
 
 
 def test_only_a_disk_without_locks_is_written_to_without_one(tmp_path, monkeypatch):
-    def failing(*_):
+    def failing(kind, *_):
         raise OSError(kind, "no lock")
 
-    monkeypatch.setattr(fcntl, "flock", failing)
     for kind in (errno.ENOLCK, errno.ENOTSUP):
+        monkeypatch.setattr(fcntl, "flock", partial(failing, kind))
         with held(tmp_path / "out"):
             pass
-    kind = errno.EIO
-    with pytest.raises(OSError, match="out cannot be locked: .*no lock; mend that"), held(tmp_path / "out"):
+    monkeypatch.setattr(fcntl, "flock", partial(failing, errno.EIO))
+    with pytest.raises(OSError, match=r"out cannot be locked: .*no lock; mend that"), held(tmp_path / "out"):
         pass
 
 

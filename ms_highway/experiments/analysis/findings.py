@@ -18,7 +18,8 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         scenario: its name.
     """
     rows = summaries.query("scenario == @scenario").set_index("controller")
-    reward, counted, models = rows["reward"], rows["counted_ms"].fillna(float("inf")), rows.query("kind == 'fixed'").index
+    reward, counted = rows["reward"], rows["counted_ms"].fillna(float("inf"))
+    models = rows.query("kind == 'fixed'").index
     if models.empty:
         models = rows.index
     best, cheapest = str(reward[models].idxmax()), str(counted[models].idxmin())
