@@ -67,7 +67,7 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
 
     done = already
     with _progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task("episodes", total=max(total, already), completed=already)
+        task = bar.add_task("episodes", total=total, completed=already)
         for done in counts:
             bar.update(task, completed=done)
     return done

@@ -32,12 +32,10 @@ def video(options: argparse.Namespace) -> None:
       ms-highway video merger --seed 0 --out merger.mp4
       ms-highway video merger --controller tom --against learned:1 --width 640 --out merger.gif
     """
-    from ms_highway.experiments.comparison import Comparison
     from ms_highway.visualization import video
 
     controllers = [name for name in (options.controller, options.against) if name]
     config = configuration(options)
-    Comparison({options.scenario: controllers}, config=config)  # or refuse it before anything is filmed
     video.check_format(options.out)
     films = video.film_together(options.scenario, controllers, options.seed, **config)
     pictures = video.side_by_side(films) if options.against else films[0].pictures
