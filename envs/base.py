@@ -59,10 +59,10 @@ class InteractionEnv(GameEnv):
       `ms_highway.planning.human_models`.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
       ``"published"`` (default with one human); ``"shipped"`` (default with several and in physical scenarios), what
-      plans take on one core, among several humans or of a second with one; ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in
-      proportion). T of any plan is additive in the humans. With ``"shipped"``, budgets choose by measured times, and
-      ``counted_seconds`` stay the shipped ones. The same seed is another episode only where the clock has a say, which
-      ``info["clocked"]`` tells.
+      plans take on one core, among several humans or of a second with one; ``"measured"`` on this machine in the first
+      step; or seconds by model (``tom@8`` in proportion). T of any plan is additive in the humans. With ``"shipped"``,
+      budgets choose by measured times, and ``counted_seconds`` stay the shipped ones. The same seed is another episode
+      only where the clock has a say, which ``info["clocked"]`` tells.
     * ``semantics``: ``"paper"``, ``"physical"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what

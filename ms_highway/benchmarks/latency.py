@@ -14,7 +14,6 @@ from typing import Any
 import gymnasium as gym
 import jax
 import numpy as np
-from jax.experimental.compilation_cache import compilation_cache
 
 from ms_highway.choice.quadratic import Switching
 from ms_highway.choice.rule import PUBLISHED_COSTS
@@ -27,8 +26,8 @@ from ms_highway.planning.compiled_plans import CompiledPlans, Costs, checked_sta
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.several import plan_for
 from ms_highway.runtime.arrays import State
-from ms_highway.runtime.jax_settings import low_latency, own_process
-from ms_highway.runtime.timing import forget, timed
+from ms_highway.runtime.jax_settings import keep_compilations, low_latency, own_process
+from ms_highway.runtime.timing import timed
 
 REPEATS, BATCH_REPEATS, SEVERAL_REPEATS = 600, 20, 60
 BATCHES = (1, 32, 1024)  # of vmapped plans
@@ -58,7 +57,7 @@ def bench(scenario: str, **config: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     with one_core():
         step = _step_without_planning(env, inner)
     env.close()
-    compiling = _compile_seconds(CompiledPlans(game, models), state)
+    compiling = _compile_seconds(game, models, state)
     for rung, (model, seconds) in enumerate(zip(models, compiling, strict=True)):
         with one_core():
             yield model.name, _measured(game, models, rung, state) | {"step_us": step, "compile_s": seconds}
@@ -106,27 +105,23 @@ def one_core() -> Iterator[None]:
         os.sched_setaffinity(0, cores)
 
 
-def _compile_seconds(plans: CompiledPlans, state: State) -> list[dict[str, float]]:
-    """Return the seconds to trace and compile the plan of each rung, in order; leaves the user's cache alone."""
-    kept = {name: jax.config.values[name] for name in (CACHE, CACHED_FROM)}
+def _compile_seconds(*plans: Any) -> list[dict[str, float]]:
+    """Return the seconds to trace and compile the plan of each rung, in two processes that share a new cache."""
+    measured = []
     with TemporaryDirectory() as directory:
-        try:
-            jax.config.update(CACHED_FROM, 0.0)
-            cold, _, cached = (_compile_each(plans, state, cache) for cache in (None, directory, directory))
-        finally:
-            for name, value in kept.items():
-                jax.config.update(name, value)
-            compilation_cache.reset_cache()
-    return [{"cold": first, "cached": later} for first, later in zip(cold, cached, strict=True)]
+        for _ in range(2):
+            with own_process(low_latency) as process:
+                measured.append(process.submit(_compile_each, directory, *plans).result())
+    return [{"cold": cold, "cached": cached} for cold, cached in zip(*measured, strict=True)]
 
 
-def _compile_each(plans: CompiledPlans, state: State, cache: str | None) -> list[float]:
-    """Return the seconds to compile the plan of each rung in a process that has compiled nothing, with a cache."""
-    jax.config.update(CACHE, cache)
-    compilation_cache.reset_cache()
-    forget()
-    seconds = []
-    for rung in range(len(plans.ladder)):
+def _compile_each(directory: str, game: Game, models: tuple[HumanModel, ...], state: State) -> list[float]:
+    """Return the seconds to compile the plan of each rung in this process, with a cache for all of them."""
+    keep_compilations(directory)
+    jax.config.update(CACHED_FROM, 0.0)
+    jax.devices()  # begins JAX, which is not measured
+    plans, seconds = CompiledPlans(game, models), []
+    for rung in range(len(models)):
         start = perf_counter()
         function, *arguments = plans.call(state, [rung])
         function.lower(*arguments).compile()

@@ -54,7 +54,6 @@ def steadiness(
     Raises:
         ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
     """
-    comparison.check()
     if (steps := episode_steps(scenario, comparison.config)) < AFTER[-1]:
         raise ValueError(f"episodes of {scenario} have {steps} steps; make their duration {AFTER[-1]} steps at least")
     with own_process(high_throughput, modules) as process:

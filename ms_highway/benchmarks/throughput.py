@@ -49,8 +49,6 @@ def throughput(
         ValueError: for anything unknown or impossible.
     """
     every = [Comparison({scenario: [controller]}, config=config or {}) for controller in controllers]
-    for comparison in every:
-        comparison.check()
     with own_process(high_throughput, modules) as process:
         used = process.submit(_devices, devices).result()
         for controller, comparison in zip(controllers, every, strict=True):

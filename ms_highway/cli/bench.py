@@ -112,7 +112,6 @@ def bench(options: argparse.Namespace) -> None:
         ladders = {scenario: config.get("ladder", SCENARIOS[scenario].ladder) for scenario in scenarios}
         controllers = {scenario: options.controllers or rung_names(ladder) for scenario, ladder in ladders.items()}
         asked = Comparison(controllers, options.seeds or STARTS, options.seed or 0, config)
-        asked.check()
     with telling() as tell:
         for scenario in scenarios:
             if options.noise:
@@ -146,37 +145,38 @@ def _crowd_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
     return _table(f"{scenario}: ms of a plan on one core, median (p99)", measured, CROWD)
 
 
+def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    first = next(iter(measured.values()))
+    rows = {}
+    for name, one in measured.items():
+        batches = {f"batch {size}": steps for size, steps in one["batch"].items()}
+        rows[name] = {"environment": one["environment"], "MiB": max(one["memory_mib"].values()), **batches}
+    forms = {
+        "environment": "{environment:,.0f}",
+        **{f"batch {size}": f"{{batch {size}:,.0f}}" for size in first["batch"]},
+    }
+    title = f"{scenario}: steps of the closed loop per second; batches on {first['devices']}"
+    return _table(title, rows, {**forms, "MiB": "{MiB:,.0f}"})
+
+
+def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+    from ms_highway.benchmarks.steadiness import AFTER
+
+    first = next(iter(measured.values()))
+    forms = {str(step): f"{{p50 {step}:two}} ({{p95 {step}:two}})" for step in AFTER}
+    rows = {}
+    for name, one in measured.items():
+        for noise, figures in one["noise"].items():
+            changes = figures["change_m"].items()
+            moved = {f"{quantile} {step}": 1e3 * metres for step, one in changes for quantile, metres in one.items()}
+            rows[f"{name}, noise {noise}"] = {**figures, **moved}
+    what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
+    what += ", by noise in what the robot sees" if first["seen"] else ""
+    return _table(f"{scenario}: {what}", rows, {**forms, **STEADY})
+
+
 def _table(title: str, measured: Mapping[str, Any], forms: Mapping[str, str]) -> "Table":
     """Return a table of what was measured, a row for each name, in columns of these forms."""
     from ms_highway.visualization.tables import grid, texts
 
     return grid(title, texts({"": "{name}", **forms}, [{"name": name, **one} for name, one in measured.items()]))
-
-
-def _throughput_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    from ms_highway.visualization.tables import grid
-
-    first, *_ = results = list(measured.values())
-    rows = [{"": "environment", **{name: f"{one['environment']:,.0f}" for name, one in measured.items()}, "MiB": ""}]
-    for size in first["batch"]:
-        row = {"": f"batch of {size}"}
-        for name, one in measured.items():
-            row[name] = f"{one['batch'][size]:,.0f} ({one['batch'][size] / one['environment']:.1f}x)"
-        rows.append({**row, "MiB": f"{max(one['memory_mib'][size] for one in results):,.0f}"})
-    return grid(f"{scenario}: steps of the closed loop per second; batches on {first['devices']}", rows)
-
-
-def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
-    from ms_highway.visualization.tables import grid, texts, two_digits
-
-    first, rows = next(iter(measured.values())), []
-    for name, one in measured.items():
-        for noise, figures in one["noise"].items():
-            moved = {
-                step: f"{two_digits(1e3 * change['p50'])} ({two_digits(1e3 * change['p95'])})"
-                for step, change in figures["change_m"].items()
-            }
-            rows.append({"": name, "noise": noise, **moved, **texts(STEADY, [figures])[0]})
-    what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
-    what += ", by noise in what the robot sees" if first["seen"] else ""
-    return grid(f"{scenario}: {what}", rows, 2)

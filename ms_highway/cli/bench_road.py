@@ -18,7 +18,7 @@ from ms_highway.benchmarks.road import (
 )
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import count_episodes, print_tables
-from ms_highway.cli.options import FORMATS, MOST_SEEDS
+from ms_highway.cli.options import MOST_SEEDS
 
 STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
 OTHERS = (
@@ -40,7 +40,7 @@ OTHERS = (
     number("--jobs", None, "processes at once (default: number of cores)"),
     output("--export", "write drives of planning problems as CommonRoad files", directory=True),
     output("--films", "film the first success and failure of each driver", directory=True),
-    output("--figure", "draw the share of episodes that succeed, a .png, .pdf or .svg file"),
+    output("--figure", "draw the share of episodes that succeed, a .png, .pdf or .svg file", ".png", ".pdf", ".svg"),
     output("--json", "write all figures to a JSON file"),
     output("--log", "write a row per episode to a CSV file"),
 )
@@ -84,7 +84,8 @@ def bench_road(options: argparse.Namespace) -> None:
     import pandas as pd
 
     from ms_highway.benchmarks.road.blocks import run_blocks
-    from ms_highway.benchmarks.road.episodes import Block, Episode, check_driver, make_driver, row, summary
+    from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, summary
+    from ms_highway.benchmarks.road.recorded import RecordedStart, starts_of
     from ms_highway.cli.results_directory import save_figures, write_table
     from ms_highway.road.constants import MODELS
     from ms_highway.road.driver import SHIPPED_COSTS
@@ -95,32 +96,31 @@ def bench_road(options: argparse.Namespace) -> None:
     for driver in drivers:
         check_driver(driver)
     _check_recorded(options, scenes, drivers)
-    seeds, starts = range(options.seed, options.seed + (options.seeds or 20)), []
+    seeds = range(options.seed, options.seed + (options.seeds or 20))
+    starts: list[RecordedStart] = []
     if scenes == [RECORDED]:
-        starts = _starts(options)
+        starts = starts_of(options.data, options.egos or EGOS[0])
         seeds = range(len(starts))[options.seed :][: options.seeds]
+        if not seeds:
+            raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
     traffic = options.traffic or (RECORDED_TRAFFIC[0] if starts else "idm")
     blocks = [Block(scene, driver, traffic, tuple(starts), options.export) for scene in scenes for driver in drivers]
     for block in blocks:
         if is_agent(block.driver):
             make_driver(block).close()  # or refuse scenes that it does not fit
-    episodes: dict[Block, list[Episode]] = {block: [] for block in blocks}
+    rows: list[dict[str, Any]] = []
     results: dict[str, dict[str, Any]] = {scene: {} for scene in scenes}
 
     def driven() -> Iterator[int]:
         runs = run_blocks(blocks, seeds, options.jobs, options.films, options.modules)
-        for count, (block, episode) in enumerate(runs, start=1):
-            episodes[block].append(episode)
-            yield count
-            if len(episodes[block]) == len(seeds):  # what is done is kept, whatever happens next
-                own = {block.driver: summary(block, episodes[block])} | results[block.scene]
-                results[block.scene] = {driver: own[driver] for driver in drivers if driver in own}
-                if options.json:
-                    write_json(options.json, results)
-                if options.log:
-                    done = [one for one in blocks if one.driver in results[one.scene]]
-                    rows = [row(one, episode) for one in done for episode in episodes[one]]
-                    write_table(pd.DataFrame(rows), options.log)
+        for count, (block, episodes) in enumerate(runs, start=1):
+            results[block.scene][block.driver] = summary(block, episodes)
+            rows.extend(row(block, episode) for episode in episodes)
+            if options.json:  # what is done is kept, whatever happens next
+                write_json(options.json, results)
+            if options.log:
+                write_table(pd.DataFrame(rows), options.log)
+            yield count * len(seeds)
 
     count_episodes(driven(), 0, len(blocks) * len(seeds))
     costs = zip(MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
@@ -138,33 +138,14 @@ def _check_recorded(options: argparse.Namespace, scenes: list[str], drivers: lis
     Raises:
         ValueError: naming the option and what goes with the scenes.
     """
-    recorded = RECORDED in scenes
-    given = {"--data": options.data, "--egos": options.egos, "--export": options.export, HUMAN: HUMAN in drivers}
-    for name in [name for name, value in given.items() if value and not recorded]:
-        raise ValueError(f"{name} is for the scene {RECORDED!r} only: ms-highway bench road {RECORDED} ...")
+    recorded, kinds = RECORDED in scenes, RECORDED_TRAFFIC if RECORDED in scenes else TRAFFIC
+    if not recorded and (options.data or options.egos or options.export):
+        raise ValueError(f"--data, --egos and --export are for the scene {RECORDED}: ms-highway bench road {RECORDED}")
     if recorded and scenes != [RECORDED]:
-        raise ValueError(f"the scene {RECORDED!r} has traffic and starts of its own; measure it in a command by itself")
-    kinds = RECORDED_TRAFFIC if recorded else TRAFFIC
-    if options.traffic is not None and options.traffic not in kinds:
+        raise ValueError(f"the scene {RECORDED} has traffic and starts of its own; measure it in a command by itself")
+    if options.traffic not in {None, *kinds}:
         raise ValueError(f"--traffic {options.traffic} is not for {scenes[0]}; choose one of {', '.join(kinds)}")
-    problems = options.egos != "changing"
-    if recorded and problems and HUMAN in drivers:
-        raise ValueError(f"the driver {HUMAN} does not drive with --egos problem; leave it out, or say --egos changing")
-    if options.export and (options.data is None or not problems):
+    if HUMAN in drivers and options.egos != "changing":
+        raise ValueError(f"the driver {HUMAN} takes a recorded vehicle's place; say {RECORDED} --egos changing")
+    if options.export and (options.egos == "changing" or not options.data):
         raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
-    if options.figure and options.figure.suffix[1:] not in FORMATS:
-        raise ValueError(f"--figure is {options.figure}; name a file that ends in .{', .'.join(FORMATS)}")
-
-
-def _starts(options: argparse.Namespace) -> list[Any]:
-    """Return the starts in recordings.
-
-    Raises:
-        ValueError: if there is none, or the first one that is asked for does not exist.
-    """
-    from ms_highway.benchmarks.road.recorded import starts_of
-
-    starts = starts_of(options.data, options.egos or EGOS[0])
-    if options.seed >= len(starts):
-        raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
-    return starts

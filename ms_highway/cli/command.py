@@ -1,12 +1,13 @@
-"""Describe commands and their options, each in one place, and parse them."""
+"""Describe commands and their options, each in one place."""
 
 import argparse
 import re
 import textwrap
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from inspect import cleandoc
+from inspect import getdoc
 from pathlib import Path
 from shutil import get_terminal_size
 from typing import Any, NamedTuple, NoReturn
@@ -34,12 +35,12 @@ class Option(NamedTuple):
     notes: str = ""
 
 
-def option(name: str, text: str, default: Any = None, notes: str = "", **more: Any) -> Option:
+def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
     """Return an option; append its default, if any, to its help text."""
-    if default not in (None, []):
-        shown = " ".join(map(str, default)) if isinstance(default, (list, tuple)) else default
+    if default is not None:
+        shown = default if isinstance(default, (str, float, int)) else " ".join(map(str, default))
         text += f" (default: {shown})"
-    return Option(name, {"help": text, "default": default, **more}, notes)
+    return Option(name, {"help": text, "default": default, **more})
 
 
 def number(name: str, default: Any, text: str, least: float = 1, most: float = MOST, **more: Any) -> Option:
@@ -47,26 +48,28 @@ def number(name: str, default: Any, text: str, least: float = 1, most: float = M
     kind = type(least)
 
     def read(word: str) -> float:
-        try:
-            value = kind(word)
-        except ValueError:
-            value = float("nan")
-        if not least <= value <= most:
-            whole = "whole " if kind is int else ""
-            raise argparse.ArgumentTypeError(f"{word!r} is no {whole}number from {least:,} to {most:,}")
-        return value
+        with suppress(ValueError):
+            if least <= kind(word) <= most:
+                return kind(word)
+        whole = "whole " if kind is int else ""
+        raise argparse.ArgumentTypeError(f"{word!r} is no {whole}number from {least:,} to {most:,}")
 
     return option(name, text, default, type=read, **more)
 
 
-def output(name: str, text: str, default: str | None = None, directory: bool = False, **more: Any) -> Option:
-    """Return an option that is the path of a file, or of a directory of files, and is refused if it is not writable."""
+def output(name: str, text: str, *ends: str, directory: bool = False, **more: Any) -> Option:
+    """Return an option that is the path of a file whose name has one of these ends, or of a directory of files.
+
+    It is refused if it is not writable.
+    """
 
     def path(word: str) -> Path:
         check_writable(Path(word), directory)
+        if not word.endswith(ends or ""):
+            raise argparse.ArgumentTypeError(f"{word!r} is no name that ends in {', '.join(ends)}")
         return Path(word)
 
-    return option(name, text, default, type=path, metavar="DIR" if directory else "FILE", **more)
+    return option(name, text, type=path, metavar="DIR" if directory else "FILE", **more)
 
 
 @dataclass(frozen=True)
@@ -74,46 +77,42 @@ class Command:
     """A command.
 
     Attributes:
-        name: one word or two; or none, for what stands before all commands.
-        text: of its help; what follows ``Examples:`` is printed as it stands.
-        options: in the order of the help text.
-        run: takes the parsed options.
+        name: one word or two.
         summary: for the list of commands.
+        options: in the order of the help text.
         simulates: whether it computes many episodes at once, rather than plans one after the other.
+        run: takes the parsed options. Its docstring is the help text; what follows ``Examples:`` is printed as it
+            stands.
     """
 
     name: str
-    text: str
+    summary: str
     options: Sequence[Option]
-    run: Callable[[argparse.Namespace], None] | None = None
-    summary: str = ""
-    simulates: bool = False
+    simulates: bool
+    run: Callable[[argparse.Namespace], None]
 
-    def parser(self) -> "Parser":
-        """Return the parser of the command's options."""
-        text, _, examples = self.text.partition("\n\nExamples:\n")
+    def add_to(self, commands: Any) -> None:
+        """Add a parser of the command's options to those of other commands."""
+        text, _, examples = (getdoc(self.run) or "").partition("\n\nExamples:\n")
         notes = [filled(each.notes) for each in self.options if each.notes]
-        parser = Parser(
-            prog=f"ms-highway {self.name}".strip(),
-            formatter_class=partial(argparse.RawDescriptionHelpFormatter, width=help_width()),
-            allow_abbrev=False,  # --seed is not short for --seeds
-            description=filled(text),
-            epilog="\n\n".join([*notes, *([f"examples:\n{examples}"] if examples else [])]),
-        )
+        epilog = "\n\n".join([*notes, f"examples:\n{examples}"])
+        parser = commands.add_parser(self.name, help=self.summary, description=filled(text), epilog=epilog)
         for each in self.options:
             parser.add_argument(each.name, **each.arguments)
-        return parser
+        parser.set_defaults(command=self)
 
 
-def command(
-    name: str, summary: str, *options: Option, simulates: bool = False
-) -> Callable[[Callable[[argparse.Namespace], None]], Command]:
-    """Make a `Command` of the function that runs it, whose docstring is the help text."""
-    return lambda run: Command(name, cleandoc(run.__doc__ or ""), options, run, summary, simulates)
+def command(name: str, summary: str, *options: Option, simulates: bool = False) -> partial[Command]:
+    """Make a `Command` of the function that runs it."""
+    return partial(Command, name, summary, options, simulates)
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that refuses wrong arguments in one line."""
+    """A parser that prints texts as they are wrapped, knows no abbreviations, and refuses arguments in one line."""
+
+    def __init__(self, **more: Any) -> None:
+        layout = partial(argparse.RawDescriptionHelpFormatter, width=help_width())
+        super().__init__(formatter_class=layout, allow_abbrev=False, **more)  # --seed is not short for --seeds
 
     def error(self, message: str) -> NoReturn:
         """Refuse arguments.
@@ -121,10 +120,7 @@ class Parser(argparse.ArgumentParser):
         Raises:
             ValueError: always.
         """
-        misplaced = message.startswith("unrecognized") and "--import" in message
-        raise ValueError(
-            f"{message}; {'--import MODULE goes before the command' if misplaced else f'see {self.prog} --help'}"
-        )
+        raise ValueError(f"{message}; see the --help of the command, and that of ms-highway")
 
 
 def filled(text: str) -> str:

@@ -2,11 +2,12 @@
 
 import argparse
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import command
 from ms_highway.cli.console import count_episodes, print_tables, say, warn
-from ms_highway.cli.options import LEARNED, compared, comparison
+from ms_highway.cli.options import FORMATS, LEARNED, compared, comparison
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
@@ -59,7 +60,7 @@ def compare(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import own_results, save_figures, write_table
     from ms_highway.experiments.analysis.summary import summary
     from ms_highway.experiments.results import read_results
-    from ms_highway.experiments.runner import read, run
+    from ms_highway.experiments.runner import collect, drive, only
     from ms_highway.visualization.comparison import table
     from ms_highway.visualization.figures import CAPTIONS, figures
 
@@ -67,20 +68,23 @@ def compare(options: argparse.Namespace) -> None:
     if not options.controllers:
         asked = _with_learned(asked)
     with own_results(options) as record:
-        counts, wanted = run(asked, options.out, processes=2, modules=options.modules), len(list(asked.episodes()))
+        counts, wanted = drive(asked, options.out, 2, options.modules), len(list(asked.episodes()))
         already = next(counts)
         if already < wanted:
             record()
         count_episodes(counts, already, wanted)
-        summaries = summary(read(asked, options.out))
-        print_tables(*(table(summaries, scenario) for scenario in asked.controllers))
-        results = read_results(options.out)  # of this command and of those before
+        results = read_results(options.out, collect(options.out))  # of this command and of those before
+        own = summary(only(asked, results.records))
+        print_tables(*(table(own, scenario) for scenario in asked.controllers))
         write_table(results.summaries, options.out / "summary.csv")
         for scenario in asked.controllers:
-            drawn = figures(results.records, results.summaries, scenario)
-            for name in CAPTIONS.keys() - drawn.keys():  # what fewer controllers had
-                (options.out / f"{scenario}_{name}.{options.format}").unlink(missing_ok=True)
-            save_figures({f"{scenario}_{name}": figure for name, figure in drawn.items()}, options.out, options.format)
+            found = figures(results.records, results.summaries, scenario)
+            for name, kind in product(CAPTIONS, FORMATS):
+                file = options.out / f"{scenario}_{name}.{kind}"
+                if name not in found or not results.is_current(file):
+                    file.unlink(missing_ok=True)
+            drawn = {f"{scenario}_{name}": draw() for name, draw in found.items()}
+            save_figures(drawn, options.out, options.format)
     say(f"results are in {options.out}")
 
 

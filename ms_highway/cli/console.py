@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.command import PAGE_WIDTH
 
@@ -49,15 +49,10 @@ def print_tables(*tables: "Table") -> None:
 
     from ms_highway.visualization.tables import fitting
 
-    console = Console(width=get_terminal_size((PAGE_WIDTH, 0)).columns, color_system=colors())
+    console = Console(width=get_terminal_size((PAGE_WIDTH, 0)).columns)
     with console.capture() as printed:  # or else rich would end the process where nobody reads
         console.print(*(part for table in tables for part in fitting(table, console.width)), sep="\n")
     say(printed.get())
-
-
-def colors() -> Literal["auto"] | None:
-    """Return how rich chooses colours and bold text: for the terminal, or, where NO_COLOR is set, none."""
-    return None if os.environ.get("NO_COLOR") else "auto"
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
@@ -72,7 +67,7 @@ def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
 
     done = already
     with _progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task("episodes", total=max(total, already), completed=already)
+        task = bar.add_task("episodes", total=total, completed=already)
         for done in counts:
             bar.update(task, completed=done)
     return done
@@ -98,6 +93,4 @@ def _progress(*columns: Any, transient: bool = False) -> "Progress":
     from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
     text = TextColumn("{task.description}")
-    return Progress(
-        text, *columns, TimeElapsedColumn(), console=Console(stderr=True, color_system=colors()), transient=transient
-    )
+    return Progress(text, *columns, TimeElapsedColumn(), console=Console(stderr=True), transient=transient)

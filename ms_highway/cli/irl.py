@@ -52,8 +52,8 @@ def read_recordings(data: str) -> "list[Recording]":
     return read_directory(Path(data))
 
 
-def chosen_model(options: argparse.Namespace, recordings: "list[Recording]") -> "tuple[RewardModel, int]":
-    """Return the reward that ``--learn`` selects, by default REAL or SIMULATED, and the steps of ``--horizon``.
+def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "RewardModel":
+    """Return the reward that ``--learn`` selects, by default REAL or SIMULATED.
 
     Raises:
         ValueError: for an impossible model.
@@ -61,12 +61,10 @@ def chosen_model(options: argparse.Namespace, recordings: "list[Recording]") -> 
     from ms_highway.game.reward import COMFORT, RewardModel
     from ms_highway.irl.learning import COMFORT_GIVEN, REAL, SIMULATED
 
-    usual, steps = REAL if recordings[0].measured else SIMULATED, options.horizon or HORIZON
-    if not options.learn:
-        return usual, steps
+    usual = REAL if recordings[0].measured else SIMULATED
     given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
-    rest = {name: value for name, value in given.items() if name not in options.learn}
-    return RewardModel(tuple(options.learn), rest, usual.tails), steps
+    rest = {name: value for name, value in given.items() if name not in (learn or [])}
+    return RewardModel(tuple(learn), rest, usual.tails) if learn else usual
 
 
 @command(
@@ -115,11 +113,8 @@ def evaluate(options: argparse.Namespace) -> None:
     drivers = check_drivers(learned.drivers, f"--theta {options.theta}") if learned else None
     with telling() as tell:
         recordings = read_recordings(options.data)
-        if learned:
-            found = evaluate(recordings, learned, options.others, progress=tell)
-        else:
-            chosen, steps = chosen_model(options, recordings)
-            found = evaluate(recordings, chosen, options.others, horizon=steps, parts=options.folds, progress=tell)
+        reward, steps = learned or chosen_model(options.learn, recordings), options.horizon or HORIZON
+        found = evaluate(recordings, reward, options.others, horizon=steps, parts=options.folds, progress=tell)
         if options.figures:
             figures = evaluation_figures(found)
             if drivers:
@@ -153,12 +148,12 @@ def fit(options: argparse.Namespace) -> None:
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
         recordings = read_recordings(options.data)
-        learned = learn_reward(recordings, *chosen_model(options, recordings), source, progress=tell)
+        model, steps = chosen_model(options.learn, recordings), options.horizon or HORIZON
+        learned = learn_reward(recordings, model, steps, source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
-    train, held_out = (learned.log_likelihood[part] for part in ("train", "held_out"))
-    rest = "" if held_out is None else f", {held_out:.3f} on those held out"
-    say(f"log-likelihood per segment: {train:.3f}{rest}")
+    told = [f"{part} {value:.3f}" for part, value in learned.log_likelihood.items() if value is not None]
+    say(f"log-likelihood per segment: {', '.join(told)}")
     say(f"the learned reward is in {options.out}")
 
 

@@ -1,19 +1,19 @@
 """The command ``ms-highway``."""
 
-import argparse
+import re
 import shlex
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench
 from ms_highway.cli.bench_road import bench_road
-from ms_highway.cli.command import COLUMN, Command, filled, option
+from ms_highway.cli.command import Parser
 from ms_highway.cli.compare import compare
-from ms_highway.cli.console import printing, say, warn
+from ms_highway.cli.console import printing, warn
 from ms_highway.cli.frontier import frontier
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.report import report
@@ -25,8 +25,8 @@ from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.interrupt import INTERRUPTED, STOPPED
 from ms_highway.runtime.retired import OPTIONS, replacement
 
-DRIVING = compare, sweep, frontier, video, report, bench, bench_road, validate
-COMMANDS = {each.name: each for each in (*DRIVING, learn, record, fit, evaluate)}
+ALL = compare, sweep, frontier, video, report, bench, bench_road, validate, learn, record, fit, evaluate
+COMMANDS = {each.name: each for each in ALL}
 
 CACHE = "do not keep compiled planners in the user's cache directory, nor use those kept there"
 IMPORT = (
@@ -51,9 +51,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with printing():
                 pass
             raise
+        from ms_highway.runtime.jax_settings import check_platforms, high_throughput, keep_compilations, low_latency
+
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: warn(message)  # without its place in the source
-            _set_jax_up(options)
+            (high_throughput if options.command.simulates else low_latency)()
+            check_platforms()
+            if not options.no_compilation_cache:
+                try:
+                    keep_compilations()
+                except OSError as error:
+                    warn(f"compiled planners are not kept: {error}")
             import_modules(options.modules)
             options.command.run(options)
     except (ValueError, OSError, ImportError) as error:
@@ -72,54 +80,24 @@ def parse(given: Sequence[str]) -> Any:
         ValueError: saying what cannot be parsed, and what to use instead of what is retired.
         SystemExit: after help texts.
     """
-    options = _before().parser().parse_args(given)
-    first, *rest = options.words
-    name = next((name for name in (" ".join(options.words[:2]), first) if name in COMMANDS), "")
-    if not name:
-        longer = [each for each in COMMANDS if each.startswith(f"{first} ")]
-        if longer and rest in (["--help"], ["-h"]):
-            say(f"usage: ms-highway {first} COMMAND ...\n\n{filled(_list_of(longer))}")
-            raise SystemExit(0)
-        raise ValueError(f"{first} is no command; name one of {', '.join(longer or COMMANDS)}")
-    options.command, options.command_line = COMMANDS[name], shlex.join(["ms-highway", *given])
-    rest = options.words[len(name.split()) :]
+    parser = Parser(prog="ms-highway", description="Robot cars that choose how hard to think about human drivers.")
+    parser.add_argument("--no-compilation-cache", help=CACHE, action="store_true")
+    parser.add_argument("--import", help=IMPORT, default=[], dest="modules", action="append", metavar="MODULE")
+    parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for each in COMMANDS.values():
+        each.add_to(commands)
+    words = list(given)
+    for place, pair in enumerate(map(" ".join, pairwise(given))):
+        if pair in COMMANDS:
+            words[place : place + 2] = [pair]
     try:
-        return options.command.parser().parse_args(rest, options)
+        options = parser.parse_args(words)
     except ValueError:
-        words = " ".join(rest).replace("=", " ").split()
-        given = [*words, *map(" ".join, pairwise(words))]
-        if gone := replacement(OPTIONS, *(f"{name} {each}" for each in given)):
-            raise ValueError(gone) from None
+        line = " ".join(given).replace("=", " ")
+        gone = [name for name in OPTIONS if re.match(name.replace(" --", ".* --"), line)]
+        if gone:
+            raise ValueError(replacement(OPTIONS, *gone)) from None
         raise
-
-
-def _before() -> Command:
-    """Describe what stands before a command; the command and its own options are in ``words``."""
-    return Command(
-        "",
-        "Robot cars that choose how hard to think about human drivers.",
-        (
-            option("--no-compilation-cache", CACHE, action="store_true"),
-            option("--import", IMPORT, [], dest="modules", action="append", metavar="MODULE"),
-            option("--version", "show the version", action="version", version=f"ms-highway {version('ms-highway')}"),
-            option("words", "with its options", notes=_list_of(COMMANDS), nargs=argparse.PARSER, metavar="COMMAND"),
-        ),
-    )
-
-
-def _list_of(names: Iterable[str]) -> str:
-    rows = [f"  {name:{COLUMN - 2}}{COMMANDS[name].summary}" for name in names]
-    return "\n".join(["commands:", *rows])
-
-
-def _set_jax_up(options: Any) -> None:
-    """Set JAX up as the command needs it; if compiled planners cannot be kept, say so and continue."""
-    from ms_highway.runtime.jax_settings import check_platforms, high_throughput, keep_compilations, low_latency
-
-    (high_throughput if options.command.simulates else low_latency)()
-    check_platforms()
-    if not options.no_compilation_cache:
-        try:
-            keep_compilations()
-        except OSError as error:
-            warn(f"compiled planners are not kept: {error}")
+    options.command_line = shlex.join(["ms-highway", *given])
+    return options

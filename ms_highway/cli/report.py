@@ -13,7 +13,7 @@ FILM = 'film the best fixed model beside one that is chosen online (default); ne
     "report",
     "make a page of a comparison",
     option("directory", "of `ms-highway compare`", type=Path, metavar="DIR"),
-    output("--out", "an .html file (default: report.html in DIR)"),
+    output("--out", "an .html file (default: report.html in DIR)", ".html"),
     option("--videos", FILM, action=argparse.BooleanOptionalAction, default=True),
 )
 def report(options: argparse.Namespace) -> None:
@@ -32,8 +32,6 @@ def report(options: argparse.Namespace) -> None:
 
     directory = options.directory
     out = options.out or directory / "report.html"
-    if out.suffix != ".html":
-        raise ValueError(f"--out is {out}; name an .html file")
     check_writable(out)
     results = read_results(directory)
     if results.missing:

@@ -1,6 +1,8 @@
 """The command ``ms-highway values learn``."""
 
 import argparse
+from itertools import product
+from math import ceil
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.command import command, number, option, output
@@ -32,7 +34,7 @@ STATES = (
     "values learn",
     "learn values of computation: when it pays to think",
     SCENARIOS,
-    output("--out", "of the values, such as values.npz", required=True),
+    output("--out", "of the values, such as values.npz", ".npz", required=True),
     number("--states", None, STATES),
     number("--rounds", None, "of rollouts and fits (default: 4; among several humans 2)", most=100),
     number(
@@ -80,8 +82,6 @@ def learn(options: argparse.Namespace) -> None:
     from ms_highway.experiments.values.learning import learn, rollouts_directory
     from ms_highway.loop.devices import use_devices
 
-    if options.out.suffix != ".npz":
-        raise ValueError(f"--out is {options.out}; give the file a name that ends in .npz")
     learning, courses = _courses(options)
     values, kept = None, rollouts_directory(options.out)
     with telling() as tell:
@@ -104,8 +104,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     Raises:
         ValueError: naming what cannot be learned.
     """
-    from ms_highway.choice.rule import SHIPPED_COSTS
-    from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
+    from ms_highway.envs import PAPER_SCENARIOS
     from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.experiments.directory import this_run
@@ -113,48 +112,37 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     from ms_highway.experiments.values.rollouts import Course
     from ms_highway.planning.human_models import cheapest_first, human_model
 
-    names, config = list(dict.fromkeys(options.scenarios or PAPER_SCENARIOS)), configuration(options)
-    for name in names:
-        environment_id(name)
-    alone = [name for name in names if not ENVIRONMENTS[name].scenario.streams]
-    if 0 < len(alone) < len(names):
-        raise ValueError(f"{alone[0]} has one human, other scenarios several; learn them in a file each")
-    if not alone:
-        given = config.get("costs", {})
-        config["costs"] = given if isinstance(given, str) else {**SHIPPED_COSTS, **given}
-    solvers = [{"solver": solver} for solver in dict.fromkeys(options.solvers or [])]
-    batches = [
-        make_batch(Comparison({name: ENVIRONMENTS[name].scenario.ladder[:1]}, 1, config={**config, **solver}), name)
-        for solver in solvers or [{}]
-        for name in names
-    ]
-    models = cheapest_first(name for batch in batches for name in batch.rungs)
+    config, scenarios = configuration(options), options.scenarios or PAPER_SCENARIOS
+    solvers = [{"solver": solver} for solver in options.solvers or []]
+    batches = {}
+    for solver, scenario in product(solvers or [{}], scenarios):
+        asked = Comparison({scenario: ["switching:1"]}, config={**config, **solver})  # which needs all T(M)
+        batches[" ".join([scenario, *solver.values()])] = make_batch(asked, scenario)
+    first, *others = every = list(batches.values())
+    models = cheapest_first(name for batch in every for name in batch.rungs)
+    costs = {name: seconds for batch in every for name, seconds in batch.costs.items()}
+    several = first.humans > 1
+    if any((batch.humans > 1) != several for batch in others):
+        raise ValueError("some scenarios have one human, others several; learn them in a file each")
     if any(human_model(name).warm for name in models):
-        why = f"the ladder {' '.join(models)} plans from the rest of the last plan"
-        raise ValueError(f"{why}, which rollouts do not have; leave +warm out of the ladder")
-    if any(batch.loop.yielding for batch in batches):
+        raise ValueError("rollouts have no rest of a last plan to begin with; leave +warm out of the ladder")
+    if first.loop.yielding:
         raise ValueError("values are learned among humans who plan for their reward; leave config['yielding'] out")
-    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
     courses = [
         Course(
-            batch.scenario if len(solvers) < 2 else f"{batch.scenario} ({batch.comparison.config['solver']})",
+            name,
             batch.loop,
             batch.environment.draw_episode,
-            batch.steps if alone else round(DECIDED * batch.steps),
+            round(DECIDED * batch.steps) if several else batch.steps,
             tuple(map(models.index, batch.rungs)),
         )
-        for batch in batches
+        for name, batch in batches.items()
     ]
-    settings = {
-        **batches[0].comparison.common_config(),
-        "versions": this_run()["versions"],
-        **({"solver": [each["solver"] for each in solvers]} if solvers else {}),
-        "scenarios": names,
-        "seed": options.seed,
-    }
-    own = {} if alone else dict(SEVERAL)
-    own |= {name: getattr(options, name) for name in ("rounds", "horizon") if getattr(options, name)}
-    if options.states:
-        own["states"] = options.states, -(-options.states * 5 // 8) if alone else options.states
+    settings = {**first.comparison.common_config(), "versions": this_run()["versions"]}
+    settings |= {"solver": options.solvers} if solvers else {}
+    settings |= {"scenarios": list(scenarios), "seed": options.seed}
+    later = options.states and (options.states if several else ceil(options.states * 5 / 8))
+    given = {"rounds": options.rounds, "horizon": options.horizon, "states": later and (options.states, later)}
+    own = (SEVERAL if several else {}) | {name: value for name, value in given.items() if value}
     learning = Learning({name: costs[name] for name in models}, seed=options.seed, settings=settings, **own)
     return learning, courses

@@ -16,7 +16,7 @@ from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NA
     number("--seed", 0, "of the episode", 0, MOST_SEEDS),
     number("--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100),
     number("--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS"),
-    output("--out", "an .mp4 or .gif file", required=True),
+    output("--out", "an .mp4 or .gif file", ".mp4", ".gif", required=True),
     SET,
 )
 def video(options: argparse.Namespace) -> None:
@@ -32,12 +32,10 @@ def video(options: argparse.Namespace) -> None:
       ms-highway video merger --seed 0 --out merger.mp4
       ms-highway video merger --controller tom --against learned:1 --width 640 --out merger.gif
     """
-    from ms_highway.experiments.comparison import Comparison
     from ms_highway.visualization import video
 
     controllers = [name for name in (options.controller, options.against) if name]
     config = configuration(options)
-    Comparison({options.scenario: controllers}, config=config).check()
     video.check_format(options.out)
     films = video.film_together(options.scenario, controllers, options.seed, **config)
     pictures = video.side_by_side(films) if options.against else films[0].pictures

@@ -6,7 +6,6 @@ plan is late: a budget counts planning at the seconds that are given, and decidi
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from math import isnan
 from typing import Any, TypeAlias
 
@@ -26,15 +25,13 @@ from ms_highway.envs.registry import controller_settings
 from ms_highway.envs.settings import Settings
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import (
-    CARS,
     COUNTED,
     KEYS,
     MEASURED,
+    by_column,
     check_numbers,
     count_column,
-    gain_column,
     per_episode,
-    state_columns,
 )
 from ms_highway.game.scenario import REACHED
 from ms_highway.loop.batch import simulate
@@ -180,11 +177,10 @@ class Batch:
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
         """Return a row per step, with the comparison's columns except measured times."""
-        (names, seeds), shape = zip(*keys, strict=True), records.reward.shape
+        names, seeds = zip(*keys, strict=True)
         costs = Costs.of([self.costs.get(name, np.nan) for name in self.models], self.humans)
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
-        states = np.asarray(records.states, float)
         cells = {
             "scenario": self.scenario,
             "controller": np.array(names, object)[:, None],
@@ -196,15 +192,12 @@ class Batch:
             COUNTED: costs.base + np.asarray(costs.each)[records.rungs].sum(axis=2),
             "status": np.array(STATUSES)[records.status],
         }
-        gains = np.moveaxis(highest_gains(np.asarray(records.gains)), -1, 0)
-        cells |= dict(zip(map(gain_column, self.rungs), gains, strict=True))
-        of_cars = np.moveaxis(states[:, :, : len(CARS)].reshape(*shape, -1), -1, 0)
-        cells |= dict(zip(chain(*map(state_columns, CARS)), of_cars, strict=True))
-        if self.environment.scenario.streams:
-            for rung, name in enumerate(self.rungs[1:], 1):
-                cells[count_column(name)] = np.sum(records.rungs == rung, axis=2)
-            aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
-            cells["success"] = (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1)
+        states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
+        cells |= by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states)
+        cells |= {count_column(name): np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)}
+        aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
+        cells["success"] = (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1)
+        shape = records.reward.shape
         table = pd.DataFrame({name: np.broadcast_to(part, shape).ravel() for name, part in cells.items()})
         return table.reindex(columns=[name for name in self.comparison.columns() if name not in MEASURED])
 

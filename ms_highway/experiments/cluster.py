@@ -63,20 +63,10 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
             start = f"start some with `dask worker {address}`"
             print(f"ms-highway: waiting for the first worker of {address}; {start}", file=sys.stderr)
             client.wait_for_workers(1)
-        _check_workers(client, address, setup)
+        for worker, problem in client.run(set_up, setup, on_error="return").items():
+            if problem is not None:
+                raise ValueError(f"worker {worker} of {address}: {problem}; it needs {setup.versions[0]}")
         yield partial(_compute, client, address, setup)
-
-
-def _check_workers(client: distributed.Client, address: str, setup: Setup) -> None:
-    """Check the versions of all workers and set them up.
-
-    Raises:
-        ValueError: naming a worker that is not like this process.
-    """
-    for worker, error in client.run(set_up, setup, on_error="return").items():
-        if error is not None:
-            remedy = "" if isinstance(error, ValueError | ImportError) else f"; install {setup.versions[0]} there"
-            raise ValueError(f"worker {worker} of {address}: {error}{remedy}")
 
 
 def _versions() -> tuple[str, ...]:

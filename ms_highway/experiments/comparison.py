@@ -34,13 +34,7 @@ class Comparison:
     first_seed: int = 0
     config: Mapping[str, Any] = field(default_factory=dict)
 
-    def episodes(self) -> Iterator[EpisodeKey]:
-        """Yield every (scenario, controller, seed)."""
-        seeds = range(self.first_seed, self.first_seed + self.seeds)
-        for scenario, controllers in self.controllers.items():
-            yield from product([scenario], controllers, seeds)
-
-    def check(self) -> None:
+    def __post_init__(self) -> None:
         """Check everything before anything is run or written.
 
         Raises:
@@ -51,11 +45,17 @@ class Comparison:
             for controller in controllers:
                 self.environment_config(scenario, controller)
 
+    def episodes(self) -> Iterator[EpisodeKey]:
+        """Yield every (scenario, controller, seed)."""
+        seeds = range(self.first_seed, self.first_seed + self.seeds)
+        for scenario, controllers in self.controllers.items():
+            yield from product([scenario], controllers, seeds)
+
     def environment_config(self, scenario: str, controller: str) -> dict[str, Any]:
         """Return the whole configuration of the environment of a scenario and a controller.
 
         Raises:
-            ValueError: as `check`.
+            ValueError: as a comparison of it.
         """
         environment_id(scenario)
         return ENVIRONMENTS[scenario].checked_config({**self.config, "controller": controller_config(controller)})

@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import re
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -143,14 +142,12 @@ def this_run(command: str = "") -> Run:
 def _checkout(directory: Path) -> Checkout:
     if not (directory / ".git").exists():
         return {}
-    git = ["git", "--no-optional-locks", "-C", str(directory)]
-    command = [*git, "status", "--porcelain=v2", "--branch", "--untracked-files=no"]
+    command = ["git", "-C", str(directory), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):  # without git, or where it does not trust the directory's owner
         return {}
-    (commit,) = re.findall(r"^# branch\.oid (.*)", told, re.MULTILINE)
-    return {"commit": commit, "dirty": bool(re.search("^[^#]", told, re.MULTILINE))}
+    return {"commit": told.removesuffix("-dirty"), "dirty": told.endswith("-dirty")}
 
 
 def _processor() -> str:

@@ -1,7 +1,9 @@
 """Define the columns of records of steps, check and select records, and summarise them by episode."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS
@@ -51,6 +53,14 @@ def gain_column(model: str) -> str:
 def state_columns(car: str) -> list[str]:
     """Return the columns of the state of a car, ``robot`` or ``human``, in the order of `STATE`."""
     return [f"{car}_{name}" for name in STATE]
+
+
+def by_column(gains: Mapping[str, Any], states: Any) -> dict[str, Any]:
+    """Return gains by model, and the states [..., cars, 4] of the first cars, by the columns of records."""
+    cells = {gain_column(name): gain for name, gain in gains.items()}
+    for car, state in zip(CARS, np.moveaxis(states, (-2, -1), (0, 1)), strict=False):
+        cells |= dict(zip(state_columns(car), state, strict=True))
+    return cells
 
 
 def share_column(model: str) -> str:

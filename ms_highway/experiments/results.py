@@ -8,7 +8,7 @@ import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.directory import SETTINGS_FILE, ResultsDirectory, Run, comparison_config
-from ms_highway.experiments.runner import STEPS_FILE, read_steps
+from ms_highway.experiments.runner import PARTS, STEPS_FILE, read_steps
 from ms_highway.runtime.files import reading
 
 PUBLISHED_WITH = {
@@ -90,6 +90,11 @@ class Results:
             for name, seeds in controllers.items()
         )
 
+    def is_current(self, file: Path) -> bool:
+        """Return whether a file is there and not older than the records."""
+        made = [path.stat().st_mtime for path in (self.directory / STEPS_FILE, self.directory / PARTS) if path.exists()]
+        return file.exists() and file.stat().st_mtime >= max(made)
+
     def published(self, scenario: str, controller: str) -> Published | None:
         """Return what the paper published of a controller, if these results may be compared with it."""
         chosen = {key: value for key, value in comparison_config(self.settings).items() if value is not None}
@@ -102,8 +107,12 @@ class Results:
         return config | ({"costs": measured[scenario]} if scenario in measured else {})
 
 
-def read_results(directory: Path) -> Results:
+def read_results(directory: Path, records: pd.DataFrame | None = None) -> Results:
     """Read a directory of results.
+
+    Args:
+        directory: where they lie.
+        records: if they have been read already.
 
     Raises:
         ValueError: if there is none, or a file is missing or cannot be read.
@@ -116,7 +125,7 @@ def read_results(directory: Path) -> Results:
     settings = results.settings()
     if "semantics" not in settings or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
-    records = read_steps(directory, settings).reset_index(drop=True)
+    records = read_steps(directory, settings) if records is None else records
     if records.empty:
         raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")
     with reading(directory / STEPS_FILE, REMEDY):

@@ -6,7 +6,6 @@ written under another name and moved to its own when it is whole, so that every 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,7 +15,6 @@ from jax.sharding import Mesh
 from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import check_numbers
-from ms_highway.experiments.runner import run_parts
 from ms_highway.runtime.files import reading, replacing
 
 EPISODES, STEPS = "episodes", "steps"
@@ -91,23 +89,13 @@ class Sweep:
         """Return the parts that are not there yet, and how many episodes each has.
 
         Raises:
-            ValueError: if the sweep cannot be simulated, there is a file beside the parts that pandas would read with
-                them, or as `read`.
+            ValueError: if the sweep cannot be simulated, or as `read`.
         """
         kinds = [STEPS, EPISODES] if self.steps else [EPISODES]
-        there = {file for kind in (EPISODES, STEPS) for file in (self.directory / kind).glob("[!._]*")}
-        files = {part: {self.file(part, kind) for kind in kinds} for part in self.parts}
-        if strangers := sorted(there.difference(*files.values())):
-            raise ValueError(f"{strangers[0]} is no part of this sweep, but would be read as one; move it away")
-        self.read([part for part in self.parts if files[part] <= there])
-        places = {part: self.places(part) for part in self.parts if not files[part] <= there}
+        there = [part for part in self.parts if all(self.file(part, kind).exists() for kind in kinds)]
+        self.read(there)
+        places = {part: self.places(part) for part in sorted({*self.parts} - {*there})}
         return {part: last - first for part, (first, last) in places.items()}
-
-    def write(self, part: int, tables: Tables) -> None:
-        """Write a part."""
-        for kind, table in tables.items():
-            with replacing(self.file(part, kind)) as path:
-                table.to_parquet(path, index=False)
 
     def read(self, parts: Sequence[int] | None = None) -> pd.DataFrame:
         """Return a row per episode of parts that are there, by default of all, seed by seed.
@@ -132,8 +120,23 @@ Compute: TypeAlias = Callable[[Sweep, Sequence[int]], Iterator[tuple[int, Tables
 
 
 def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
-    """Compute the parts that are missing and write each when it is done, see `run_parts`."""
-    return run_parts(sweep, partial(compute, sweep))
+    """Compute the parts that are missing and write each when it is done.
+
+    Yields:
+        The number of episodes there: first of those that earlier runs have left, then after every part.
+
+    Raises:
+        ValueError: if what is there cannot be read, or is of other settings.
+    """
+    missing = sweep.missing()
+    number = sweep.episodes - sum(missing.values())
+    yield number
+    for part, tables in compute(sweep, list(missing)):
+        for kind, table in tables.items():
+            with replacing(sweep.file(part, kind)) as path:
+                table.to_parquet(path, index=False)
+        number += missing[part]
+        yield number
 
 
 def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -> Iterator[tuple[int, Tables]]:

@@ -99,7 +99,7 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
         arrays = read_arrays(file, MOST_BYTES)
         episodes = {name: arrays[name] for name in ARRAYS}
         count, steps = episodes["rewards"].shape
-    wanted = {
+    shapes = {
         "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
         "robot_controls": (count, steps, 2),
         "human_controls": (count, steps - 1, 2),
@@ -108,20 +108,14 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
         "ladder": (episodes["ladder"].size,),
     }
     for name, array in episodes.items():
-        kind, kinds = ("integers", "iu") if name in INTEGERS else ("finite numbers", "fiu")
-        if array.dtype.kind not in kinds:
-            problem = f"holds {array.dtype}"
-        elif array.shape != wanted[name]:
-            problem = f"is of shape {array.shape}"
-        elif not (np.abs(array) < LARGEST).all():
-            problem = f"holds numbers that are not finite, or beyond {LARGEST:g}"
-        else:
-            continue
-        raise ValueError(f"{file}: {name} {problem}; it must hold {kind} of shape {wanted[name]}")
-    rungs = episodes["ladder"].tolist()
-    known = set(rungs) <= set(range(len(PAPER_MODELS))) and np.isin(episodes["models"], rungs).all()
-    if not known or len(set(rungs)) < len(rungs):
-        raise ValueError(f"{file}: ladder {rungs} or models are no places in {', '.join(PAPER_MODELS)}")
+        kinds = "iu" if name in INTEGERS else "fiu"
+        if array.dtype.kind not in kinds or array.shape != shapes[name] or not (np.abs(array) < LARGEST).all():
+            kind = "integers" if name in INTEGERS else "finite numbers"
+            found = f"{name} holds {array.dtype} of shape {array.shape}"
+            raise ValueError(f"{file}: {found}; it must hold {kind} below {LARGEST:g} of shape {shapes[name]}")
+    rungs = episodes["ladder"]
+    if not np.isin(rungs, range(len(PAPER_MODELS))).all() or not np.isin(episodes["models"], rungs).all():
+        raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(PAPER_MODELS)}")
     return scenario, episodes
 
 

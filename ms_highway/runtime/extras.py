@@ -29,9 +29,8 @@ def import_modules(names: Sequence[str]) -> None:
     if names:
         sys.path.insert(0, os.getcwd())
     for name in names:
-        if name.endswith(".py") or not all(part.isidentifier() for part in name.split(".")):
-            raise ImportError(f"--import {name}: give the name of a module, such as brief for brief.py here")
         try:
             importlib.import_module(name)
         except Exception as error:
-            raise ImportError(f"--import {name}: {type(error).__name__}: {error}") from error
+            remedy = "give the name of a module that can be imported, such as brief for brief.py here"
+            raise ImportError(f"--import {name}: {type(error).__name__}: {error}; {remedy}") from error

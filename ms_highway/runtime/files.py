@@ -100,6 +100,7 @@ def held(directory: Path) -> Iterator[None]:
 
     Raises:
         ValueError: if another command is writing to it.
+        OSError: if it cannot be locked, though the disk has locks.
     """
     from filelock import FileLock, Timeout
 
@@ -113,9 +114,11 @@ def held(directory: Path) -> Iterator[None]:
         except Timeout as error:
             remedy = "wait for its end, or choose another"
             raise ValueError(f"another command is writing to {directory}; {remedy}") from error
-        except (NotImplementedError, OSError) as error:
-            if isinstance(error, OSError) and error.errno not in NO_LOCKS:
-                raise
+        except NotImplementedError:
+            pass
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise OSError(f"{directory} cannot be locked: {error}; mend that, or choose another place") from error
         with temporary(file):  # removed while it is held
             yield
     finally:

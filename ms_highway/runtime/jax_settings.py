@@ -5,12 +5,12 @@ import signal
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from importlib import import_module
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
+from multiprocessing import get_context, parent_process
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import jax
@@ -125,7 +125,7 @@ def keep_compilations(directory: Path | str | None = None) -> Path:
 
 
 def own_process(configure: Callable[[], None], modules: Sequence[str] = ()) -> ProcessPoolExecutor:
-    """Start a process that uses this one's compilation cache.
+    """Start a process that uses this one's compilation cache, and ends with this one, however that ends.
 
     Args:
         configure: sets JAX up there, such as `ms_highway.runtime.jax_settings.high_throughput`.
@@ -135,53 +135,20 @@ def own_process(configure: Callable[[], None], modules: Sequence[str] = ()) -> P
     return ProcessPoolExecutor(1, get_context("spawn"), _prepare, (configure, cache, modules))
 
 
-def start_worker(
-    function: Callable[[Any], Any], configure: Callable[[], None], modules: Sequence[str] = ()
-) -> Connection:
-    """Start a process that calls a function of everything that it is sent, and sends back the result or the error.
-
-    It ends when the connection is closed, or this process ends in any way.
-
-    Args:
-        function: to call there.
-        configure: see `own_process`.
-        modules: see `own_process`.
-    """
-    context = get_context("spawn")
-    here, there = context.Pipe()
-    prepared = configure, jax.config.values["jax_compilation_cache_dir"], modules
-    context.Process(target=_serve, args=(there, function, *prepared), daemon=True).start()
-    there.close()
-    return here
-
-
-def _serve(connection: Connection, function: Callable[[Any], Any], *prepared: Any) -> None:
-    _prepare(*prepared)
-    with suppress(EOFError, OSError):
-        while True:
-            item = connection.recv()
-            try:
-                result = function(item)
-            except Exception as error:
-                result = error
-            connection.send(result)
-
-
 def low_latency_on_core(number: int) -> None:
     """Keep this process to one of its processors, where the system lets a process choose, and set `low_latency`.
 
-    The first numbers stand for processors that share no core with each other.
+    The first half of the numbers stand for every second processor: neighbours may share a core.
     """
     if hasattr(os, "sched_setaffinity"):
         available = sorted(os.sched_getaffinity(0))
-        files = [Path(f"/sys/devices/system/cpu/cpu{one}/topology/thread_siblings_list") for one in available]
-        cores = [file.read_text() if file.exists() else file.parts[-3] for file in files]
-        places = sorted(range(len(cores)), key=lambda place: cores[:place].count(cores[place]))
-        os.sched_setaffinity(0, {available[places[number % len(places)]]})
+        apart = available[::2] + available[1::2]
+        os.sched_setaffinity(0, {apart[number % len(apart)]})
     low_latency()
 
 
 def _prepare(configure: Callable[[], None], cache: str | None, modules: Sequence[str]) -> None:
+    Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
     warnings.simplefilter("ignore")  # it has warned of the configuration
     configure()
@@ -189,3 +156,10 @@ def _prepare(configure: Callable[[], None], cache: str | None, modules: Sequence
         keep_compilations(Path(cache))
     for module in modules:
         import_module(module)
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

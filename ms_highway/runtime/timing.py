@@ -25,12 +25,6 @@ def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
     return perf_counter() - start
 
 
-def forget() -> None:
-    """Forget all compiled functions of this process."""
-    jax.clear_caches()
-    _warm.clear()
-
-
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
     """Return the result of a warm computation, and the seconds until it was ready."""
     start = perf_counter()

@@ -1,18 +1,21 @@
 """The figures of a comparison: which there are, what they show, and the formats of their files."""
 
 import io
+from collections.abc import Callable
+from functools import partial
 
 import pandas as pd
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.analysis.selection import choosing_controllers, main_controllers, most_informative_pair
+from ms_highway.experiments.analysis.selection import choosing_controllers, most_informative_pair
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
 from ms_highway.visualization.tradeoff import curve
 
 FEWEST_LAMBDAS = 3  # that make a curve
+MOST_CONTROLLERS = 8  # in bars and timelines, the first ones
 MOST_DECIDING = 2  # controllers whose decisions are drawn beside each other
 DPI = 160
 
@@ -33,8 +36,8 @@ CAPTIONS = {
 """What the figures of `figures` show."""
 
 
-def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Figure]:
-    """Draw all figures of a scenario, by the names that `CAPTIONS` explains.
+def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Callable[[], Figure]]:
+    """Return functions that draw the figures of a scenario, by the names that `CAPTIONS` explains.
 
     Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars. Decisions are
     those of two controllers that choose online, beside the best fixed model, from the first start that all of them have
@@ -45,20 +48,20 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
         summaries: of `ms_highway.experiments.analysis.summary.summary`.
         scenario: its name.
     """
-    main, rows = main_controllers(summaries, scenario), summaries.query("scenario == @scenario")
-    drawn = {}
+    rows = summaries.query("scenario == @scenario")
+    main = rows["controller"][:MOST_CONTROLLERS]
     if rows.groupby("kind")["price"].nunique().max() >= FEWEST_LAMBDAS:
-        drawn["curve"] = curve(summaries, scenario)
+        found: dict[str, Callable[[], Figure]] = {"curve": partial(curve, summaries, scenario)}
     else:
-        drawn["bars"] = bars(rows[rows["controller"].isin(main)], scenario)
-    drawn["timeline"] = timeline(records[records["controller"].isin(main)], scenario)
+        found = {"bars": partial(bars, rows[rows["controller"].isin(main)], scenario)}
+    found["timeline"] = partial(timeline, records[records["controller"].isin(main)], scenario)
     deciding = choosing_controllers(summaries, scenario)[:MOST_DECIDING]
     beside = [name for name in most_informative_pair(summaries, scenario) if name not in deciding][:1]
     seeds = common_seeds(records, scenario, [*deciding, *beside])
     if deciding and seeds:
         episodes = [one_episode(records, scenario, name, seeds[0]) for name in (*deciding, *beside)]
-        drawn["decisions"] = decisions(episodes[: len(deciding)], *episodes[len(deciding) :])
-    return drawn
+        found["decisions"] = partial(decisions, episodes[: len(deciding)], *episodes[len(deciding) :])
+    return found
 
 
 def content(figure: Figure, kind: str = "png") -> bytes:

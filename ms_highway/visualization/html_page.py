@@ -1,10 +1,12 @@
 """Draw one page that shows a comparison, in one file that needs nothing else."""
 
 import base64
+from collections.abc import Callable
 from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
 
 from ms_highway.envs.viewer import model_meaning
 from ms_highway.experiments.analysis.findings import answer
@@ -33,7 +35,7 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
     sections, summaries = [], results.summaries
     for scenario in results.scenarios:
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
-        table, drawn = results_table(results, scenario), figures(results.records, summaries, scenario)
+        table = results_table(results, scenario)
         sections.append(
             {
                 "title": title(scenario),
@@ -41,7 +43,8 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
                 "headings": list(table),
                 "rows": table.to_numpy().tolist(),
                 "figures": {
-                    name: (_data("image/png", content(figure)), CAPTIONS[name]) for name, figure in drawn.items()
+                    name: (_data("image/png", _png(results, f"{scenario}_{name}.png", draw)), CAPTIONS[name])
+                    for name, draw in figures(results.records, summaries, scenario).items()
                 },
                 "film": _film(results, scenario) if videos else None,
             }
@@ -67,6 +70,12 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
         texts["published"] = [f"{one.reward:.2f}" if one else "" for one in published]
         texts["published ms"] = [f"{1e3 * one.seconds:.0f}" if one else "" for one in published]
     return texts
+
+
+def _png(results: Results, name: str, draw: Callable[[], Figure]) -> bytes:
+    """Return a figure as `ms-highway compare` has drawn it of these records, or else draw it."""
+    file = results.directory / name
+    return file.read_bytes() if results.is_current(file) else content(draw())
 
 
 def _film(results: Results, scenario: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 from rich.box import SIMPLE
-from rich.table import Table
+from rich.table import Column, Table
 
 from ms_highway.experiments.analysis.regret import remarks
 
@@ -88,19 +88,15 @@ def grid(title: str, rows: Iterable[Mapping[Any, str]], left: int = 1) -> Table:
 def fitting(table: Table, width: int) -> Iterator[Table]:
     """Yield a table, or where a terminal is too narrow, its columns in several tables, each with those of the names."""
     names = [column for column in table.columns if column.justify == "left"]
-    parts, room = [names.copy()], 0
+    parts: list[list[Column]] = [[]]
     for column in table.columns[len(names) :]:
-        need = (column.min_width or 0) + GAP
-        if need > room and len(parts[-1]) > len(names):
-            parts.append(names.copy())
-        if len(parts[-1]) == len(names):
-            room = width - sum((name.min_width or 0) + GAP for name in names)
+        if parts[-1] and sum(GAP + (each.min_width or 0) for each in (*names, *parts[-1], column)) > width:
+            parts.append([])
         parts[-1].append(column)
-        room -= need
-    for place, part in enumerate(parts):
+    for part in parts:
         own = copy(table)
-        own.columns = part
-        own.title = table.title if place == 0 else None
+        own.columns = names + part
+        own.title = table.title if part is parts[0] else None
         own.caption = table.caption if part is parts[-1] else None
         yield own
 

@@ -141,15 +141,15 @@ NAME_SIZE, NUMBERS_SIZE = 26, 20  # px, of texts
 
 
 def side_by_side(films: Sequence[Film]) -> list[Picture]:
-    """Show films of one scenario at the same time, one above the other, since roads are wide and low.
+    """Show films of one scenario, of the same length, one above the other, since roads are wide and low.
 
     Above each stands its controller, its mean reward per step and its planning and deciding time so far; a bar shows
-    that time, coloured by model, in one scale for all films. The last picture of a shorter film stays.
+    that time, coloured by model, in one scale for all films.
     """
     longest = max(sum(map(_seconds, film.records)) for film in films)
     return [
-        np.concatenate([part for film in films for part in _titled(film, min(place, len(film.pictures) - 1), longest)])
-        for place in range(max(len(film.pictures) for film in films))
+        np.concatenate([part for film in films for part in _titled(film, place, longest)])
+        for place in range(len(films[0].pictures))
     ]
 
 

@@ -1,4 +1,4 @@
-"""How long plans and decisions take; in a file of its own, as it forgets all that was compiled before."""
+"""How long plans and decisions take."""
 
 import pytest
 

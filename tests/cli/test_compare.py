@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import imageio.v3 as imageio
-import msgspec
 import pandas as pd
 import pytest
 from commands import run
@@ -21,8 +20,6 @@ from ms_highway.cli.options import comparison, configuration
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import columns
 from ms_highway.experiments.runner import run as run_comparison
-from ms_highway.game.learned_reward import save, shipped
-from ms_highway.runtime.files import held
 
 COMPARE = "compare stay_back --controllers naive naive switching:0.4 --seeds 2 --out"
 
@@ -107,26 +104,10 @@ def test_compare_goes_on_from_steps_and_parts(compared, begun):
     run(f"{COMPARE} {begun} --format pdf")
     assert steps.read_text() == before
     assert (begun / "stay_back_bars.pdf").read_bytes().startswith(b"%PDF")
+    assert (begun / "stay_back_bars.png").exists()  # of the same records
     assert not parts.exists()
-
-
-@pytest.mark.parametrize(
-    "left", [lambda lines: [*lines[:46], lines[46][:20]], lambda lines: [*lines[:20], *lines[21:]]]
-)
-def test_an_episode_that_is_not_whole_is_driven_anew(compared, begun, left):
-    """Versions that wrote step by step left such episodes when they were killed."""
-    steps = begun / "steps.csv"
-    steps.write_text("".join(left(steps.read_text().splitlines(keepends=True))))
-    run(f"{COMPARE} {begun}")
-    pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
-
-
-@pytest.mark.slow
-def test_scenarios_with_one_human_and_with_several_are_compared_together(tmp_path):
-    run(f"compare stay_back dense_merge --controllers naive --seeds 1 --out {tmp_path}")
-    summary = pd.read_csv(tmp_path / "summary.csv").set_index("scenario")
-    assert pd.isna(summary.loc["stay_back", "success"])
-    assert summary.loc["dense_merge", "success"] in (0, 1)
+    run(f"{COMPARE} {begun} --seeds 3 --format svg")
+    assert {file.suffix for file in begun.glob("stay_back_*")} == {".svg"}  # others would show fewer episodes
 
 
 @pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
@@ -196,7 +177,6 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
     [
         ("(?m),[^,]*$", "", "its columns are not"),
         ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "texts where numbers belong, in column seed"),
-        ("(stay_back,naive,0,0,naive),[^,]*", r"\1,", "reward of naive with seed 0 is nan; it must be"),
         ("(stay_back,naive,0,0,naive),[^,]*", r"\1,1e400", "reward of naive with seed 0 is inf; it must be"),
         ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
     ],
@@ -211,27 +191,6 @@ def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leav
     assert steps.read_text(encoding="latin-1") == spoilt
 
 
-def test_compare_keeps_results_of_other_solvers_and_humans_apart(compared, refused):
-    assert json.loads((compared / "settings.json").read_text())["human_reward"] == "learned"
-    for setting in ("solver=newton", "human_reward=published", "semantics=released"):
-        assert "choose another directory" in refused(f"{COMPARE} {compared} --set {setting}")
-
-
-def test_compare_keeps_weights_of_a_file_with_the_results(tmp_path):
-    file, known = tmp_path / "lazy.json", shipped("demonstrations")
-    save(msgspec.structs.replace(known, weights=known.weights | {"speed": 0.5}), file)
-    for _ in range(2):
-        run(f"compare stay_back --controllers naive --seeds 1 --set human_reward={file} --out {tmp_path / 'out'}")
-    assert json.loads((tmp_path / "out" / "settings.json").read_text())["human_reward"]["speed"] == 0.5
-
-
-def test_of_two_commands_that_write_to_a_directory_the_second_is_refused(compared, refused):
-    before = (compared / "steps.csv").read_text()
-    with held(compared):
-        assert "another command is writing to" in refused(f"{COMPARE} {compared} --seeds 3")
-    assert (compared / "steps.csv").read_text() == before
-
-
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -244,15 +203,3 @@ def test_of_two_commands_that_write_to_a_directory_the_second_is_refused(compare
 def test_a_key_is_set_by_json_or_by_words(text, value):
     options = parse(["compare", "--set", "grip=8", "--set", text])
     assert configuration(options) == {"grip": 8, text.partition("=")[0]: value}
-
-
-@pytest.mark.parametrize(
-    ("options", "controllers"),
-    [
-        ("", "naive turn tom switching:0.6 switching:0.1"),
-        ("--controllers tom learned --lambdas 0.01:1:3", "tom learned:0.01 learned:0.1 learned:1"),
-    ],
-)
-def test_without_controllers_the_ladder_and_switching_are_compared_at_the_lambdas_that_are_named(options, controllers):
-    asked = comparison(parse(f"compare merger {options}".split()))
-    assert asked.controllers == {"merger": controllers.split()}

@@ -4,9 +4,9 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
-from commands import run
 
 from ms_highway.cli import irl, options
 from ms_highway.cli.command import number, output
@@ -67,11 +67,13 @@ def test_help_teaches_every_command_and_loads_neither_jax_nor_highway_env_nor_wh
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monkeypatch):
+def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monkeypatch, capsys):
     texts = set()
     for width in (60, 80, 100):
         monkeypatch.setenv("COLUMNS", str(width))
-        text, _, examples = COMMANDS[name].parser().format_help().partition("\nexamples:\n")
+        with suppress(SystemExit):
+            main([*name.split(), "--help"])
+        text, _, examples = capsys.readouterr().out.partition("\nexamples:\n")
         _, _, told = text.partition("\n\n")
         assert max(map(len, told.splitlines())) <= width
         texts.add(re.sub(r"\s", "", told))
@@ -85,7 +87,7 @@ def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monke
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_unknown_option_is_refused_with_a_remedy(name, refused):
     message = refused(f"{name}{LEAST[name]} --no-such-option")
-    assert message == f"ms-highway: unrecognized arguments: --no-such-option; see ms-highway {name} --help"
+    assert message.startswith("ms-highway: unrecognized arguments: --no-such-option; see the --help of the command")
 
 
 @pytest.mark.parametrize(("name", "option"), CHECKED)
@@ -108,16 +110,6 @@ def test_a_place_that_cannot_be_written_is_named_before_anything_is_driven_or_re
         assert message.startswith(f"ms-highway: {place} cannot be written: {problem}; ")
 
 
-@pytest.mark.parametrize(("word", "commands"), [("irl", ["record", "fit", "evaluate"]), ("values", ["learn"])])
-def test_a_word_that_commands_begin_with_lists_them(word, commands, capsys, refused):
-    with pytest.raises(SystemExit, match="0"):
-        main([word, "--help"])
-    rows = capsys.readouterr().out.splitlines()
-    assert [row[2:26].strip() for row in rows if row.startswith(f"  {word}")] == [f"{word} {name}" for name in commands]
-    for command in (word, f"{word} others"):
-        assert f"{word} is no command; name one of {word} {commands[0]}" in refused(command)
-
-
 def test_the_names_in_help_texts_are_those_that_are_known():
     assert tuple(ENVIRONMENTS) == options.SCENARIO_NAMES
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
@@ -126,9 +118,3 @@ def test_the_names_in_help_texts_are_those_that_are_known():
     keys = set(re.findall(r"\b([a-z]+(?:_[a-z]+)?)=[^=,\s]", options.KEYS))
     assert {"semantics", "horizon", "step_size", "costs", "way_out"} <= keys
     assert keys <= known | {"naive", "a", "b", "turn", "tom"}
-
-
-def test_the_version_is_told(capsys):
-    with pytest.raises(SystemExit, match="0"):
-        run("--version")
-    assert capsys.readouterr().out.startswith("ms-highway 2")

@@ -68,16 +68,6 @@ def test_rows_of_episodes_and_steps_say_what_the_records_hold(batch, records):
     assert summary(episodes)[kept].to_numpy().tolist() == episodes[kept].to_numpy().tolist()
 
 
-@pytest.mark.slow
-def test_a_robot_that_collided_does_not_succeed_though_it_ends_in_its_lane(batch, records):
-    states, collision = np.array(records.states), np.zeros_like(records.collision)
-    states[:, :, 0, 1], collision[0, 3] = float(batch.environment.game.scene.target_lane), True
-    table = batch.steps_table(batch.keys(), records._replace(states=states, collision=collision))
-    success = table["success"].to_numpy(bool).reshape(len(CONTROLLERS), -1)
-    assert success[0].tolist() == [True] * 3 + [False] * (batch.steps - 3)
-    assert success[1:].all()
-
-
 def test_a_robot_that_knows_the_humans_rewards_is_left_to_compare(monkeypatch):
     config = {**DenseMergeEnv.default_config(), "beliefs": "true"}
     monkeypatch.setattr(DenseMergeEnv, "default_config", classmethod(lambda cls: config))

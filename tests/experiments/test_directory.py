@@ -28,26 +28,12 @@ def test_a_comparison_that_was_stopped_in_its_first_episode_can_be_resumed(tmp_p
     assert len(stopped) == 40
 
 
-def test_settings_that_were_given_as_other_sequences_agree(tmp_path):
-    for limit in ((0.2, 9.0), [0.2, 9.0]):
-        comparison = Comparison({"merger": ["naive"]}, seeds=1, config={"control_limit": limit})
-        assert next(run(comparison, tmp_path)) == 0
-
-
 def test_settings_say_what_is_usual_and_what_was_given():
     pair = Comparison({"merger": ["naive"]}, config={"horizon": 10, "semantics": "released"})
     usual = {"semantics": "released", "solver": "gradient", "human_reward": "published", "costs": "published"}
     assert pair.common_config() == usual | {"horizon": 10}
     both = Comparison({"merger": ["naive"], "dense_merge": ["naive"]})
     assert both.common_config() == {"semantics": "paper", "human_reward": "learned"}  # their solvers and costs differ
-
-
-def test_a_directory_that_was_left_while_settings_were_written_can_be_taken_up_and_one_of_other_things_cannot(tmp_path):
-    (tmp_path / ".part.settings.json").write_text("{")
-    assert ResultsDirectory(tmp_path).take_up({"seed": 0}) == {"seed": 0}
-    (tmp_path / "other").touch()
-    with pytest.raises(ValueError, match="is not empty"):
-        ResultsDirectory(tmp_path).take_up({})
 
 
 def test_a_run_from_a_checkout_names_its_commit_and_whether_its_files_have_changed(tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from commands import run
 
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
-from ms_highway.experiments.frontier import Outcomes, controller_name, search
+from ms_highway.experiments.frontier import controller_name, search
 from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
@@ -106,13 +106,6 @@ def test_a_search_among_several_humans_changes_the_models_of_all_and_of_one():
     assert any("/" in name for name in names)
 
 
-def test_a_search_at_many_prices_tries_little_more_than_one_at_three():
-    few, many = Toy(1), Toy(1)
-    list(search(few, range(3), [0.1, 0.4, 0.9], 8, 4))
-    list(search(many, range(3), [0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 0.9], 8, 4))
-    assert len(many.table) < 1.3 * len(few.table)
-
-
 @pytest.mark.slow
 def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
@@ -139,13 +132,3 @@ def test_the_name_of_an_order_stands_for_its_models_step_by_step():
         assert [*models, *[models[-1]] * (STEPS - len(models))] == [LADDER[rung] for rung in order[:, 0]]
     assert controller_name(LADDER, np.ones((STEPS, 2), int)) == "turn"
     assert controller_name(LADDER, np.array([[0, 1], [0, 1], [1, 1]])) == "schedule:naive/turn=2,turn"
-
-
-@pytest.mark.parametrize(
-    ("row", "problem"),
-    [("", ""), (",scenario,reward,counted_seconds\ntom,3,merger,nan,0.3\n", "reward of tom with seed 3")],
-)
-def test_outcomes_that_were_damaged_are_named(row, problem, tmp_path):
-    (tmp_path / "merger_episodes.csv").write_text(f"controller,seed{row}")
-    with pytest.raises(ValueError, match=rf"merger_episodes\.csv cannot be read.*{problem}.*remove it"):
-        Outcomes(None, tmp_path / "merger_episodes.csv")

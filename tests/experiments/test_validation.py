@@ -45,17 +45,6 @@ def test_every_switching_decision_agrees(replayed):
     assert all(errors["agree"] == errors["all"] for errors in decisions)
 
 
-def test_a_perturbed_log_is_noticed(reference, tmp_path):
-    with np.load(reference / "merger__naive.npz") as archive:
-        arrays = dict(archive)
-    arrays["rewards"] = arrays["rewards"] + 0.01
-    arrays["robot_controls"] = arrays["robot_controls"] * 1.1
-    np.savez(tmp_path / "merger__naive.npz", **arrays)
-    error = validate_file(tmp_path / "merger__naive.npz")
-    assert error["reward_error"]["q50"] == pytest.approx(0.01, rel=1e-2)
-    assert error["action_error"]["q50"] > 1e-3
-
-
 def test_validate_prints_json_for_any_directory_of_such_files(reference, tmp_path, capsys):
     shutil.copy(reference / "merger__switching_lambda_0.6.npz", tmp_path)
     assert main(["validate", str(tmp_path), "--json"]) == 0
@@ -86,11 +75,11 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
     file = tmp_path / "merger__tom.npz"
     for change, message in (
         ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
-        ({"states": np.zeros(3)}, r"states is of shape \(3,\); it must hold"),
-        ({"states": arrays["states"] * 1e300}, "states holds numbers that are not finite, or beyond 1e.38; it must"),
-        ({"states": arrays["states"] > 0}, "states holds bool; it must hold finite numbers"),
-        ({"models": arrays["models"] * 1.0}, "models holds float64; it must hold integers"),
-        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, r"rewards is of shape \(0, "),
+        ({"states": np.zeros(3)}, r"states holds float64 of shape \(3,\); it must hold"),
+        ({"states": arrays["states"] * 1e300}, "states holds .*; it must hold finite numbers below 1e.38"),
+        ({"states": arrays["states"] > 0}, "states holds bool .*; it must hold finite numbers"),
+        ({"models": arrays["models"] * 1.0}, "models holds float64 .*; it must hold integers"),
+        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, r"rewards holds .* of shape \(0, "),
     ):
         np.savez(file, **{**arrays, **change})
         with pytest.raises(ValueError, match=message):

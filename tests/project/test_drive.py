@@ -44,11 +44,3 @@ def test_the_command_simulates_episodes(tmp_path):
     controllers = ["--controllers", "naive", "--seeds", "2", "--devices", "1"]
     assert not main(["sweep", "merger", *controllers, "--out", str(tmp_path)])
     assert (tmp_path / "summary.csv").read_text().count("\n") == 2
-
-
-def test_the_command_simulates_episodes_on_a_cluster(tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, processes=False, protocol="tcp", dashboard_address=":0") as cluster:
-        where = ["--scheduler", cluster.scheduler_address, "--out", str(tmp_path)]
-        assert not main(["sweep", "merger", "--controllers", "naive", "--seeds", "2", *where])
-    assert (tmp_path / "summary.csv").read_text().count("\n") == 2

@@ -28,25 +28,6 @@ def test_an_import_registers_all_environments_and_loads_public_names_when_they_a
     subprocess.run([sys.executable, "-W", "error::ImportWarning", "-c", IMPORTED], check=True)
 
 
-WITHOUT_PYGAME = """
-import sys
-from importlib.machinery import ModuleSpec
-
-class Rest:  # what Python finds in a folder that an uninstalled package has left
-    def find_spec(name, *_):
-        return ModuleSpec("pygame", None, is_package=True) if name == "pygame" else None
-
-sys.meta_path.insert(0, Rest)
-import ms_highway
-"""
-
-
-def test_a_pygame_that_another_has_broken_is_named_with_the_remedy():
-    done = subprocess.run([sys.executable, "-c", WITHOUT_PYGAME], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert done.stderr.strip().endswith("run `pip install --force-reinstall pygame-ce`")
-
-
 def test_a_name_that_is_not_public_is_refused_as_python_refuses_it():
     assert not hasattr(ms_highway, "climb")
     assert set(ms_highway.__all__) <= set(dir(ms_highway))

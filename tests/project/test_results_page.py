@@ -7,7 +7,7 @@ from itertools import chain
 from types import SimpleNamespace
 
 import pandas as pd
-from test_pages import README, RESULTS, ROOT, TEXTS
+from test_pages import README, RESULTS, TEXTS
 
 from ms_highway.benchmarks.road.episodes import Block, row, run_episode
 from ms_highway.benchmarks.road.recorded import RecordedStart
@@ -101,9 +101,3 @@ def test_the_columns_of_all_csv_files_are_explained_and_no_others():
     assert {re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found} == set(
         re.findall(r"`(\w+)`", "".join(rows))
     )
-
-
-def test_no_figure_is_without_a_page():
-    figures = list((ROOT / "notebooks" / "figures").iterdir())
-    assert figures
-    assert all(f"figures/{figure.name})" in FLOWING for figure in figures)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.cli.main import main
 from ms_highway.runtime.jax_settings import keep_compilations
 
 
@@ -52,17 +51,6 @@ def test_a_directory_that_others_may_write_to_is_refused(tmp_path):
         os.chown(tmp_path, 12345, 12345)
         with pytest.raises(PermissionError, match="choose a directory of your own"):
             keep_compilations(tmp_path)
-
-
-def test_a_command_goes_on_where_compiled_planners_cannot_be_kept(tmp_path, monkeypatch, capsys):
-    tmp_path.chmod(0o777)
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    for option, said in ((), 1), (("--no-compilation-cache",), 0):
-        assert main([*option, "bench", "roundabout"]) == 2
-        *warnings, _ = capsys.readouterr().err.splitlines()
-        assert len(warnings) == said
-        assert all("compiled planners are not kept: others may write to" in line for line in warnings)
-    assert not list(tmp_path.iterdir())
 
 
 def test_compilations_are_kept_where_the_environment_says(tmp_path, monkeypatch):

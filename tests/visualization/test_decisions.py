@@ -18,13 +18,6 @@ def records(tmp_path_factory):
     return read(comparison, directory)
 
 
-def test_a_schedule_plans_with_the_models_in_its_order_and_goes_on_with_the_last(records):
-    episode = one_episode(records, "merger", "schedule:tom=3,turn=1,naive", 0)
-    assert episode["model"].tolist() == ["tom"] * 3 + ["turn"] + ["naive"] * 36
-    assert episode["counted_seconds"].tolist() == [0.37] * 3 + [0.17] + [0.09] * 36
-    assert (episode["decision_seconds"] == 0).all()
-
-
 def assert_gains_are_drawn(axes, episode, model):
     """In the model's colour, at the steps that they were recorded at."""
     (line,) = [line for line in axes.lines if line.get_color() == color_of(model)]
@@ -37,13 +30,3 @@ def test_decisions_are_drawn_at_the_steps_and_in_the_models_that_were_recorded(r
     gains, rewards = figure.axes
     assert_gains_are_drawn(gains, episode, "tom")
     np.testing.assert_array_equal(rewards.lines[0].get_ydata(), episode["reward"])
-
-
-def test_an_episode_that_is_not_there_is_named(records):
-    with pytest.raises(ValueError, match="no episode of 'tom' in 'merger' with seed 0"):
-        one_episode(records, "merger", "tom", 0)
-
-
-def test_decisions_are_drawn_of_records_from_before_a_model_was_known(records):
-    older = one_episode(records, "merger", "switching:0.01", 0).drop(columns="gain_turn")
-    assert len(decisions([older]).axes) == 2

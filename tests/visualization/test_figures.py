@@ -27,7 +27,7 @@ def drawn(compared):
         map(pd.read_csv, (KEPT / "summary.csv", KEPT / "regrets.csv")),
     )
     return {
-        **figures(results.records, results.summaries, "stay_back"),
+        **{name: draw() for name, draw in figures(results.records, results.summaries, "stay_back").items()},
         "curve": curve(summaries[summaries["run"] == "curve"], "merger"),
         "frontier": frontier(regrets, "merger", 30),
         "success": success_figure({"merge-v1": {"priced": DRIVER, "idm": DRIVER}}),

@@ -9,6 +9,7 @@ from ms_highway.experiments.analysis.summary import interval
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
     """Say what the best fixed model gains over the cheapest, how much of it choosing keeps, and what collides.
 
+    Where no fixed model was driven, the best and the cheapest are those of all controllers.
     A gain counts as more than chance by its 90 % interval over the starts that both drove from.
 
     Args:
@@ -17,26 +18,20 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         scenario: its name.
     """
     rows = summaries.query("scenario == @scenario").set_index("controller")
-    reward, counted, fixed = rows["reward"], rows["counted_ms"], rows.query("kind == 'fixed'")
-    choosing = choosing_controllers(summaries, scenario)
-    if fixed.empty:
-        best = str(reward.idxmax())
-        return f"{best} earns the most, a reward of {reward[best]:.2f} per step. {_collisions(rows)}"
-    best, cheapest = str(fixed["reward"].idxmax()), str(fixed["counted_ms"].fillna(float("inf")).idxmin())
+    reward, counted = rows["reward"], rows["counted_ms"].fillna(float("inf"))
+    models = rows.query("kind == 'fixed'").index
+    if models.empty:
+        models = rows.index
+    best, cheapest = str(reward[models].idxmax()), str(counted[models].idxmin())
     driven = records.query("scenario == @scenario").pivot_table("reward", "seed", "controller")
     gains = (driven[best] - driven[cheapest]).dropna()
     low, high = interval(gains)
-    sure = f"90 % interval {low:.2f} to {high:.2f}, {len(gains)} starts"
-    if best == cheapest:
-        text = "and no more expensive fixed model earns more"
-    elif low > 0:
-        text = f"{gains.mean():.2f} more than {cheapest} ({sure})"
-    elif len(gains) < 2:
-        text = f"{cheapest} {reward[cheapest]:.2f}; one start cannot show a difference"
-    else:
-        text = f"{cheapest} {reward[cheapest]:.2f}; these starts do not show a difference ({sure})"
-    sentences = [f"{best} earns a reward of {reward[best]:.2f} per step, {text}."]
-    for name in choosing:
+    sentences = [f"{best} earns a reward of {reward[best]:.2f} per step."]
+    if best != cheapest:
+        chance = "" if low > 0 else ", which may be chance"
+        sure = f"90 % interval {low:.2f} to {high:.2f}, starts: {len(gains)}" if len(gains) > 1 else "one start"
+        sentences.append(f"That is {gains.mean():.2f} more than {cheapest} ({sure}){chance}.")
+    for name in choosing_controllers(summaries, scenario):
         text, effort = f"{name} earns {reward[name]:.2f}", counted[name] / counted[best]
         if low > 0:
             text += f" and keeps {100 * (reward[name] - reward[cheapest]) / gains.mean():.0f} % of that gain"

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from math import isclose
 
-import numpy as np
 import pandas as pd
 
 from ms_highway.envs.registry import controller_config, fixed_order_types, priced_types
@@ -45,7 +44,7 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
     Returns:
         A row per ``controller``, `BEST_PER_START` the last: ``kind``; ``reward`` and ``counted_seconds`` per step, as
         means over starts; ``meta_reward``; ``regret``, and ``regret_low`` and ``regret_high``, the 90 % interval of its
-        mean over starts (Student's t), empty where all are equal. Among the controllers is the order with the highest
+        mean over starts (Student's t). Among the controllers is the order with the highest
         mean meta-reward of those that were tried from every start.
 
     Raises:
@@ -61,7 +60,7 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
         own = found if searched else table.loc[[(name, seed) for seed in seeds]].droplevel("controller")
         net = _meta_reward(own, price)
         behind = found["meta_reward"] - net
-        low, high = interval(behind) if behind.std() > 0 else (np.nan, np.nan)
+        low, high = interval(behind)
         rows.append(
             {
                 "controller": name,
@@ -88,17 +87,14 @@ def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]
         scenario: its name.
         price: at which they are judged.
     """
-    own = behind.query("scenario == @scenario").set_index("controller")["kind"]
-    regret = behind.pivot(index="controller", columns="scenario", values="regret")
-    fixed = own.index[own.isin(fixed_order_types())]
-    said = [(name, "") for name in own.index[~own.isin([*priced_types(), "search"])]]
-    said.append((regret.loc[fixed, scenario].idxmin(), "best for all starts"))
-    for kind in priced_types():
-        names = own.index[own == kind]
-        if len(names):
-            said += [(name, "lambda = price") for name in names if isclose(controller_config(name)["lambda"], price)]
-            everywhere = regret[regret.index.isin(behind.loc[behind["kind"] == kind, "controller"])]
-            here, common = everywhere[scenario].idxmin(), everywhere.mean(axis=1).idxmin()
-            said += [(here, "best lambda"), (common, "also common" if common == here else "best common lambda")]
-    said.append((BEST_PER_START, ""))
-    return {name: ", ".join(text for each, text in said if each == name and text) for name, _ in said}
+    own = behind.query("scenario == @scenario").set_index("controller")
+    priced, fixed = (own["kind"].isin(kinds) for kinds in (priced_types(), fixed_order_types()))
+    everywhere = behind.groupby("controller")["regret"].mean()
+    marks = [(own.loc[fixed, "regret"].idxmin(), "best for all starts")]
+    for _, rows in own[priced].groupby("kind"):
+        marks += [(name, "lambda = price") for name in rows.index if isclose(controller_config(name)["lambda"], price)]
+        marks += [(rows["regret"].idxmin(), "best lambda"), (everywhere[rows.index].idxmin(), "best common lambda")]
+    said: dict[str, list[str]] = {name: [] for name in own.index[~priced]}
+    for name, text in marks:
+        said.setdefault(name, []).append(text)
+    return {name: ", ".join(said[name]) for name in own.index if name in said}

@@ -54,7 +54,5 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
 
 def interval(values: pd.Series) -> tuple[float, float]:
     """Return the 90 % interval of the mean, by Student's t; NaN of less than two values."""
-    if len(values) < 2:
-        return np.nan, np.nan
-    half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * stats.sem(values)
+    half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * values.sem()
     return values.mean() - half, values.mean() + half

@@ -6,7 +6,6 @@ import pytest
 
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
-from ms_highway.visualization.comparison import episode_count
 from ms_highway.visualization.tables import regret_tables
 from ms_highway.visualization.tradeoff import curve, frontier
 
@@ -41,11 +40,6 @@ def summaries():
     )
 
 
-def test_a_curve_needs_no_fixed_model(summaries):
-    switching = summaries[summaries["kind"] == "switching"]
-    assert len(curve(switching, "merger").axes) == 2
-
-
 def test_the_curve_shows_every_controller_and_joins_each_kind_that_chooses_online(summaries):
     counted, measured = (figure := curve(summaries, "merger")).axes
     points = np.concatenate([line.get_xydata() for line in counted.lines])
@@ -59,12 +53,6 @@ def test_the_curve_shows_every_controller_and_joins_each_kind_that_chooses_onlin
     learned, switching = first[150.0, 5.9], first[296.0, 5.4]
     assert learned.get_xydata().tolist() == [[150.0, 5.9], [120.0, 5.0]]
     assert learned.get_color() != switching.get_color()
-
-
-def test_a_title_says_that_controllers_have_several_numbers_of_episodes(summaries):
-    assert episode_count(summaries) == "30 episodes per controller"
-    summaries.loc[0, "episodes"] = 5
-    assert episode_count(summaries) == "5 to 30 episodes per controller"
 
 
 def test_the_frontier_and_the_regrets_of_a_scenario_are_shown_from_those_of_several():
