@@ -36,7 +36,6 @@ Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a pos
 NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}")]
 
 
-
 class Ends(Struct, array_like=True, forbid_unknown_fields=True):
     """The lowest and the highest value of a range."""
 

@@ -45,7 +45,7 @@ class ConfiguredEnv(AbstractEnv):
     road: Any
     config: Config
     metadata: Config
-    action_space: spaces.Space | None
+    action_space: Any
     _running, _stale = False, False  # whether an episode runs; whether a step needs a reset before it
     _coming: Config | None = None  # the configuration of the next episode
     _spec: EnvSpec | None = None
@@ -158,18 +158,12 @@ class ConfiguredEnv(AbstractEnv):
         return start
 
     def get_available_actions(self) -> Sequence[Any]:
-        """Return the actions available now: highway-env's selection of meta-actions, or else all discrete actions.
-
-        Raises:
-            ValueError: for continuous actions.
-        """
-        space: Any = self.action_space
-        if isinstance(space, spaces.Box):
-            given = f"config['action'] is {self.config['action']}"
-            raise ValueError(f"{given}, of which there is no list; give discrete ones")
-        if isinstance(self.action_type, DiscreteMetaAction):
-            return self.action_type.get_available_actions()
-        return [*product(*map(range, space.nvec))] if isinstance(space, spaces.MultiDiscrete) else range(space.n)
+        """Return the actions available now: all discrete actions, or highway-env's selection of meta-actions."""
+        if isinstance(self.action_space, spaces.MultiDiscrete):
+            return [*product(*map(range, self.action_space.nvec))]
+        if isinstance(self.action_type, DiscreteMetaAction) or not isinstance(self.action_space, spaces.Discrete):
+            return super().get_available_actions()
+        return range(self.action_space.n)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.
@@ -180,10 +174,9 @@ class ConfiguredEnv(AbstractEnv):
         """
         if self._stale:
             raise ResetNeeded("the configuration has changed since the last episode; call reset before step")
-        if isinstance(self.action_type, Autopilot) and action is not None:
-            self.action_type.check(action)
-        elif action is not None and not np.isfinite(action).all():
-            raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
+        chosen = isinstance(self.action_type, Autopilot)
+        if action is not None and not (self.action_space.contains(action) if chosen else np.isfinite(action).all()):
+            raise ValueError(f"action {action!r} is impossible; give one of {self.action_space}")
         *outcome, info = super().step(action)
         self._running = not any(outcome[2:])
         return *outcome, info

@@ -106,15 +106,8 @@ class Settings(Struct, frozen=True):
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
-        """The ladder.
-
-        Raises:
-            ValueError: if it is none.
-        """
-        try:
-            return ladder(self.ladder)
-        except ValueError as error:
-            raise ValueError(f"config['ladder']: {error}") from None
+        """The ladder; see `ms_highway.planning.human_models.ladder`."""
+        return ladder(self.ladder)
 
     @property
     def seconds(self) -> dict[str, float]:

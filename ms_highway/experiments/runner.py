@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import gymnasium as gym
-import numpy as np
 import pandas as pd
 
 from ms_highway.envs import environment_id

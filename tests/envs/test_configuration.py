@@ -20,8 +20,7 @@ from ms_highway.envs import (
 )
 from ms_highway.envs.configuration import as_json
 from ms_highway.envs.controllers import ControllerSettings
-from ms_highway.envs.registry import add_rule, controller_config, controller_settings
-from ms_highway.envs.registry import SwitchingSettings
+from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
 
 PAIR, SEVERAL = "merger", "dense_merge"
 NAN_MODEL = {"type": "fixed", "model": "naive"}
