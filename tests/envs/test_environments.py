@@ -7,7 +7,6 @@ from itertools import product
 
 import gymnasium as gym
 import numpy as np
-import pandas as pd
 import pytest
 from episodes import drive, make
 from gymnasium.utils.env_checker import check_env
@@ -18,21 +17,19 @@ from ms_highway.envs.demonstration import ACTION
 from ms_highway.envs.game_env import Timing
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT
-from ms_highway.game.scenario import COMMON_WEIGHTS, PAPER_UNIT
+from ms_highway.game.scenario import COMMON_WEIGHTS
 
 ACTIONS = {
     "autopilot": {"type": "Autopilot"},
     "human_model": {"type": "HumanModelAction", "lambda": 0.1},
     "continuous": {"type": "ContinuousAction"},
 }
-TO_METRES = np.array([PAPER_UNIT, PAPER_UNIT, 1.0, PAPER_UNIT])
 
 
 @pytest.mark.parametrize(
     ("scenario", "action"),
     [
-        *(("merger", action) for action in ACTIONS),
-        ("stay_back", "autopilot"),
+        ("merger", "continuous"),
         ("give_way", "human_model"),
         ("dense_merge", "autopilot"),
     ],
@@ -49,11 +46,8 @@ def test_info_holds_the_reward_by_feature_and_measured_times():
     for reward, info in zip(rewards, infos, strict=True):
         assert sum(info["rewards"].values()) == pytest.approx(reward)
         assert (info["status"], info["human_status"]) == ("planned", ("planned",))
-        assert (info["model"], info["models"]) == ("turn", ("turn",))
-        assert info["collision"] is False
-    times = pd.Series([info["timing"].planning_seconds for info in infos])
-    assert times.dtype == float
-    assert 0 < times.min() < times.max() < 1
+        assert (info["model"], info["models"], info["collision"]) == ("turn", ("turn",), False)
+        assert 0 < info["timing"].planning_seconds < 1
     assert infos[0]["timing"] == infos[1]["timing"] == Timing(1.0, 2.0, 3.0)  # no part of what happened
 
 
@@ -73,20 +67,16 @@ def test_the_agent_that_chooses_the_model_pays_for_its_time():
         assert sum(info["rewards"].values()) == pytest.approx(paid)
 
 
-NOT_FINITE = np.array([0.0, np.nan]), r"nan.* is not finite; give numbers of the space Box\(-1.0, 1.0"
-
-
 @pytest.mark.parametrize(
     ("scenario", "kind", "action", "message"),
     [
-        ("merger", "continuous", *NOT_FINITE),
-        ("merger", "autopilot", 7, "action 7 is not 0"),
-        ("merger", "human_model", 99, "99 is no place in the ladder"),
+        ("merger", "continuous", np.array([0.0, np.nan]), r"nan.* is impossible; give one of Box\(-1.0, 1.0"),
+        ("merger", "autopilot", 7, r"action 7 is impossible; give one of Discrete\(1\)"),
+        ("dense_merge", "human_model", 1, r"action 1 is impossible; give one of MultiDiscrete"),
     ],
 )
 def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, action, message):
-    config = {"action": ACTIONS[kind]}
-    env = gym.make(f"ms-highway/{scenario}-v0", disable_env_checker=True, config=config).unwrapped
+    env = make(scenario, action=ACTIONS[kind]).unwrapped
     env.reset(seed=0)
     before = env.car_states
     with pytest.raises(ValueError, match=message):
@@ -128,15 +118,12 @@ def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked
     np.testing.assert_allclose(states[1, 2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
 
 
-def test_observations_stay_in_their_space_and_name_the_cars_by_role():
+def test_observations_name_the_cars_by_role():
     env = make("give_way")
     observation, _ = env.reset(seed=0)
     assert observation.flags.c_contiguous
     x, y, _, speed = env.unwrapped.car_states[1] - env.unwrapped.car_states[0]
     np.testing.assert_allclose(observation[1, :3], [x / 100, y / 10, speed / 40], atol=1e-4)
-    for _ in range(40):
-        observation, *_ = env.step(0)
-        assert env.observation_space.contains(observation)
 
 
 def test_action_spaces_and_frame_rates_are_an_environments_own():
@@ -205,7 +192,6 @@ def test_workers_of_a_vector_environment_find_and_step_the_environments(context,
         ({"costs": "measured", "controller": {"type": "switching", "lambda": 0.1}}, True),
         ({"costs": "measured", "controller": {"type": "fixed", "model": "naive"}}, False),
         ({"controller": {"type": "budget", "milliseconds": 500, "values": "one_step"}}, True),
-        ({"costs": "measured", "action": {"type": "HumanModelAction", "lambda": 1.0}}, True),
     ],
 )
 def test_info_tells_where_the_clock_has_a_say(config, clocked):
@@ -288,10 +274,8 @@ def kinds_of(info, within=()):
     [
         lambda: make("merger"),
         lambda: make("dense_merge"),
-        lambda: make("merger", action=ACTION),
         lambda: gym.make("ms-highway/demonstration-v0"),
         lambda: gym.make("ms-highway/recorded-v0"),
-        lambda: ms_highway.drive(gym.make("highway-fast-v0", config={"action": ACTION}), {"driver": "fixed:naive"}),
         lambda: ms_highway.drive(gym.make("intersection-v0"), {"driver": "fixed:naive"}),
     ],
 )
@@ -327,8 +311,7 @@ def test_full_braking_stops_a_car_and_drives_it_backwards_only_if_a_range_of_spe
 def test_humans_drive_for_what_belongs_to_the_semantics(scenario, semantics, choice):
     driving = {"learned": shipped("demonstrations").weights, "published": COMMON_WEIGHTS}[choice]
     aims = {name: weight for name, weight in SCENARIOS[scenario].human_weights.items() if name not in COMMON_WEIGHTS}
-    for config in ({"semantics": semantics}, {"semantics": semantics, "human_reward": choice}):
-        game = make(scenario, **config).unwrapped.game
-        assert weights_of(game) == pytest.approx(driving | aims)
-        robot = dict(zip(game.robot.names, game.robot.weights.tolist(), strict=True))
-        assert {name: weight for name, weight in robot.items() if weight} == SCENARIOS[scenario].robot_weights
+    game = make(scenario, semantics=semantics).unwrapped.game
+    assert weights_of(game) == pytest.approx(driving | aims)
+    robot = dict(zip(game.robot.names, game.robot.weights.tolist(), strict=True))
+    assert {name: weight for name, weight in robot.items() if weight} == SCENARIOS[scenario].robot_weights
