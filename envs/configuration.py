@@ -192,8 +192,8 @@ def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes
     refuse_unknown("config", changes, defaults)
     config = {**defaults, **changes}
     for key, value in changes.items():
-        before = defaults[key]
-        if isinstance(value, Mapping) and isinstance(before, Mapping) and key != "human_reward":
+        if isinstance(value, Mapping):
+            before = defaults[key] if isinstance(defaults[key], Mapping) and key != "human_reward" else {}
             same_type = value.get("type", before.get("type")) == before.get("type")
             config[key] = {**before, **value} if same_type else dict(value)
     read_own(kind, config)

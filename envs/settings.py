@@ -78,9 +78,9 @@ class Settings(Struct, frozen=True):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
             refuse_unknown("config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)})
-        unknown = [model.name for model in self.models if model.name not in self.seconds]
+        unknown = {model.name for model in self.models} - self.seconds.keys()
         if unknown and self.costs != "measured":
-            why = f"without seconds for {unknown[0]!r}; say 'measured' or give them"
+            why = f"without seconds for {', '.join(sorted(unknown))}; say 'measured' or give them"
             raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
 
     def check(self, scenario: Scenario) -> None:
