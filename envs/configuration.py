@@ -1,4 +1,4 @@
-"""Merge configurations with their defaults key by key, and read them: errors name key, value, place and remedy.
+"""Read configurations: errors name key, value, place and remedy.
 
 Configurations are read by msgspec into frozen structs. The annotations of their fields hold types and limits, and a
 `msgspec.Meta` with a ``description`` says what to give instead: it ends the sentence ``config['grip'] is -1; ...``.
@@ -20,8 +20,6 @@ from highway_env.envs.common.observation import (
 )
 from msgspec import Meta, Struct, ValidationError, convert, to_builtins
 from msgspec.structs import fields
-
-from ms_highway.game.scenario import TIME_STEP
 
 Config: TypeAlias = dict[str, Any]
 Changes: TypeAlias = Mapping[str, Any]
@@ -52,7 +50,6 @@ RANGES: Config = {
     **dict.fromkeys(("acceleration_range", "steering_range", "speed_range"), Range),
     **dict.fromkeys(("longitudinal", "lateral", "clip"), Any),
 }
-STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 Parts = Annotated[list[Any], Meta(min_length=1, description="give a list of observations")]
 
 
@@ -114,7 +111,7 @@ def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind
     refuse_unknown(place, values, [*known, tag] if tag else known)
     for key, each in known.items():
         if each.required or key in values:
-            _check(f"{place}[{key!r}]", values.get(key), each.type, strict)
+            check(f"{place}[{key!r}]", values.get(key), each.type, strict)
     try:
         return convert(values, kind, strict=strict)
     except ValidationError as error:
@@ -135,7 +132,7 @@ def _builtin(value: Any) -> Any:
     return fspath(value) if isinstance(value, PathLike) else repr(value)
 
 
-def _check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
+def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
     """Check the value of a key; say what to give instead: a description, the choices, or what msgspec expects."""
     value = as_json(value)
     try:
@@ -150,7 +147,7 @@ def _check(place: str, value: Any, annotation: Any, strict: bool = True) -> None
         raise ValueError(f"{place} is {value!r}; {remedy}") from None
 
 
-def _check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
+def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
     """Check an action or observation type and, of a tuple, its parts.
 
     Raises:
@@ -161,54 +158,11 @@ def _check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
     keys = known[values["type"]]
     refuse_unknown(place, values, ["type", *keys])
     for key, annotation in keys.items():
-        _check(f"{place}[{key!r}]", values.get(key), annotation)
+        check(f"{place}[{key!r}]", values.get(key), annotation)
     for number, part in enumerate(values.get("observation_configs", ())):
-        _check_type(f"{place}['observation_configs'][{number}]", part, known)
+        check_type(f"{place}['observation_configs'][{number}]", part, known)
 
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
     """Return a struct of those keys of a whole configuration that highway-env does not have, see `read`."""
     return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})
-
-
-def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes | None) -> Config:
-    """Apply changes to a configuration, and check all of it.
-
-    A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
-    replaces what stood there.
-
-    Args:
-        kind: a struct of the keys that highway-env does not have.
-        types: of actions and observations that the environment has, see `TYPES`.
-        defaults: the whole configuration.
-        changes: of some of it.
-
-    Raises:
-        ValueError: naming key, value, place and remedy, for anything unknown or impossible.
-    """
-    changes = {} if changes is None else changes
-    if not isinstance(changes, Mapping):
-        raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
-    refuse_unknown("config", changes, defaults)
-    config = {**defaults, **changes}
-    for key, value in changes.items():
-        if isinstance(value, Mapping):
-            before = defaults[key] if isinstance(defaults[key], Mapping) and key != "human_reward" else {}
-            same_type = value.get("type", before.get("type")) == before.get("type")
-            config[key] = {**before, **value} if same_type else dict(value)
-    read_own(kind, config)
-    scalars = {bool: bool, int: Positive, float: Positive}
-    for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
-        _check(f"config[{key!r}]", config[key], scalars.get(type(defaults[key]), Any))
-    frequency = 1 / config.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each of the plans' steps
-    frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
-    for key in ("simulation_frequency", "policy_frequency"):
-        if not np.isclose(changes.get(key, frequency), frequency):
-            message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
-            raise ValueError(f"config[{key!r}] is {config[key]!r}; {message}")
-        config[key] = frequency
-    for key, known in types.items():
-        _check_type(f"config[{key!r}]", config[key], known)
-    if "steering_range" in types["action"][config["action"]["type"]]:
-        config["action"] = {"steering_range": STEERING_RANGE, **config["action"]}
-    return config

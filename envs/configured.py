@@ -1,6 +1,6 @@
 """What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
 from typing import Any, ClassVar
@@ -13,7 +13,18 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import observation_factory
 
-from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
+from ms_highway.envs.configuration import (
+    TYPES,
+    Changes,
+    Config,
+    Positive,
+    Types,
+    as_json,
+    check,
+    check_type,
+    read_own,
+    refuse_unknown,
+)
 from ms_highway.envs.spaces import (
     SPEED_RANGE,
     Autopilot,
@@ -25,9 +36,14 @@ from ms_highway.envs.spaces import (
     limit_speed,
 )
 from ms_highway.envs.viewer import Viewer, enable_pictures
+from ms_highway.game.scenario import TIME_STEP
 
 OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, TupleObservation)
 OWN_TYPES = {kind.__name__: kind for kind in OWN}
+SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
+"""What the values of highway-env's own keys must be, by the type of their default."""
+
+STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 
 
 class ConfiguredEnv(AbstractEnv):
@@ -69,10 +85,38 @@ class ConfiguredEnv(AbstractEnv):
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
         """Return the whole configuration, by default the default one, after changes.
 
+        A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
+        replaces what stood there.
+
         Raises:
-            ValueError: for an unknown key or an impossible value.
+            ValueError: naming key, value, place and remedy, for anything unknown or impossible.
         """
-        return merged(cls.settings_type, cls.types, cls.default_config() if config is None else config, changes)
+        changes = {} if changes is None else changes
+        if not isinstance(changes, Mapping):
+            raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
+        defaults = cls.default_config() if config is None else config
+        refuse_unknown("config", changes, defaults)
+        whole: Config = {**defaults, **changes}
+        for key, value in changes.items():
+            if isinstance(value, Mapping):
+                before: Changes = defaults[key] if isinstance(defaults[key], Mapping) and key != "human_reward" else {}
+                same_type = value.get("type", before.get("type")) == before.get("type")
+                whole[key] = {**before, **value} if same_type else dict(value)
+        read_own(cls.settings_type, whole)
+        for key, default in super().default_config().items():
+            check(f"config[{key!r}]", whole[key], SCALARS.get(type(default), Any))
+        frequency = 1 / whole.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each planned step
+        frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
+        for key in ("simulation_frequency", "policy_frequency"):
+            if not np.isclose(changes.get(key, frequency), frequency):
+                message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
+                raise ValueError(f"config[{key!r}] is {whole[key]!r}; {message}")
+            whole[key] = frequency
+        for key, known in cls.types.items():
+            check_type(f"config[{key!r}]", whole[key], known)
+        if "steering_range" in cls.types["action"][whole["action"]["type"]]:
+            whole["action"] = {"steering_range": STEERING_RANGE, **whole["action"]}
+        return whole
 
     def configure(self, config: Config | None) -> None:
         """Change the configuration, all of it or nothing; during an episode, from the next reset on.
