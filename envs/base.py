@@ -21,7 +21,7 @@ from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.driver import Driver, drivable, fixed
 from ms_highway.loop.yielding import Unmoved
-from ms_highway.planning.compiled_plans import Costs, measure_costs
+from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
 
@@ -114,6 +114,7 @@ class InteractionEnv(GameEnv):
         settings: of the configuration.
         game: that the robot believes in; another one is played, by the humans too, from the next reset on.
         weights: of every human's own reward.
+        seconds: T(M) by model, by which rules choose; empty until it is measured [s].
         history: the record of every step, None where the robot does not plan, and its reward.
     """
 
@@ -161,7 +162,7 @@ class InteractionEnv(GameEnv):
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
         if config["action"]["type"] == "Autopilot":
-            start = settings.start(settings.known_costs, 1, np.random.default_rng())
+            start = settings.start(settings.seconds, 1, np.random.default_rng())
             try:
                 rule = settings.controller.rule(start)
             except ValueError as error:
@@ -171,9 +172,8 @@ class InteractionEnv(GameEnv):
 
     def _read(self) -> None:
         super()._read()
-        settings = self.settings
-        self.game, self._seconds = settings.game(self.scenario), settings.seconds
-        self._costs: Costs | None = None if settings.measures else settings.known_costs
+        self.game, self._counted = self.settings.game(self.scenario), self.settings.seconds
+        self.seconds = {} if self.settings.measures else self._counted
 
     def _reset(self) -> None:
         """Build the road, place the cars, and say who drives them."""
@@ -224,26 +224,24 @@ class InteractionEnv(GameEnv):
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs if they are yet to be measured."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
-        start = settings.start(self._costs or settings.known_costs, self.episode_steps, self.np_random)
+        start = settings.start(self.seconds, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
         driver = Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
         self.robot.drive_with(driver, self.road.vehicles[1:])
 
-    def costs(self, states: State) -> Costs:
-        """Planning times on the ladder; where they are to be measured, once after each change of the configuration."""
+    def measure(self) -> None:
+        """Measure planning times on the ladder with the cars where they are; high ones for budgets."""
         settings, models = self.settings, self.settings.models
-        if self._costs is None:
-            quantile, way_out = settings.controller.quantile, settings.way_out
-            self._costs = measure_costs(self.game, models, states, quantile=quantile, way_out=way_out)
-        if self._seconds is None:
-            seconds = (self._costs.base + np.asarray(self._costs.each)).tolist()
-            self._seconds = dict(zip((model.name for model in models), seconds, strict=True))
-        return self._costs
+        quantile = 0.5 if settings.controller.budget is None else 0.99
+        costs = measure_costs(self.game, models, self.car_states, quantile=quantile, way_out=settings.way_out)
+        seconds = (costs.base + np.asarray(costs.each)).tolist()
+        self.seconds = dict(zip((model.name for model in models), seconds, strict=True))
+        self._counted = self._counted or self.seconds
 
     def counted_seconds(self, names: Sequence[str]) -> float | None:
         """Return T of a plan in which humans are predicted by these models [s]; None where it is not known."""
-        seconds = self._seconds or {}
+        seconds = self._counted
         if not seconds.keys() >= {*names}:
             return None
         base = seconds[self.settings.models[0].name] if len(names) > 1 else 0.0
@@ -280,8 +278,8 @@ class InteractionEnv(GameEnv):
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
-        if self._costs is None and isinstance(self.action_type, Autopilot):
-            self.costs(self.car_states)  # measured in the first step, as JAX must not begin before it
+        if not self.seconds and isinstance(self.action_type, Autopilot):
+            self.measure()  # in the first step, as JAX must not begin before it
             if self.robot.controller is not None and self.settings.controller.chooses:
                 self._drive_robot(self.robot.controller.game)
         super()._simulate(action)

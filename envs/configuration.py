@@ -1,4 +1,4 @@
-"""Merge configurations with their defaults key by key, and read them: errors name key, value, place and remedy.
+"""Read configurations: errors name key, value, place and remedy.
 
 Configurations are read by msgspec into frozen structs. The annotations of their fields hold types and limits, and a
 `msgspec.Meta` with a ``description`` says what to give instead: it ends the sentence ``config['grip'] is -1; ...``.
@@ -21,11 +21,9 @@ from highway_env.envs.common.observation import (
 from msgspec import Meta, Struct, ValidationError, convert, to_builtins
 from msgspec.structs import fields
 
-from ms_highway.game.scenario import TIME_STEP
-
 Config: TypeAlias = dict[str, Any]
 Changes: TypeAlias = Mapping[str, Any]
-Types: TypeAlias = Mapping[str, Mapping[str, set[str]]]
+Types: TypeAlias = Mapping[str, Mapping[str, Config]]
 Kind = TypeVar("Kind", bound=Struct)
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -35,37 +33,49 @@ Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description=f"it must be
 Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a positive number")]
 NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}")]
 
-Range = Annotated[
-    tuple[Number, Number] | None, Meta(description="give the lowest and the highest value, such as [-5, 5]")
-]
-RANGES = {"acceleration_range", "steering_range", "speed_range", "longitudinal", "lateral", "clip"}
-STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
+
+class Ends(Struct, array_like=True, forbid_unknown_fields=True):
+    """The lowest and the highest value of a range."""
+
+    low: Number
+    high: Number
+
+    def __post_init__(self) -> None:
+        if self.low >= self.high:
+            raise ValueError("the lowest value comes first")
 
 
-def keys_of(kind: type[Any]) -> set[str]:
-    """Return the keys that a type of actions or observations has."""
-    return {*signature(kind).parameters} - {"env", "kwargs"}
+Range = Annotated[Ends | None, Meta(description="give the lowest value first, then the highest, such as [-5, 5]")]
+RANGES: Config = {
+    **dict.fromkeys(("acceleration_range", "steering_range", "speed_range"), Range),
+    **dict.fromkeys(("longitudinal", "lateral", "clip"), Any),
+}
+Parts = Annotated[list[Any], Meta(min_length=1, description="give a list of observations")]
 
 
-TUPLE = "TupleObservation"
+def keys_of(kind: type[Any]) -> Config:
+    """Return the keys that a type of actions or observations of highway-env has; it says nothing of their values."""
+    return dict.fromkeys({*signature(kind).parameters} - {"env", "kwargs"}, Any)
+
+
 TYPES: Types = {
     "action": {
-        "Autopilot": set(),
-        "HumanModelAction": {"lambda"},
+        "Autopilot": {},
+        "HumanModelAction": {"lambda": NotNegative},
         "ContinuousAction": RANGES,
-        "DiscreteAction": RANGES | {"actions_per_axis"},
+        "DiscreteAction": RANGES | {"actions_per_axis": Any},
     },
     "observation": {
-        "CarStates": set(),
+        "CarStates": {},
         "Kinematics": keys_of(KinematicObservation),
         "OccupancyGrid": keys_of(OccupancyGridObservation),
         "LidarObservation": keys_of(LidarObservation),
         "GrayscaleObservation": keys_of(GrayscaleObservation),
         "TimeToCollision": keys_of(TimeToCollisionObservation),
-        TUPLE: {"observation_configs"},
+        "TupleObservation": {"observation_configs": Parts},
     },
 }
-"""Types of actions and observations, and the keys that they have."""
+"""Types of actions and observations, and what the values of their keys must be."""
 
 
 def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> None:
@@ -82,13 +92,14 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
             raise ValueError(f"unknown key {key!r} in {place}; {hint}")
 
 
-def read(kind: type[Kind], place: str, values: Any) -> Kind:
+def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind:
     """Return a struct of the values of a configuration; NumPy's numbers and arrays count as Python's.
 
     Args:
         kind: a struct; its ``__post_init__`` may raise a ValueError, which is passed on.
         place: of the values, such as ``"config['controller']"``.
         values: by key.
+        strict: whether texts of numbers are refused.
 
     Raises:
         ValueError: naming key, value, place and remedy, for anything unknown, missing or impossible.
@@ -99,12 +110,10 @@ def read(kind: type[Kind], place: str, values: Any) -> Kind:
     known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
     refuse_unknown(place, values, [*known, tag] if tag else known)
     for key, each in known.items():
-        if key in values:
-            _check(f"{place}[{key!r}]", values[key], each.type)
-        elif each.required:
-            raise ValueError(f"{place} needs {key!r}: {_remedy(each.type, 'give it')}")
+        if each.required or key in values:
+            check(f"{place}[{key!r}]", values.get(key), each.type, strict)
     try:
-        return convert(values, kind)
+        return convert(values, kind, strict=strict)
     except ValidationError as error:
         raise (error.__cause__ or error) from None
 
@@ -123,102 +132,37 @@ def _builtin(value: Any) -> Any:
     return fspath(value) if isinstance(value, PathLike) else repr(value)
 
 
-def _check(place: str, value: Any, annotation: Any) -> None:
-    """Check the value of a field, or find the one that is wrong in a mapping."""
+def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
+    """Check the value of a key; say what to give instead: a description, the choices, or what msgspec expects."""
+    value = as_json(value)
     try:
-        convert(value, annotation)
+        convert(value, annotation, strict=strict)
     except ValidationError as error:
-        message, _, path = str(error).partition(" - at `$")
-        if path.startswith("[...]"):
-            for key, each in value.items() if len(value) > 1 else ():
-                _check(place, {key: each}, annotation)
-            [(key, value)] = value.items()
-            place = f"{place}[{key!r}]"
-        raise ValueError(f"{place} is {value!r}; {_remedy(annotation, message)}") from None
+        remedy = str(error).replace("Expected", "expected")
+        if get_origin(annotation) is Literal:
+            remedy = f"choose one of {', '.join(map(repr, get_args(annotation)))}"
+        for each in get_args(annotation):
+            if isinstance(each, Meta) and each.description:
+                remedy = each.description
+        raise ValueError(f"{place} is {value!r}; {remedy}") from None
 
 
-def _remedy(annotation: Any, message: str) -> str:
-    """Say what to give for a field: its description, its choices, or what msgspec expects."""
-    for each in get_args(annotation):
-        if isinstance(each, Meta) and each.description:
-            return each.description
-    if get_origin(annotation) is Literal:
-        return f"choose one of {', '.join(map(repr, get_args(annotation)))}"
-    return "it must be True or False" if annotation is bool else message[:1].lower() + message[1:]
-
-
-def _check_type(place: str, values: Any, known: Mapping[str, set[str]]) -> None:
+def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
     """Check an action or observation type and, of a tuple, its parts.
 
     Raises:
-        ValueError: for an unknown type or key.
+        ValueError: for an unknown type or key, or an impossible value.
     """
     if not isinstance(values, Mapping) or values.get("type") not in list(known):
         raise ValueError(f"{place} is {values!r}; its 'type' must be one of {', '.join(known)}")
-    refuse_unknown(place, values, {"type"} | known[values["type"]])
-    if values["type"] == TUPLE:
-        parts = values.get("observation_configs")
-        if not isinstance(parts, (list, tuple)) or not parts:
-            raise ValueError(f"{place}['observation_configs'] is {parts!r}; give a list of observations")
-        known = {name: keys for name, keys in known.items() if name != TUPLE}
-        for number, part in enumerate(parts):
-            _check_type(f"{place}['observation_configs'][{number}]", part, known)
+    keys = known[values["type"]]
+    refuse_unknown(place, values, ["type", *keys])
+    for key, annotation in keys.items():
+        check(f"{place}[{key!r}]", values.get(key), annotation)
+    for number, part in enumerate(values.get("observation_configs", ())):
+        check_type(f"{place}['observation_configs'][{number}]", part, known)
 
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
     """Return a struct of those keys of a whole configuration that highway-env does not have, see `read`."""
     return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})
-
-
-def merged(kind: type[Struct], types: Types, defaults: Changes, changes: Changes | None) -> Config:
-    """Apply changes to a configuration, and check all of it.
-
-    A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
-    replaces what stood there.
-
-    Args:
-        kind: a struct of the keys that highway-env does not have.
-        types: of actions and observations that the environment has, see `TYPES`.
-        defaults: the whole configuration.
-        changes: of some of it.
-
-    Raises:
-        ValueError: naming key, value, place and remedy, for anything unknown or impossible.
-    """
-    changes = {} if changes is None else changes
-    if not isinstance(changes, Mapping):
-        raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
-    refuse_unknown("config", changes, defaults)
-    config: Config = {}
-    for key, default in defaults.items():
-        value = changes.get(key, default)
-        if isinstance(value, Mapping):
-            before = default if isinstance(default, Mapping) and key != "human_reward" else {}
-            same_type = value.get("type", before.get("type")) == before.get("type")
-            value = {**before, **value} if same_type else dict(value)
-        config[key] = value
-    read_own(kind, config)
-    for key in defaults.keys() - {each.encode_name for each in fields(kind)}:
-        scalar = {bool: bool, int: Positive, float: Positive}.get(type(defaults[key]))
-        if scalar is not None:
-            _check(f"config[{key!r}]", as_json(config[key]), scalar)
-    frequency = 1 / config.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each of the plans' steps
-    frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
-    for key in ("simulation_frequency", "policy_frequency"):
-        if not np.isclose(changes.get(key, frequency), frequency):
-            message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
-            raise ValueError(f"config[{key!r}] is {config[key]!r}; {message}")
-        config[key] = frequency
-    for key, known in types.items():
-        _check_type(f"config[{key!r}]", config[key], known)
-    keys = types["action"][config["action"]["type"]]
-    for key in [key for key in config["action"] if key.endswith("_range")]:
-        place, ends = f"config['action'][{key!r}]", as_json(config["action"][key])
-        _check(place, ends, Range)
-        if ends is not None and ends[0] >= ends[1]:
-            raise ValueError(f"{place} is {ends!r}; give the lowest value first, then the highest")
-    if "lambda" in keys:
-        _check("config['action']['lambda']", as_json(config["action"].get("lambda")), NotNegative)
-    if "steering_range" in keys:
-        config["action"] = {"steering_range": STEERING_RANGE, **config["action"]}
-    return config

@@ -1,6 +1,6 @@
 """What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import product
 from typing import Any, ClassVar
@@ -13,7 +13,18 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction, action_factory
 from highway_env.envs.common.observation import observation_factory
 
-from ms_highway.envs.configuration import TYPES, Changes, Config, Types, as_json, merged, read_own, refuse_unknown
+from ms_highway.envs.configuration import (
+    TYPES,
+    Changes,
+    Config,
+    Positive,
+    Types,
+    as_json,
+    check,
+    check_type,
+    read_own,
+    refuse_unknown,
+)
 from ms_highway.envs.spaces import (
     SPEED_RANGE,
     Autopilot,
@@ -25,9 +36,14 @@ from ms_highway.envs.spaces import (
     limit_speed,
 )
 from ms_highway.envs.viewer import Viewer, enable_pictures
+from ms_highway.game.scenario import TIME_STEP
 
 OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, TupleObservation)
 OWN_TYPES = {kind.__name__: kind for kind in OWN}
+SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
+"""What the values of highway-env's own keys must be, by the type of their default."""
+
+STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 
 
 class ConfiguredEnv(AbstractEnv):
@@ -45,7 +61,7 @@ class ConfiguredEnv(AbstractEnv):
     road: Any
     config: Config
     metadata: Config
-    action_space: spaces.Space | None
+    action_space: Any
     _running, _stale = False, False  # whether an episode runs; whether a step needs a reset before it
     _coming: Config | None = None  # the configuration of the next episode
     _spec: EnvSpec | None = None
@@ -69,10 +85,38 @@ class ConfiguredEnv(AbstractEnv):
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
         """Return the whole configuration, by default the default one, after changes.
 
+        A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
+        replaces what stood there.
+
         Raises:
-            ValueError: for an unknown key or an impossible value.
+            ValueError: naming key, value, place and remedy, for anything unknown or impossible.
         """
-        return merged(cls.settings_type, cls.types, cls.default_config() if config is None else config, changes)
+        changes = {} if changes is None else changes
+        if not isinstance(changes, Mapping):
+            raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
+        defaults = cls.default_config() if config is None else config
+        refuse_unknown("config", changes, defaults)
+        whole: Config = {**defaults, **changes}
+        for key, value in changes.items():
+            if isinstance(value, Mapping):
+                before: Changes = defaults[key] if isinstance(defaults[key], Mapping) and key != "human_reward" else {}
+                same_type = value.get("type", before.get("type")) == before.get("type")
+                whole[key] = {**before, **value} if same_type else dict(value)
+        read_own(cls.settings_type, whole)
+        for key, default in super().default_config().items():
+            check(f"config[{key!r}]", whole[key], SCALARS.get(type(default), Any))
+        frequency = 1 / whole.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each planned step
+        frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
+        for key in ("simulation_frequency", "policy_frequency"):
+            if not np.isclose(changes.get(key, frequency), frequency):
+                message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
+                raise ValueError(f"config[{key!r}] is {whole[key]!r}; {message}")
+            whole[key] = frequency
+        for key, known in cls.types.items():
+            check_type(f"config[{key!r}]", whole[key], known)
+        if "steering_range" in cls.types["action"][whole["action"]["type"]]:
+            whole["action"] = {"steering_range": STEERING_RANGE, **whole["action"]}
+        return whole
 
     def configure(self, config: Config | None) -> None:
         """Change the configuration, all of it or nothing; during an episode, from the next reset on.
@@ -158,18 +202,12 @@ class ConfiguredEnv(AbstractEnv):
         return start
 
     def get_available_actions(self) -> Sequence[Any]:
-        """Return the actions available now: highway-env's selection of meta-actions, or else all discrete actions.
-
-        Raises:
-            ValueError: for continuous actions.
-        """
-        space: Any = self.action_space
-        if isinstance(space, spaces.Box):
-            given = f"config['action'] is {self.config['action']}"
-            raise ValueError(f"{given}, of which there is no list; give discrete ones")
-        if isinstance(self.action_type, DiscreteMetaAction):
-            return self.action_type.get_available_actions()
-        return [*product(*map(range, space.nvec))] if isinstance(space, spaces.MultiDiscrete) else range(space.n)
+        """Return the actions available now: all discrete actions, or highway-env's selection of meta-actions."""
+        if isinstance(self.action_space, spaces.MultiDiscrete):
+            return [*product(*map(range, self.action_space.nvec))]
+        if isinstance(self.action_type, DiscreteMetaAction) or not isinstance(self.action_space, spaces.Discrete):
+            return super().get_available_actions()
+        return range(self.action_space.n)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.
@@ -180,10 +218,9 @@ class ConfiguredEnv(AbstractEnv):
         """
         if self._stale:
             raise ResetNeeded("the configuration has changed since the last episode; call reset before step")
-        if isinstance(self.action_type, Autopilot) and action is not None:
-            self.action_type.check(action)
-        elif action is not None and not np.isfinite(action).all():
-            raise ValueError(f"action {action!r} is not finite; give numbers of the space {self.action_space}")
+        chosen = isinstance(self.action_type, Autopilot)
+        if action is not None and not (self.action_space.contains(action) if chosen else np.isfinite(action).all()):
+            raise ValueError(f"action {action!r} is impossible; give one of {self.action_space}")
         *outcome, info = super().step(action)
         self._running = not any(outcome[2:])
         return *outcome, info

@@ -90,7 +90,7 @@ class DemonstrationEnv(GameEnv):
     """
 
     settings_type = DemonstrationSettings
-    types = {"action": {"ContinuousAction": RANGES}, "observation": {"CarTracks": set()}}  # noqa: RUF012
+    types = {"action": {"ContinuousAction": RANGES}, "observation": {"CarTracks": {}}}  # noqa: RUF012
     cars = 1 + OTHERS
 
     @classmethod

@@ -1,48 +1,143 @@
-"""Know all controllers by type and by short name, such as ``learned:0.1``; add rules of one's own."""
+"""Define the controllers that choose models online; know all by type and by short name; add rules of one's own."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar
 
-from ms_highway.envs.configuration import Config, read
+from msgspec import Meta, field, json
+
+from ms_highway.choice.budget import Budget, OneStepGains
+from ms_highway.choice.nearest import Nearest
+from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
+from ms_highway.choice.rule import NEVER
+from ms_highway.choice.values import SHIPPED_VALUES, load_values
+from ms_highway.envs.configuration import Config, NotNegative, Positive, read
 from ms_highway.envs.controllers import (
     PLACE,
     ControllerSettings,
     FixedSettings,
-    OrderSettings,
     PeriodSettings,
     RandomSettings,
     ScheduleSettings,
+    Start,
 )
-from ms_highway.envs.rules import BudgetSettings, HorizonSettings, LearnedSettings, NearestSettings, SwitchingSettings
 from ms_highway.planning.human_models import is_model, model_names
 from ms_highway.runtime import retired
 
 BELIEF = "+belief"
+EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
+ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
 
-PACKAGE_CONTROLLERS = (
-    SwitchingSettings,
-    HorizonSettings,
-    LearnedSettings,
-    BudgetSettings,
-    NearestSettings,
-    FixedSettings,
-    ScheduleSettings,
-    PeriodSettings,
-    RandomSettings,
-)
+Cooldown = Annotated[int, Meta(ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}")]
+File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
+
+
+class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
+    """Algorithm 1 chooses from the ladder, at a price per second of planning; see `Quadratic` for its numbers."""
+
+    price: NotNegative = field(name="lambda")
+    cooldown: Cooldown = Quadratic.cooldown
+    trust_radius: Positive = Quadratic.trust_radius
+    horizon_steps: ClassVar[int | None] = 1
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
+        numbers = self.trust_radius, tolerance, self.cooldown, self.horizon_steps
+        return Quadratic(start.costs, self.price, start.ladder, *numbers)
+
+
+class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):
+    """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
+
+    horizon_steps = None
+
+
+class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
+    """A learned value of computation chooses, at a price per second of planning.
+
+    Attributes:
+        values: ``"shipped"`` or a file of `ms_highway.choice.values`; ``""`` and None mean shipped.
+    """
+
+    price: NotNegative = field(name="lambda")
+    values: File = None
+
+    def __post_init__(self) -> None:
+        load_values(self.values or SHIPPED_VALUES)
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        return _learned(self.values, start, self.price)
+
+
+def _learned(values: str | None, start: Start, price: float) -> Any:
+    one = "physical" if start.semantics == "physical" else "pair"
+    learned = load_values(values or SHIPPED_VALUES, "several" if start.humans > 1 else one)
+    return learned.rule(start.ladder, start.costs, price)
+
+
+class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
+    """What gains most within the time of a cycle.
+
+    Attributes:
+        milliseconds: of a cycle, decision and plan.
+        values: that tell the gains: ``"one_step"`` for those of Algorithm 1, or what `LearnedSettings` takes.
+    """
+
+    milliseconds: Positive
+    values: File = None
+
+    def __post_init__(self) -> None:
+        if self.values != ONE_STEP:
+            load_values(self.values or SHIPPED_VALUES)
+
+    @property
+    def budget(self) -> float:
+        """See `ControllerSettings`."""
+        return self.milliseconds * 1e-3
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        if self.values == ONE_STEP:
+            gains: Any = OneStepGains(Quadratic(start.costs, 0.0, start.ladder))
+        else:
+            gains = replace(_learned(self.values, start, 0.0), cautious=False)
+        return Budget(gains, start.costs, self.budget)
+
+
+class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
+    """The top rung for the nearest humans, and the first for all others."""
+
+    count: Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
+
+    def rule(self, start: Start) -> Any:
+        """See `ControllerSettings.rule`."""
+        return Nearest(self.count, start.ladder)
+
+
 CONTROLLERS: dict[str, type[ControllerSettings]] = {
-    str(kind.__struct_config__.tag): kind for kind in PACKAGE_CONTROLLERS
+    "switching": SwitchingSettings,
+    "horizon": HorizonSettings,
+    "learned": LearnedSettings,
+    "budget": BudgetSettings,
+    "nearest": NearestSettings,
+    "fixed": FixedSettings,
+    "schedule": ScheduleSettings,
+    "period": PeriodSettings,
+    "random": RandomSettings,
 }
 """The controllers by type: those of the package, and those that `add_rule` adds."""
+
+OURS = tuple(CONTROLLERS)
 
 
 def add_rule(settings: type[ControllerSettings]) -> None:
     """Make a decision rule of one's own known by its name, to configurations and commands of this process.
 
-    Its short name is ``near:6`` where the first field of the settings is a number or a text and all others have
-    defaults, and ``near`` where all of them have; other rules have none. A first field ``price`` that is named
-    ``lambda`` makes it a rule that chooses at a lambda. Added again, a rule takes the place of the one that had its
-    name.
+    Its short name is ``near:6`` with its first field, a number or a text, and ``near`` where all of them have defaults;
+    a rule that needs more than one has none. A first field ``price`` that is named ``lambda`` makes it a rule that
+    chooses at a lambda. Added again, a rule takes the place of the one that had its name.
 
     Args:
         settings: class of the rule's settings, whose ``rule`` makes it, and whose tag is its name.
@@ -53,21 +148,20 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     if not issubclass(settings, ControllerSettings) or settings.rule is ControllerSettings.rule:
         raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
     name = str(settings.__struct_config__.tag)
-    if CONTROLLERS.get(name) in PACKAGE_CONTROLLERS or is_model(name) or not (name.isidentifier() and name.islower()):
-        ours = ", ".join(name for name, kind in CONTROLLERS.items() if kind in PACKAGE_CONTROLLERS)
-        remedy = f"choose a tag of one word in lower case other than {ours} and human models"
+    if name in OURS or is_model(name) or not (name.isidentifier() and name.islower()):
+        remedy = f"choose a tag of one word in lower case other than {', '.join(OURS)} and human models"
         raise ValueError(f"a rule cannot be called {name!r}; {remedy}")
     CONTROLLERS[name] = settings
 
 
 def priced_types() -> list[str]:
     """Return the types of the controllers that choose models online, by a rule at a lambda."""
-    return [name for name, kind in CONTROLLERS.items() if kind.has_price()]
+    return [name for name, kind in CONTROLLERS.items() if kind.__struct_encode_fields__[0] == "lambda"]
 
 
 def fixed_order_types() -> list[str]:
     """Return the types of the controllers whose models are the same in every episode, step by step."""
-    return [name for name, kind in CONTROLLERS.items() if issubclass(kind, OrderSettings) and kind.fixed]
+    return [name for name, kind in CONTROLLERS.items() if issubclass(kind, (FixedSettings, ScheduleSettings))]
 
 
 def controller_settings(config: Any) -> Any:
@@ -101,22 +195,14 @@ def controller_config(text: str) -> Config:
     """
     name = text.removesuffix(BELIEF)
     kind, _, rest = name.partition(":")
-    config: Config = {"type": "fixed", "model": name}
-    if not is_model(name):
-        examples = {each: settings.short_name() for each, settings in CONTROLLERS.items()}
-        example = examples.get(kind)
-        if not example:
-            gone = retired.replacement(retired.CONTROLLERS, kind)
-            known = f"name a model ({model_names()}), or one like {', '.join(filter(None, examples.values()))}"
-            raise ValueError(gone or f"unknown controller {text!r}; {known}")
-        try:
-            config = {"type": kind} | CONTROLLERS[kind].parse(rest)
-        except ValueError:
-            raise ValueError(f"controller {text!r} cannot be read; write it like {example}") from None
-    if name != text:
-        config["belief"] = True
+    if is_model(name):
+        kind, rest = "fixed", name
+    if kind not in CONTROLLERS:
+        gone = retired.replacement(retired.CONTROLLERS, kind)
+        known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
+        raise ValueError(gone or f"unknown controller {text!r}; {known}")
+    config = CONTROLLERS[kind].parse(rest) | ({"belief": True} if name != text else {})
     try:
-        controller_settings(config)
+        return json.decode(json.encode(read(CONTROLLERS[kind], PLACE, config, strict=False)))
     except ValueError as error:
         raise ValueError(f"controller {text!r}: {error}") from None
-    return config

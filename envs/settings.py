@@ -1,5 +1,6 @@
 """The settings of an `ms_highway.envs.base.InteractionEnv`: what its configuration says."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 from warnings import warn
 
@@ -77,11 +78,10 @@ class Settings(Struct, frozen=True):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
             refuse_unknown("config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)})
-        seconds = self.seconds
-        for model in self.models:
-            if seconds is not None and model.name not in seconds:
-                why = f"without seconds for {model.name!r}; say 'measured' or give them"
-                raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
+        unknown = {model.name for model in self.models} - self.seconds.keys()
+        if unknown and self.costs != "measured":
+            why = f"without seconds for {', '.join(sorted(unknown))}; say 'measured' or give them"
+            raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
 
     def check(self, scenario: Scenario) -> None:
         """Check what depends on the scenario; warn of gradient steps that overshoot.
@@ -106,23 +106,14 @@ class Settings(Struct, frozen=True):
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
-        """The ladder.
-
-        Raises:
-            ValueError: if it is none.
-        """
-        try:
-            return ladder(self.ladder)
-        except ValueError as error:
-            raise ValueError(f"config['ladder']: {error}") from None
+        """The ladder; see `ms_highway.planning.human_models.ladder`."""
+        return ladder(self.ladder)
 
     @property
-    def seconds(self) -> dict[str, float] | None:
-        """T(M) by name [s], also of models in an order as far as it is known; None where it is to be measured."""
-        if self.costs == "measured":
-            return None
+    def seconds(self) -> dict[str, float]:
+        """T(M) by name [s], also of models in an order as far as it is known; none where it is to be measured."""
         named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS if self.humans > 1 else PHYSICAL_COSTS}
-        given = named[self.costs] if isinstance(self.costs, str) else self.costs
+        given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
         known = dict(given)
         for model in (*map(human_model, self.controller.names()), *self.models):
             steps = ANSWERED_STEPS if model.responds else STEPS
@@ -133,15 +124,10 @@ class Settings(Struct, frozen=True):
                 known[model.name] = seconds
         return known
 
-    def start(self, costs: Costs, steps: int, random: np.random.Generator) -> Start:
-        """Return what a rule is built from: the costs of plans on the ladder, an episode's steps, and what draws."""
+    def start(self, seconds: Mapping[str, float], steps: int, random: np.random.Generator) -> Start:
+        """Return what a rule is built from: T(M) by name, NaN where it is yet unknown, the steps, and what draws."""
+        costs = Costs.of([seconds.get(model.name, np.nan) for model in self.models], self.humans)
         return Start(self.models, costs, self.semantics, self.humans, steps, random)
-
-    @property
-    def known_costs(self) -> Costs:
-        """Costs of plans on the ladder, NaN where they are to be measured."""
-        seconds = {} if self.measures else self.seconds or {}
-        return Costs.of([seconds.get(model.name, np.nan) for model in self.models], self.humans)
 
     @property
     def measures(self) -> bool:

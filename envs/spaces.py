@@ -112,15 +112,6 @@ class Autopilot(ActionType):
         """Return the space."""
         return spaces.Discrete(1)
 
-    def check(self, action: Any) -> None:
-        """Check an action before anything moves.
-
-        Raises:
-            ValueError: if it is not 0.
-        """
-        if action != 0:
-            raise ValueError(f"action {action!r} is not 0, the only action of the autopilot")
-
     def act(self, action: Any) -> None:
         """Nothing to do: the robot plans when the road asks all vehicles to act."""
 
@@ -136,15 +127,6 @@ class HumanModelAction(Autopilot):
         """Return the space."""
         rungs, humans = len(self.env.settings.models), self.env.settings.humans
         return spaces.Discrete(rungs) if humans == 1 else spaces.MultiDiscrete([rungs] * humans)
-
-    def check(self, action: Any) -> None:
-        """Check an action before anything moves.
-
-        Raises:
-            ValueError: if it is no place in the ladder, or not one for each of several humans.
-        """
-        if not self.space().contains(action):
-            raise ValueError(f"action {action!r} is no place in the ladder {self.env.config['ladder']}")
 
     def act(self, action: Any) -> None:
         """Choose the models of the coming plan."""

@@ -47,7 +47,7 @@ Key: TypeAlias = tuple[str, int]
 
 STEP = (
     *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
-    *("_is_truncated", "episode_steps", "car_states", "success", "costs", "counted_seconds"),
+    *("_is_truncated", "episode_steps", "car_states", "success", "measure", "counted_seconds"),
 )
 """Names of the methods and properties of an environment that a simulation replaces by its own code."""
 
@@ -151,8 +151,7 @@ class Batch:
         Raises:
             ValueError: if its values were learned on another ladder.
         """
-        costs = Costs.of([self.costs[name] for name in self.rungs], self.humans)
-        return settings.rule(self.environment.settings.start(costs, self.steps, np.random.default_rng()))
+        return settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
         """Return what the simulation is given for these episodes, drawn as the environment draws it at a reset.
@@ -244,7 +243,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"{reason}; {remedy}")
     environment = kind(dict(configs[0]))
     for one in settings:
-        if one.seconds is None:
+        if one.costs == "measured":
             remedy = "say 'shipped', or give seconds by model" + (SEVERAL if one.humans > 1 else "")
             raise ValueError(f"costs are {one.costs!r}, and a simulation cannot measure plans; {remedy}")
         costs |= one.seconds

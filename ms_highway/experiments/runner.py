@@ -18,7 +18,6 @@ from secrets import token_hex
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import pandas as pd
 
 from ms_highway.envs import environment_id
@@ -193,9 +192,8 @@ def measured_seconds(scenario: str, comparison: Comparison) -> dict[str, float]:
     """Measure T(M) of a scenario's ladder on this machine; return it by model [s]."""
     env = make_environment(scenario, "naive", **comparison.config).unwrapped
     assert isinstance(env, InteractionEnv)
-    costs = env.costs(env.car_states)
-    seconds = (costs.base + np.asarray(costs.each)).tolist()
-    return dict(zip([model.name for model in env.settings.models], seconds, strict=True))
+    env.measure()
+    return env.seconds
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:

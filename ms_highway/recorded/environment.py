@@ -71,8 +71,8 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     types = {  # noqa: RUF012
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
-            "ContinuousAction": RANGES | {"dynamical"},
-            "DiscreteAction": RANGES | {"dynamical", "actions_per_axis"},
+            "ContinuousAction": RANGES | {"dynamical": Any},
+            "DiscreteAction": RANGES | {"dynamical": Any, "actions_per_axis": Any},
         },
         "observation": {name: keys for name, keys in TYPES["observation"].items() if name != "CarStates"},
     }

@@ -7,7 +7,6 @@ from itertools import product
 
 import gymnasium as gym
 import numpy as np
-import pandas as pd
 import pytest
 from episodes import drive, make
 from gymnasium.utils.env_checker import check_env
@@ -18,21 +17,19 @@ from ms_highway.envs.demonstration import ACTION
 from ms_highway.envs.game_env import Timing
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT
-from ms_highway.game.scenario import COMMON_WEIGHTS, PAPER_UNIT
+from ms_highway.game.scenario import COMMON_WEIGHTS
 
 ACTIONS = {
     "autopilot": {"type": "Autopilot"},
     "human_model": {"type": "HumanModelAction", "lambda": 0.1},
     "continuous": {"type": "ContinuousAction"},
 }
-TO_METRES = np.array([PAPER_UNIT, PAPER_UNIT, 1.0, PAPER_UNIT])
 
 
 @pytest.mark.parametrize(
     ("scenario", "action"),
     [
-        *(("merger", action) for action in ACTIONS),
-        ("stay_back", "autopilot"),
+        ("merger", "continuous"),
         ("give_way", "human_model"),
         ("dense_merge", "autopilot"),
     ],
@@ -49,44 +46,21 @@ def test_info_holds_the_reward_by_feature_and_measured_times():
     for reward, info in zip(rewards, infos, strict=True):
         assert sum(info["rewards"].values()) == pytest.approx(reward)
         assert (info["status"], info["human_status"]) == ("planned", ("planned",))
-        assert (info["model"], info["models"]) == ("turn", ("turn",))
-        assert info["collision"] is False
-    times = pd.Series([info["timing"].planning_seconds for info in infos])
-    assert times.dtype == float
-    assert 0 < times.min() < times.max() < 1
+        assert (info["model"], info["models"], info["collision"]) == ("turn", ("turn",), False)
+        assert 0 < info["timing"].planning_seconds < 1
     assert infos[0]["timing"] == infos[1]["timing"] == Timing(1.0, 2.0, 3.0)  # no part of what happened
-
-
-def test_the_agent_that_chooses_the_model_pays_for_its_time():
-    costs = {"naive": 0.1, "turn": 0.2, "tom": 0.5}
-    free, costly = (
-        make("merger", action={"type": "HumanModelAction", "lambda": price}, costs=costs) for price in (0.0, 2.0)
-    )
-    for place, (name, seconds) in enumerate(costs.items()):
-        outcomes = []
-        for env in (free, costly):
-            env.reset(seed=1)
-            outcomes.append(env.step(place))
-        (_, reward, *_), (_, paid, *_, info) = outcomes
-        assert info["model"] == name
-        assert reward - paid == pytest.approx(2.0 * seconds)
-        assert sum(info["rewards"].values()) == pytest.approx(paid)
-
-
-NOT_FINITE = np.array([0.0, np.nan]), r"nan.* is not finite; give numbers of the space Box\(-1.0, 1.0"
 
 
 @pytest.mark.parametrize(
     ("scenario", "kind", "action", "message"),
     [
-        ("merger", "continuous", *NOT_FINITE),
-        ("merger", "autopilot", 7, "action 7 is not 0"),
-        ("merger", "human_model", 99, "99 is no place in the ladder"),
+        ("merger", "continuous", np.array([0.0, np.nan]), r"nan.* is impossible; give one of Box\(-1.0, 1.0"),
+        ("merger", "autopilot", 7, r"action 7 is impossible; give one of Discrete\(1\)"),
+        ("dense_merge", "human_model", 1, r"action 1 is impossible; give one of MultiDiscrete"),
     ],
 )
 def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, action, message):
-    config = {"action": ACTIONS[kind]}
-    env = gym.make(f"ms-highway/{scenario}-v0", disable_env_checker=True, config=config).unwrapped
+    env = make(scenario, action=ACTIONS[kind]).unwrapped
     env.reset(seed=0)
     before = env.car_states
     with pytest.raises(ValueError, match=message):
@@ -98,15 +72,14 @@ def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, a
 def test_the_control_of_a_robot_divided_by_ranges_that_reach_it_is_the_action_that_does_the_same():
     robot, copy = make("merger", "turn"), make("merger", action=ACTION)
     robot.reset(seed=0), copy.reset(seed=0)
-    ends, done = np.array([ACTION["acceleration_range"][1], ACTION["steering_range"][1]]), []
+    ends, most = np.array([ACTION["acceleration_range"][1], ACTION["steering_range"][1]]), 0.0
     for _ in range(40):
         control = robot.step(0)[4]["control"]
-        done.append(np.array([control["acceleration"], control["steering"]]))
-        action = (done[-1] / ends).astype(np.float32)
-        assert copy.action_space.contains(action)
-        copy.step(action)
+        done = np.array([control["acceleration"], control["steering"]])
+        copy.step(np.float32(done / ends))
         np.testing.assert_allclose(copy.unwrapped.robot.position, robot.unwrapped.robot.position, rtol=0, atol=1e-3)
-    assert np.abs(done).max(axis=0)[0] > 5.0  # beyond the default range
+        most = max(most, abs(done[0]))
+    assert most > 5.0  # beyond the default range
 
 
 def test_a_horizon_of_a_second_is_planned_with_steps_that_hold():
@@ -117,26 +90,23 @@ def test_a_horizon_of_a_second_is_planned_with_steps_that_hold():
     assert len(warned) == 1
 
 
-@pytest.mark.parametrize("terminate", [False, True])
-def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked(terminate):
+@pytest.mark.parametrize(("terminate", "steps"), [(False, 2), (True, 1)])
+def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked(terminate, steps):
     starts = np.array([[0, 0, 0.0, 20.0], [-8, -3.3, 0.0, 20.0], [3, 0.0, 0.0, 20.0]])
     _, states, rewards, infos = drive(make("merger", terminate_on_collision=terminate), starts=starts, steps=2)
     assert infos[0]["collision"]
     assert infos[0]["crashed"]
     assert rewards[0] < -90
-    assert len(rewards) == (1 if terminate else 2)
+    assert len(rewards) == steps
     np.testing.assert_allclose(states[1, 2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
 
 
-def test_observations_stay_in_their_space_and_name_the_cars_by_role():
+def test_observations_name_the_cars_by_role():
     env = make("give_way")
     observation, _ = env.reset(seed=0)
     assert observation.flags.c_contiguous
     x, y, _, speed = env.unwrapped.car_states[1] - env.unwrapped.car_states[0]
     np.testing.assert_allclose(observation[1, :3], [x / 100, y / 10, speed / 40], atol=1e-4)
-    for _ in range(40):
-        observation, *_ = env.step(0)
-        assert env.observation_space.contains(observation)
 
 
 def test_action_spaces_and_frame_rates_are_an_environments_own():
@@ -205,7 +175,6 @@ def test_workers_of_a_vector_environment_find_and_step_the_environments(context,
         ({"costs": "measured", "controller": {"type": "switching", "lambda": 0.1}}, True),
         ({"costs": "measured", "controller": {"type": "fixed", "model": "naive"}}, False),
         ({"controller": {"type": "budget", "milliseconds": 500, "values": "one_step"}}, True),
-        ({"costs": "measured", "action": {"type": "HumanModelAction", "lambda": 1.0}}, True),
     ],
 )
 def test_info_tells_where_the_clock_has_a_say(config, clocked):
@@ -288,10 +257,8 @@ def kinds_of(info, within=()):
     [
         lambda: make("merger"),
         lambda: make("dense_merge"),
-        lambda: make("merger", action=ACTION),
         lambda: gym.make("ms-highway/demonstration-v0"),
         lambda: gym.make("ms-highway/recorded-v0"),
-        lambda: ms_highway.drive(gym.make("highway-fast-v0", config={"action": ACTION}), {"driver": "fixed:naive"}),
         lambda: ms_highway.drive(gym.make("intersection-v0"), {"driver": "fixed:naive"}),
     ],
 )
@@ -327,8 +294,7 @@ def test_full_braking_stops_a_car_and_drives_it_backwards_only_if_a_range_of_spe
 def test_humans_drive_for_what_belongs_to_the_semantics(scenario, semantics, choice):
     driving = {"learned": shipped("demonstrations").weights, "published": COMMON_WEIGHTS}[choice]
     aims = {name: weight for name, weight in SCENARIOS[scenario].human_weights.items() if name not in COMMON_WEIGHTS}
-    for config in ({"semantics": semantics}, {"semantics": semantics, "human_reward": choice}):
-        game = make(scenario, **config).unwrapped.game
-        assert weights_of(game) == pytest.approx(driving | aims)
-        robot = dict(zip(game.robot.names, game.robot.weights.tolist(), strict=True))
-        assert {name: weight for name, weight in robot.items() if weight} == SCENARIOS[scenario].robot_weights
+    game = make(scenario, semantics=semantics).unwrapped.game
+    assert weights_of(game) == pytest.approx(driving | aims)
+    robot = dict(zip(game.robot.names, game.robot.weights.tolist(), strict=True))
+    assert {name: weight for name, weight in robot.items() if weight} == SCENARIOS[scenario].robot_weights

@@ -73,20 +73,15 @@ def test_only_where_the_model_is_chosen_the_panel_says_why(controller):
     assert (reason == PAPER).all() == (controller == "tom")
 
 
-def halves(picture):
-    return np.split(picture, 2)
-
-
 def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
     pictures = side_by_side(films)
     assert np.shape(pictures) == (40, 2 * (HEADING_HEIGHT + 352), 960, 3)
     for place in (0, 39):
-        for film_, half in zip(films, halves(pictures[place]), strict=True):
+        for film_, half in zip(films, np.split(pictures[place], 2), strict=True):
             np.testing.assert_array_equal(half[HEADING_HEIGHT:], film_.pictures[place])
-    above, below = halves(pictures[39])
-    assert (above[:HEADING_HEIGHT] != below[:HEADING_HEIGHT]).any()
-    assert pixels(above[:HEADING_HEIGHT], MODEL_COLORS["naive"]) > pixels(below[:HEADING_HEIGHT], MODEL_COLORS["naive"])
-    assert pixels(below[:HEADING_HEIGHT], MODEL_COLORS["turn"]) > pixels(above[:HEADING_HEIGHT], MODEL_COLORS["turn"])
+    naive, turn = (half[:HEADING_HEIGHT] for half in np.split(pictures[39], 2))
+    for heading, other, model in ((naive, turn, "naive"), (turn, naive, "turn")):
+        assert pixels(heading, MODEL_COLORS[model]) > pixels(other, MODEL_COLORS[model])
 
 
 def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path, monkeypatch):

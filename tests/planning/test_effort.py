@@ -119,6 +119,6 @@ def test_costs_are_those_given_or_proportional_to_the_steps():
     assert given["tom@4"] == pytest.approx(0.08)
     assert given["tom@8+warm"] == 0.3
     assert costs("published", "naive", controller={"type": "fixed", "model": "turn@5"})["turn@5"] == 0.17 / 4
-    assert costs("measured", "naive", "tom@8") is None
+    assert not costs("measured", "naive", "tom@8")
     with pytest.raises(ValueError, match="unknown key 'tom@0'"):
         costs({"naive": 0.1, "tom@0": 1}, "naive")

@@ -1,0 +1,98 @@
+"""Algorithm 1: gain estimates over one step and over the whole horizon, and which rungs it checks."""
+
+import jax
+import numpy as np
+import pytest
+from jax import numpy as jnp
+
+from ms_highway.choice.quadratic import Switching, WholeHorizon, expand
+from ms_highway.choice.rule import NOT_ESTIMATED, Outcome, decide, first_memory
+from ms_highway.game.game import swap_players, total_reward
+from ms_highway.game.planning_settings import PlanningSettings
+from ms_highway.numerics.second_derivatives import response
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import ladder
+from ms_highway.planning.plans import Plan
+from ms_highway.runtime.compilation import jit_quickly
+
+pytestmark = pytest.mark.usefixtures("stopped_by_nans")
+
+COSTS = Costs(0.0, np.array([0.09, 0.17, 0.37]))
+decide_quickly = jit_quickly(decide)
+
+
+def made(price, kind=Switching):
+    return jax.tree.map(jnp.asarray, kind(COSTS, price, ladder(("naive", "turn", "tom"))))
+
+
+def on(rule, rung):
+    memory = first_memory(rule, 1)
+    return memory._replace(rungs=memory.rungs + rung, step=np.ones((), np.int32))
+
+
+def any_plan(steps, seed=0):
+    robot, human = jnp.float32(np.random.default_rng(seed).normal(0, 0.2, (2, steps, 2)))
+    return Plan(robot, human[None])
+
+
+def decided(rule, played, memory=None, reward=1.5, steps=5, seed=0):
+    """The decision after a step in which both followed a plan."""
+    game, state = played("merger", planning=PlanningSettings(horizon=steps))
+    plan = any_plan(steps, seed)
+    outcome = Outcome(state, state, plan.robot[0], plan.humans[:, 0], jnp.float32(reward), plan)
+    return decide_quickly(rule, game, on(rule, 0) if memory is None else memory, outcome)
+
+
+@pytest.mark.parametrize(("kind", "steps"), [(Switching, 1), (WholeHorizon, 5)])
+def test_a_gain_pays_for_a_plan_at_every_step_that_it_looks_ahead(played, kind, steps):
+    free, priced = (decided(made(price, kind), played) for price in (0.0, 2.0))
+    assert free.gains[0, 2] - priced.gains[0, 2] == pytest.approx(steps * 2.0 * (0.37 - 0.09), rel=1e-3)
+
+
+def test_the_top_rung_goes_down_one_rung_at_a_time_and_never_up(played):
+    rule = made(1e6)
+    decision = decided(rule, played, on(rule, 2))
+    assert decision.gains[0, 2] == NOT_ESTIMATED
+    assert decision.gains[0, 1] > 0
+    assert decision.memory.rungs == 1
+
+
+def test_downward_checks_of_a_rung_wait_for_the_cooldown(played):
+    rule, checked = made(0.0), []
+    memory = on(rule, 2)
+    for _ in range(8):
+        decision = decided(rule, played, memory, reward=100.0)  # better than any alternative: stay
+        checked.append(bool(decision.gains[0, 1] != NOT_ESTIMATED))
+        memory = decision.memory._replace(step=memory.step + 1)
+        assert memory.rungs == 2
+    assert checked == [True, False, False, True, False, False, True, False]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rung", [0, 1, 2])
+def test_over_a_horizon_of_one_step_both_estimates_are_the_same(played, rung):
+    for seed in range(5):
+        rules = made(0.1), made(0.1, WholeHorizon)
+        near, whole = (decided(rule, played, on(rule, rung), steps=1, seed=seed) for rule in rules)
+        assert np.isfinite(np.asarray(near.gains)).any()
+        np.testing.assert_allclose(whole.gains, near.gains, rtol=1e-3, atol=1e-3)
+        jax.tree.map(np.testing.assert_array_equal, whole.memory, near.memory)
+
+
+def test_the_expansion_is_that_of_both_rewards_over_the_whole_plan(played):
+    game, state = played("merger", seed=2)
+    both = jnp.concatenate([part.ravel() for part in any_plan(5)])
+
+    def rewards(both):
+        robot, human = both.reshape(2, 5, 2)
+        mirrored = total_reward(*swap_players(game, state), human, robot[None])
+        return jnp.stack([total_reward(game, state, robot, human[None]), mirrored])
+
+    slopes, bends = jit_quickly(lambda both: (jax.jacobian(rewards)(both), jax.hessian(rewards)(both)))(both)
+    found = jit_quickly(expand)(game, state, both[:10], both[10:])
+    bend = np.block([[found.robot_robot, found.robot_human], [found.robot_human.T, found.human_human]])
+    human_bend = bends[1, 10:, 10:] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), 5))
+    influence = response(game.influence, human_bend, bends[1, 10:, :10])
+    for one, expected in ((bend, bends[0]), (jnp.concatenate([found.robot, found.human]), slopes[0])):
+        np.testing.assert_allclose(one, expected, rtol=1e-3, atol=1e-4 * abs(expected).max())
+    np.testing.assert_allclose(found.influence, influence, rtol=1e-2, atol=1e-3 * abs(influence).max())
