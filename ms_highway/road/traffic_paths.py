@@ -29,16 +29,8 @@ SLOWEST = 0.1  # m/s, of what may move
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
-NOBODY = {
-    "paths": Curve(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
-    "states": np.zeros(4),
-    "sizes": np.array([5.0, 2.0]),
-    "present": False,
-    "limits": LIMIT,
-    "owners": -1,
-    "moving": False,
-}
-"""An unused row of what is known of others."""
+AWAY = np.stack([LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE])
+"""An unused path: its x, y, heading and curvature."""
 
 
 class Way(NamedTuple):
@@ -77,26 +69,27 @@ def traffic_of(
     ways = [way for car in seen for way in _ways(car, roads, intentions)]
     if len(ways) > TRAFFIC:
         ways = sorted(ways, key=lambda way: not _meets(way.path, route))[:TRAFFIC]
-    rows = [
-        {
-            "paths": way.path,
-            "states": way.state,
-            "sizes": np.array([way.car.LENGTH, way.car.WIDTH]),
-            "present": True,
-            "limits": way.limit,
-            "owners": numbers[way.car],
-            "moving": _drives(way.car),
-        }
-        for way in ways
-    ]
-    table = jax.tree.map(_column, *rows, *[NOBODY] * (TRAFFIC - len(rows)))
-    leaders, gaps = _leaders_of(table["paths"], [way.car for way in ways], table["owners"])
-    return table | {"leaders": leaders, "gaps": gaps, "accelerations": np.zeros(TRAFFIC, np.float32)}
+    owners = _filled([numbers[way.car] for way in ways], -1, np.int32)
+    fields = [(way.path.x, way.path.y, way.path.heading, way.path.curvature) for way in ways]
+    paths = Curve(*_filled(fields, AWAY).swapaxes(0, 1))
+    leaders, gaps = _leaders_of(paths, [way.car for way in ways], owners)
+    return {
+        "paths": paths,
+        "states": _filled([way.state for way in ways], np.zeros(4)),
+        "sizes": _filled([(way.car.LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
+        "present": owners >= 0,
+        "limits": _filled([way.limit for way in ways], LIMIT),
+        "owners": owners,
+        "moving": _filled([_drives(way.car) for way in ways], False, bool),
+        "leaders": leaders,
+        "gaps": gaps,
+        "accelerations": np.zeros(TRAFFIC, np.float32),
+    }
 
 
-def _column(*values: Any) -> np.ndarray:
-    column = np.array(values)
-    return column.astype({"i": np.int32, "f": np.float32}.get(column.dtype.kind, bool))
+def _filled(rows: list[Any], absent: Any, kind: type = np.float32) -> Any:
+    """Return an array of `TRAFFIC` rows, those after the given ones absent."""
+    return np.array([*rows, *[absent] * (TRAFFIC - len(rows))], kind)
 
 
 def _in_sight(vehicle: Vehicle) -> list[RoadObject]:

@@ -96,6 +96,11 @@ def test_several_curves_are_those_one_by_one():
         np.testing.assert_allclose([part[number] for part in together], one.project(x, y, 0.3), rtol=1e-6, atol=1e-6)
 
 
+def test_two_points_make_a_straight_curve():
+    own = Curve.through(np.array([1.0, 1.0]), np.array([0.0, 2.0]))
+    np.testing.assert_array_equal(own.place(np.array([1.0, 5.0]), 0.0), [[1.0, 1.0], [1.0, 5.0], [np.pi / 2] * 2])
+
+
 def test_through_points_of_a_circle_the_curvature_is_its_own():
     angle = np.arange(0.0, 2.0, 0.5 / 15)
     own = Curve.through(15 * np.sin(angle), 15 - 15 * np.cos(angle), spacing=0.5)

@@ -57,16 +57,6 @@ def test_it_plans_every_fifth_of_a_second_and_holds_the_control_in_between(frequ
         np.testing.assert_allclose(robot.applied, robot.last_step.control, atol=1e-3)
 
 
-@pytest.mark.parametrize("speed", [5.0, 20.0])
-def test_the_yaw_rate_is_speed_times_curvature(speed):
-    robot = robot_on_a_road(speed, SimpleNamespace(step=lambda scene: SimpleNamespace(control=np.array([0.004, 0.0]))))
-    for _ in range(30):
-        robot.act()
-        before = robot.heading
-        robot.step(0.1)
-    assert robot.heading - before == pytest.approx(speed * 0.004 * 0.1)
-
-
 def test_a_crashed_robot_brakes_as_highway_envs_vehicles_do():
     robot = robot_on_a_road(20.0, Wild(0.5, 20.0))
     other = Vehicle(robot.road, robot.position, 0.0, 20.0)

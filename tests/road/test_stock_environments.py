@@ -142,20 +142,6 @@ def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():
     assert humans
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["merge-v0"])
-def test_a_robot_by_itself_drives_stock_episodes_and_chooses_its_models(name):
-    frequencies = {"simulation_frequency": 10, "policy_frequency": 5}
-    environment, models = humans_in(name, vehicles_count=10, duration=8, **frequencies), set()
-    robot = choosing(environment, 0.0)
-    for _ in drive(environment, 40):
-        assert robot.last_step.compile_seconds == 0  # after the first of the two acts of a step
-        assert robot.last_step.status == "planned"
-        assert (robot.on_road, robot.crashed) == (True, False)
-        models.add(robot.last_step.model)
-    assert models == {"naive", "turn"}
-
-
 def test_a_robot_by_itself_with_algorithm_1_refuses_another_rate_than_its_games():
     robot = choosing(humans_in("highway-v0", vehicles_count=2), 0.0)
     with pytest.raises(ValueError, match="configure the environment with 'simulation_frequency': 10"):
