@@ -98,7 +98,7 @@ def test_several_curves_are_those_one_by_one():
 
 def test_two_points_make_a_straight_curve():
     own = Curve.through(np.array([1.0, 1.0]), np.array([0.0, 2.0]))
-    np.testing.assert_array_equal(own.place(np.array([1.0, 5.0]), 0.0), [[1.0, 1.0], [1.0, 5.0], [np.pi / 2] * 2])
+    np.testing.assert_allclose(own.place(np.array([1.0, 5.0]), 0.0), [[1.0, 1.0], [1.0, 5.0], [np.pi / 2] * 2])
 
 
 def test_through_points_of_a_circle_the_curvature_is_its_own():
