@@ -22,13 +22,10 @@ def driver(name="fixed:naive", planning=PLANNING, costs=COSTS):
 
 def test_a_step_tells_what_was_planned_and_predicted():
     step = driver("fixed:idm").step(SCENE)
-    shapes = [value.shape for value in (step.control, step.path, step.humans, step.gains)]
-    assert shapes == [(2,), (PLANNING.steps, 3), (TRAFFIC, PLANNING.steps, 2), (TRAFFIC, len(MODELS))]
+    assert (step.path.shape, step.humans.shape) == ((PLANNING.steps, 3), (TRAFFIC, PLANNING.steps, 2))
     assert step.models == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
     np.testing.assert_array_equal(step.owners, SCENE.owners)
     assert step.source in PLANS
-    assert np.isfinite([*step.control, *step.path.ravel()]).all()
-    assert np.hypot(18.0**2 * step.control[0], step.control[1]) <= PLANNING.grip + 1e-3
     assert np.abs(step.path[0, :2] - [2.5 + 18 * 0.2, 0.0]).max() < 0.2  # the centre, one step on
     assert min(step.planning_seconds, step.decision_seconds) > 0
 

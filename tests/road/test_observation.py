@@ -125,17 +125,6 @@ def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_cl
     assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
 
 
-def test_a_robot_on_the_lane_of_those_who_come_still_follows_its_own():
-    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 60.0)
-    own = observe_road(ego, "o1").route
-    ego.position = ego.position - np.array([4.0, 2.0])
-    ego.on_state_update()
-    assert ego.lane_index == ("il0", "o0", 0)
-    seen = observe_road(ego, "o1")
-    assert seen.robot[1] == pytest.approx(-4.0, abs=0.05)
-    np.testing.assert_allclose(seen.route.x[:20], own.x[1:21], atol=0.05)
-
-
 def test_cars_before_an_intersection_may_go_several_ways():
     ego = with_ego("intersection-v0", ("o0", "ir0", 0), 80.0)
     (other,) = among(ego, (("o2", "ir2", 0), 85.0))
