@@ -118,17 +118,6 @@ def execute(scene, planning, controls):
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
-@jax.jit
-def keeping_velocity(scene):
-    """World trajectories [TRAFFIC, 4, steps] of traffic that keeps its velocity along its path."""
-
-    def one(path, state):
-        s = state[0] + state[3] * PLANNING.times
-        return jnp.stack([*path.place(s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
-
-    return jax.vmap(one)(scene.paths, scene.states)
-
-
 def told(follows, given=NOBODY, acceleration=0.0):
     """Others who follow by IDM, keep their speed or do as told; arrays have the same shapes always, for one program."""
     nothing = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import PLANNING, keeping_velocity, scene_of
+from roads import NOBODY, PLANNING, judged, scene_of
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
@@ -20,6 +20,11 @@ TIMES = np.asarray(PLANNING.times)
 def robot_at(s, speed, d=0.0):
     """World trajectory on a straight road."""
     return jnp.stack(jnp.broadcast_arrays(*map(jnp.float32, (s, d, 0.0)), jnp.asarray(speed, jnp.float32)))
+
+
+def keeping_velocity(scene):
+    """World trajectories of others who keep their velocity."""
+    return judged(scene, np.zeros((1, PLANNING.steps, 2)), [1], NOBODY)[0].world[0]
 
 
 @jax.jit
