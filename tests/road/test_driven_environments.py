@@ -182,13 +182,13 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
 def test_videos_show_the_panel_in_every_frame(tmp_path):
     pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
     env = driven("merge-v0", render_mode="rgb_array")
-    env = gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)
+    env = gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
     env.unwrapped.set_record_video_wrapper(env)
     env.reset(seed=0)
     env.step(1)
     assert [frame.shape for frame in env.recorded_frames] == [(150 + PANEL, 600, 3)] * 16
     env.close()
-    assert list(tmp_path.glob("*.mp4"))
+    assert list(tmp_path.glob("films/*.mp4"))
 
 
 def test_vector_environments_go_on_where_some_episodes_end_before_others():
