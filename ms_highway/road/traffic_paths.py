@@ -188,7 +188,7 @@ def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row
 
     The first path of a car comes before its others.
     """
-    s, d, _ = paths.project(*cars.T, 0.0)  # [paths, cars]
+    s, d, _ = paths.project(cars[:, 0], cars[:, 1], 0.0)  # [paths, cars]
     others = (owners[:, None] != owners) & (owners >= 0)
     nearest, leads = nearest_ahead(s, others & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))
     gaps = np.where(leads, s[np.arange(TRAFFIC), nearest], 0.0)
