@@ -66,25 +66,25 @@ def traffic_of(
     ways = [way for car in seen for way in _ways(car, roads, intentions)]
     if len(ways) > TRAFFIC:
         ways = sorted(ways, key=lambda way: not _meets(way.path, route))[:TRAFFIC]
-    owners = _filled([numbers[way.car] for way in ways], -1, np.int32)
+    owners = _padded([numbers[way.car] for way in ways], -1, np.int32)
     fields = [(way.path.x, way.path.y, way.path.heading, way.path.curvature) for way in ways]
-    paths = Curve(*_filled(fields, AWAY).swapaxes(0, 1))
-    leaders, gaps = _leaders_of(paths, _filled([way.car.position for way in ways], (FAR, FAR), float), owners)
+    paths = Curve(*_padded(fields, AWAY).swapaxes(0, 1))
+    leaders, gaps = _leaders_of(paths, _padded([way.car.position for way in ways], (FAR, FAR), float), owners)
     return {
         "paths": paths,
-        "states": _filled([way.state for way in ways], np.zeros(4)),
-        "sizes": _filled([(way.car.LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
+        "states": _padded([way.state for way in ways], np.zeros(4)),
+        "sizes": _padded([(way.car.LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
         "present": owners >= 0,
-        "limits": _filled([way.limit for way in ways], LIMIT),
+        "limits": _padded([way.limit for way in ways], LIMIT),
         "owners": owners,
-        "moving": _filled([_drives(way.car) for way in ways], False, bool),
+        "moving": _padded([_drives(way.car) for way in ways], False, bool),
         "leaders": leaders,
         "gaps": gaps,
         "accelerations": np.zeros(TRAFFIC, np.float32),
     }
 
 
-def _filled(rows: list[Any], absent: Any, kind: type = np.float32) -> Any:
+def _padded(rows: list[Any], absent: Any, kind: type = np.float32) -> Any:
     """Return an array of `TRAFFIC` rows, those after the given ones absent."""
     return np.array([*rows, *[absent] * (TRAFFIC - len(rows))], kind)
 
