@@ -21,40 +21,30 @@ def move(game, state, controls):
     return step(world, state, np.concatenate([controls, keep_velocity(world, state[len(controls) :])]))
 
 
-def drive(driver, start, steps, truth=None, humans=None, errors=None):
-    """Return the states and the robot's steps among humans who plan for their rewards in the game, or given ones.
-
-    With errors, the robot sees its and the humans' states so far off in each step.
-    """
-    truth = truth or driver.game
-    humans = humans or [fixed(swap_roles(truth, human)) for human in range(truth.number)]
+def drive(driver, start, steps, humans=None):
+    """Return the states and the robot's steps among given humans, or such who plan for their rewards in the game."""
+    game = driver.game
+    humans = humans or [fixed(swap_roles(game, human)) for human in range(game.number)]
     states, driven = [np.asarray(start, float)], []
-    for number in range(steps):
+    for _ in range(steps):
         now = states[-1]
-        seen = now.copy()
-        seen[: 1 + truth.number] += 0.0 if errors is None else errors[number]
-        driven.append(driver.step(seen))
+        driven.append(driver.step(now))
         views = [np.concatenate([now[[car, 0]], np.delete(now, [0, car], 0)]) for car in range(1, 1 + len(humans))]
         others = [human.step(view).control for human, view in zip(humans, views, strict=True)]
-        states.append(move(truth, now, [driven[-1].control, *others]))
+        states.append(move(game, now, [driven[-1].control, *others]))
     return np.array(states), driven
 
 
-def episodes(game, starts, steps=5, schedule=DECIDES, price=0.1, weights=None, yielding=USUAL, errors=None):
-    """Return episodes of a game from some starts; what is given for all of them is repeated."""
-    number, humans = len(starts), game.number
-    weights = game.humans.weights if weights is None else weights
-    return Episodes(
+def simulated(loop, starts, steps=5, schedule=DECIDES, yielding=USUAL):
+    """Return the records of episodes of a game from some starts; what is given for all of them is repeated."""
+    number, humans = len(starts), loop.game.number
+    robot, others = loop.game.robot.weights, loop.game.humans.weights
+    given = Episodes(
         np.asarray(starts, np.float32),
-        np.broadcast_to(np.float32(price), number),
+        np.full(number, 0.1, np.float32),
         np.broadcast_to(np.asarray(schedule, np.int32), (number, steps, humans)),
-        np.broadcast_to(game.robot.weights, (number, *game.robot.weights.shape)),
-        np.broadcast_to(weights, (number, *game.humans.weights.shape)),
+        np.broadcast_to(robot, (number, *robot.shape)),
+        np.broadcast_to(others, (number, *others.shape)),
         np.broadcast_to(np.asarray(yielding, np.int32), (number, humans)),
-        errors,
     )
-
-
-def simulated(loop, starts, *options, **more):
-    """Return the records of such episodes."""
-    return simulate(loop, episodes(loop.game, starts, *options, **more))
+    return simulate(loop, given)

@@ -66,9 +66,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         robot=np.asarray(robot, np.float32),
         size=np.array([5.0, 2.0], np.float32),
         applied=np.asarray(applied, np.float32),
-        paths=Curve(
-            *(np.stack(field) for field in zip(*((p.x, p.y, p.heading, p.curvature) for p in paths), strict=True))
-        ),
+        paths=jax.tree.map(lambda *fields: np.stack(fields), *paths),
         states=states,
         sizes=np.tile(np.array([5.0, 2.0], np.float32), (TRAFFIC, 1)),
         present=present,
@@ -95,10 +93,10 @@ def on_path(scene, *path):
     return scene
 
 
-def wrecked(scene, car, heading=0.0, speed=0.0):
-    """The scene with a car that has crashed, and lies, or slides, at an angle to its path."""
-    scene.states[car, 2:] = heading, speed
-    scene.moving[car] = False
+def wrecked(scene, heading=0.0, speed=0.0):
+    """The scene with its first car crashed, which lies, or slides, at an angle to its path."""
+    scene.states[0, 2:] = heading, speed
+    scene.moving[0] = False
     return scene
 
 
@@ -120,23 +118,10 @@ def execute(scene, planning, controls):
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
-@jax.jit
-def keeping_velocity(scene):
-    """World trajectories [TRAFFIC, 4, steps] of traffic that keeps its velocity along its path."""
-
-    def one(path, state):
-        s = state[0] + state[3] * PLANNING.times
-        return jnp.stack([*path.place(s, jnp.zeros_like(s)), jnp.full_like(s, state[3])])
-
-    return jax.vmap(one)(scene.paths, scene.states)
-
-
-def told(follows, given=NOBODY, accelerations=0.0, surprise=0.0):
+def told(follows, given=NOBODY, acceleration=0.0):
     """Others who follow by IDM, keep their speed or do as told; arrays have the same shapes always, for one program."""
-    shape = PROPOSALS, TRAFFIC, PLANNING.steps
-    fading = np.broadcast_to(surprise, TRAFFIC)[:, None] * np.exp(-np.asarray(PLANNING.times))
-    accelerations = np.broadcast_to(np.asarray(accelerations, np.float32), shape)
-    return Manners(follows, given, accelerations, fading.astype(np.float32), np.full(shape[1:], np.inf, np.float32))
+    nothing = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
+    return Manners(follows, given, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
 
 
 @jit_quickly

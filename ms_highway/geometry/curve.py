@@ -7,7 +7,7 @@ the right of x. In coordinates whose y points to the left, d is to the left.
 from dataclasses import dataclass, field
 from math import pi
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -54,7 +54,8 @@ class Curve:
     @classmethod
     def through(cls, x: Knots, y: Knots, start: float = 0.0, spacing: float = SPACING) -> "Curve":
         """Return the curve through positions that are evenly spaced; see `resample`."""
-        along, aside = (np.gradient(values, edge_order=2) for values in (x, y))
+        order: Literal[1, 2] = 2 if len(x) > 2 else 1  # two points have one slope
+        along, aside = (np.gradient(values, edge_order=order) for values in (x, y))
         heading = np.unwrap(np.arctan2(aside, along))
         return cls(x, y, heading, np.gradient(heading, spacing), start, spacing)
 

@@ -21,18 +21,21 @@ class GuidedVehicle(Vehicle):
     """A vehicle whose state after a step is given.
 
     Attributes:
-        coming: position, heading and speed after the step.
+        coming: position, heading and speed after the step; None if it has not acted, and keeps its velocity.
     """
 
-    coming: tuple[np.ndarray, float, float]
+    coming: tuple[np.ndarray, float, float] | None = None
 
     def act(self, action: Any = None) -> None:
         """Do nothing: the action is given."""
 
     def step(self, dt: float) -> None:
         """Move to the given state."""
-        self.position, self.heading, self.speed = self.coming
-        self.on_state_update()
+        if self.coming is None:
+            super().step(dt)
+        else:
+            (self.position, self.heading, self.speed), self.coming = self.coming, None
+            self.on_state_update()
 
 
 class RecordedRoad(Road):

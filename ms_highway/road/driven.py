@@ -139,7 +139,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         Raises:
             ValueError: if options give the environment actions that its reward cannot take.
         """
-        restore_traffic(self.env)
+        restore_traffic()
         show(self.env)
         try:
             observation, info = self.env.reset(seed=seed, options=options)

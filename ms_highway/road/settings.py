@@ -21,7 +21,6 @@ from ms_highway.runtime import retired
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
 """What drives, as in ``config["driver"]``."""
 
-NUMBERED = {"priced": "its price, such as priced:0.1", "budget": "its milliseconds, such as budget:5"}
 Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
 COSTS = "say 'shipped', 'measured', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
 IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, {MODELS[0]} among them"
@@ -81,24 +80,20 @@ class RoadSettings(Struct, frozen=True):
         """Return the kind of the driver, and its model, price or milliseconds.
 
         Raises:
-            ValueError: for an unknown driver.
+            ValueError: for an unknown driver, or a value that it cannot have.
         """
-        kind, _, rest = self.driver.partition(":")
         message = f"config['driver'] is {self.driver!r}"
-        if self.budget is not None and self.driver != "priced":
-            raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
         if self.driver == "priced":
             return ("priced", self.price) if self.budget is None else ("budget", self.budget)
-        if kind in NUMBERED:
-            try:
-                return kind, convert(rest, NotNegative, strict=False)
-            except ValidationError:
-                raise ValueError(f"{message}; it needs {NUMBERED[kind]}, as a number from 0") from None
-        if kind != "fixed" or rest not in MODELS:
-            raise ValueError(f"{message}; choose one of {', '.join(map(repr, DRIVERS))}")
-        if rest not in self.ladder:
-            raise ValueError(f"{message}, but config['ladder'] is {self.ladder!r}; add {rest!r} to it")
-        return kind, rest
+        if self.budget is not None:
+            raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
+        kind, _, value = self.driver.partition(":")
+        values = {"priced": NotNegative, "budget": NotNegative, "fixed": Literal[self.ladder]}
+        try:
+            return kind, convert(value, values[kind], strict=False)
+        except (KeyError, ValidationError):
+            remedy = f"choose one of {', '.join(DRIVERS)}, with numbers from 0 and rungs of config['ladder']"
+            raise ValueError(f"{message}; {remedy}, which is {self.ladder}") from None
 
     def rule(self, costs: Costs) -> Rule:
         """Return the rule that chooses the models.

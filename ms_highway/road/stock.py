@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from highway_env.envs import ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, UTurnEnv
-from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle, IDMVehicle, LinearVehicle
+from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
@@ -135,27 +135,11 @@ def _parts(whole: Any) -> Iterator[Any]:
 
 
 OVERWRITTEN = {"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3}
-"""What the reset of an `IntersectionEnv` sets on the class of its traffic."""
-
-ORIGINAL = {"DISTANCE_WANTED": STANDSTILL, "COMFORT_ACC_MAX": COMFORTABLE, "COMFORT_ACC_MIN": -BRAKING}
-"""The same of ``IDMVehicle``, from which the other classes inherit it."""
+"""What the reset of an `IntersectionEnv` sets on the class of its traffic, for all environments of the process."""
 
 
-def restore_traffic(env: Any) -> None:
-    """Give highway-env's drivers their own distances and accelerations back, unless the environment sets them itself.
-
-    Only the values of an `IntersectionEnv` are undone, all of them together; values that somebody else has set, and
-    classes of others, are left alone.
-
-    Args:
-        env: a highway-env environment, or a wrapper of one, that is about to be reset.
-    """
-    if isinstance(env.unwrapped, IntersectionEnv):
-        return
-    for kind in (IDMVehicle, LinearVehicle, AggressiveVehicle, DefensiveVehicle):
-        if OVERWRITTEN.items() <= vars(kind).items():
-            for name, value in ORIGINAL.items():
-                if kind is IDMVehicle:
-                    setattr(kind, name, value)
-                else:
-                    delattr(kind, name)
+def restore_traffic() -> None:
+    """Undo that: give highway-env's drivers their own values back, unless somebody else has set others."""
+    if OVERWRITTEN.items() <= vars(IDMVehicle).items():
+        IDMVehicle.DISTANCE_WANTED = STANDSTILL
+        IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = COMFORTABLE, -BRAKING

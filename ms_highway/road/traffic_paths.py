@@ -3,14 +3,13 @@
 from math import sin
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
-from ms_highway.geometry.lane_paths import Row
+from ms_highway.geometry.lane_paths import Points, Row
 from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
 from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 from ms_highway.runtime.arrays import Car
@@ -29,16 +28,8 @@ SLOWEST = 0.1  # m/s, of what may move
 FAR = -1e4  # m, coordinates of unused paths
 EVERY = 2  # knots, compared
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
-NOBODY = {
-    "paths": Curve(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
-    "states": np.zeros(4),
-    "sizes": np.array([5.0, 2.0]),
-    "present": False,
-    "limits": LIMIT,
-    "owners": -1,
-    "moving": False,
-}
-"""An unused row of what is known of others."""
+AWAY = np.stack([LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE])
+"""An unused path: its x, y, heading and curvature."""
 
 
 class Way(NamedTuple):
@@ -46,14 +37,12 @@ class Way(NamedTuple):
 
     Attributes:
         car: the vehicle, or an obstacle.
-        chain: lanes.
-        path: along them.
+        path: along its lanes.
         state: of the vehicle on the path.
         limit: of its speed [m/s].
     """
 
     car: RoadObject
-    chain: Chain
     path: Curve
     state: Car
     limit: float
@@ -77,26 +66,27 @@ def traffic_of(
     ways = [way for car in seen for way in _ways(car, roads, intentions)]
     if len(ways) > TRAFFIC:
         ways = sorted(ways, key=lambda way: not _meets(way.path, route))[:TRAFFIC]
-    rows = [
-        {
-            "paths": way.path,
-            "states": way.state,
-            "sizes": np.array([way.car.LENGTH, way.car.WIDTH]),
-            "present": True,
-            "limits": way.limit,
-            "owners": numbers[way.car],
-            "moving": _drives(way.car),
-        }
-        for way in ways
-    ]
-    table = jax.tree.map(_column, *rows, *[NOBODY] * (TRAFFIC - len(rows)))
-    leaders, gaps = _leaders_of(table["paths"], [way.car for way in ways], table["owners"])
-    return table | {"leaders": leaders, "gaps": gaps, "accelerations": np.zeros(TRAFFIC, np.float32)}
+    owners = _padded([numbers[way.car] for way in ways], -1, np.int32)
+    fields = [(way.path.x, way.path.y, way.path.heading, way.path.curvature) for way in ways]
+    paths = Curve(*_padded(fields, AWAY).swapaxes(0, 1))
+    leaders, gaps = _leaders_of(paths, _padded([way.car.position for way in ways], (FAR, FAR), float), owners)
+    return {
+        "paths": paths,
+        "states": _padded([way.state for way in ways], np.zeros(4)),
+        "sizes": _padded([(way.car.LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
+        "present": owners >= 0,
+        "limits": _padded([way.limit for way in ways], LIMIT),
+        "owners": owners,
+        "moving": _padded([_drives(way.car) for way in ways], False, bool),
+        "leaders": leaders,
+        "gaps": gaps,
+        "accelerations": np.zeros(TRAFFIC, np.float32),
+    }
 
 
-def _column(*values: Any) -> np.ndarray:
-    column = np.array(values)
-    return column.astype({"i": np.int32, "f": np.float32}.get(column.dtype.kind, bool))
+def _padded(rows: list[Any], absent: Any, kind: type = np.float32) -> Any:
+    """Return an array of `TRAFFIC` rows, those after the given ones absent."""
+    return np.array([*rows, *[absent] * (TRAFFIC - len(rows))], kind)
 
 
 def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
@@ -126,7 +116,7 @@ def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
     if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
         x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
         path = Curve(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
-        return [Way(car, roads.chain((own,)), path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))]
+        return [Way(car, path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))]
     legs = frozenset(leg[:2] for leg in (intentions and getattr(car, "route", None)) or ())
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
@@ -142,7 +132,7 @@ def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
         curve = chain.curve(place // BLOCK)
         s, d, heading = curve.project(car.position, car.heading, place)
         path = curve.path(s, TRAFFIC_KNOTS)
-        ways.append(Way(car, chain, path, np.array([0.0, d, heading, car.speed]), chain.lanes[0].limit))
+        ways.append(Way(car, path, np.array([0.0, d, heading, car.speed]), chain.lanes[0].limit))
     return ways
 
 
@@ -193,17 +183,13 @@ def _meets(path: Curve, route: Curve) -> bool:
     return bool(((distances < CROSSING) | ((distances < NEAR_ROUTE) & ~oncoming)).any())
 
 
-def _leaders_of(paths: Curve, cars: list[RoadObject], owners: Places) -> tuple[Places, Row]:
-    """Return the place of the car ahead on each path, -1 without one, and the distance to it."""
-    leaders, gaps = np.full(TRAFFIC, -1, dtype=np.int32), np.zeros(TRAFFIC, dtype=np.float32)
-    if not cars:
-        return leaders, gaps
-    count = len(cars)
-    x, y = np.array([car.position for car in cars]).T
-    s, d, _ = jax.tree.map(lambda field: field[:count], paths).project(x, y, 0.0)  # [paths, cars]
-    other = owners[:count, None] != owners[:count]
-    # The first path of a car comes before its others.
-    nearest, leads = nearest_ahead(s, other & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))
-    leaders[:count] = np.where(leads, nearest, -1)
-    gaps[:count] = np.where(leads, s[np.arange(count), nearest], 0.0)
-    return leaders, gaps
+def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row]:
+    """Return the place of the car ahead on each path, -1 without one, and the distance to it.
+
+    The first path of a car comes before its others.
+    """
+    s, d, _ = paths.project(cars[:, 0], cars[:, 1], 0.0)  # [paths, cars]
+    others = (owners[:, None] != owners) & (owners >= 0)
+    nearest, leads = nearest_ahead(s, others & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))
+    gaps = np.where(leads, s[np.arange(TRAFFIC), nearest], 0.0)
+    return np.where(leads, nearest, -1).astype(np.int32), gaps.astype(np.float32)

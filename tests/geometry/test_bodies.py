@@ -5,7 +5,7 @@ import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
 
-from ms_highway.geometry.bodies import body_points, ellipse_distance, nearest_ahead, separation
+from ms_highway.geometry.bodies import body_points, ellipse_distance, separation
 
 
 def polygon(x, y, heading, length, width):
@@ -36,13 +36,3 @@ def test_the_distance_to_an_ellipse_is_zero_on_it_and_grows_with_the_square():
     distance = ellipse_distance(own, points, other, 5.0, 2.0)
     assert distance.shape == (1, 9, 2)
     np.testing.assert_allclose(distance[0, -1], [0.0, 3.0], atol=1e-6)
-    np.testing.assert_allclose(distance, ellipse_distance(tuple(map(jnp.asarray, own)), points, other, 5.0, 2.0), 1e-5)
-
-
-def test_the_nearest_ahead_counts_and_is_not_behind():
-    distance = np.array([[-1.0, 3.0, 2.0, np.nan], [-1.0, -3.0, -2.0, np.nan]])
-    counts = np.array([True, True, True, False])
-    place, there = nearest_ahead(distance, counts)
-    assert place[0] == 2
-    assert there.tolist() == [True, False]
-    np.testing.assert_array_equal(nearest_ahead(jnp.asarray(distance), counts)[1], there)

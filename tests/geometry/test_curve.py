@@ -7,7 +7,6 @@ import highway_env  # noqa: F401, registers the environments
 import jax
 import numpy as np
 import pytest
-from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.geometry.road_map import road_map
@@ -52,29 +51,17 @@ def apart(own, s, d):
 
 
 @pytest.mark.parametrize("name", CURVES)
-def test_coordinates_lead_there_and_back(name):
+def test_coordinates_lead_there_and_back_by_numpy_and_by_jax(name):
     own = curve(name)
     s, d, turned = places(own)
     clear = apart(own, s, d)
     assert clear.mean() > 0.5
     x, y, along = own.place(s, d)
-    found = own.project(x, y, along + turned + 2 * np.pi)
-    for values, true in zip(found, (s, d, turned), strict=True):
-        np.testing.assert_allclose(values[clear], true[clear], atol=0.01)
-    np.testing.assert_array_equal(own.locate(np.stack([x, y], axis=-1)), found[:2])
-
-
-@pytest.mark.parametrize("name", CURVES)
-def test_numpy_and_jax_compute_the_same(name):
-    own = curve(name)
-    s, d, turned = places(own)
-    clear = apart(own, s, d)
-    for method, given in (("place", (s, d)), ("project", (*own.place(s, d)[:2], turned)), ("bend", (s,))):
-        by_numpy = getattr(own, method)(*given)
-        by_jax = jax.jit(getattr(Curve, method))(own, *map(jnp.float32, given))
-        for one, other in zip(np.atleast_2d(by_numpy), np.atleast_2d(by_jax), strict=True):
-            difference = np.abs(one - other)[clear]
-            assert np.minimum(difference, 2 * np.pi - difference if method == "project" else difference).max() < 2e-3
+    by_jax = jax.jit(Curve.place)(own, s, d), jax.jit(Curve.project)(own, x, y, along + turned + 2 * np.pi)
+    np.testing.assert_allclose(by_jax[0], (x, y, along), atol=1e-3)
+    for found in (own.project(x, y, along + turned + 2 * np.pi), by_jax[1]):
+        for values, true in zip(found, (s, d, turned), strict=True):
+            np.testing.assert_allclose(values[clear], true[clear], atol=0.01)
 
 
 @pytest.mark.parametrize("name", CURVES)
@@ -87,13 +74,9 @@ def test_beyond_its_ends_a_curve_goes_straight_on(name):
         np.testing.assert_allclose(own.bend(np.array([end + side])), 0.0)
 
 
-def test_several_curves_are_those_one_by_one():
-    each = [curve(name) for name in ("straight", "gentle bend", "bend")]
-    several = jax.tree.map(lambda *fields: np.stack(fields), *each)
-    x, y = np.random.default_rng(0).uniform(0.0, 40.0, (2, 7))
-    together = several.project(x, y, 0.3)
-    for number, one in enumerate(each):
-        np.testing.assert_allclose([part[number] for part in together], one.project(x, y, 0.3), rtol=1e-6, atol=1e-6)
+def test_two_points_make_a_straight_curve():
+    own = Curve.through(np.array([1.0, 1.0]), np.array([0.0, 2.0]))
+    np.testing.assert_allclose(own.place(np.array([1.0, 5.0]), 0.0), [[1.0, 1.0], [1.0, 5.0], [np.pi / 2] * 2])
 
 
 def test_through_points_of_a_circle_the_curvature_is_its_own():

@@ -25,9 +25,9 @@ STOCK = [
 CONTINUOUS = {"action": {"type": "ContinuousAction"}, "policy_frequency": 5}
 
 
-def driven(name, driver="fixed:naive", *, wrap=lambda env: env, **options):
-    """A stock environment that is driven, just reset; `wrap` wraps it below the robot."""
-    env = ms_highway.drive(wrap(gym.make(name, **options)), {"driver": driver})
+def driven(name, driver="fixed:naive", **options):
+    """A stock environment that is driven, just reset."""
+    env = ms_highway.drive(gym.make(name, **options), {"driver": driver})
     env.reset(seed=0)
     return env
 
@@ -43,14 +43,6 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     observation, info = env.reset(seed=1)
     np.testing.assert_equal(observation, stock.reset(seed=1)[0])
     assert np.isnan(info["road"]["decisions"]).all()
-    vehicle, move, accelerations = env.unwrapped.vehicle, env.unwrapped.road.step, []
-
-    def watched(dt):
-        before = vehicle.velocity
-        move(dt)
-        accelerations.append(np.linalg.norm(vehicle.velocity - before) / dt)
-
-    env.unwrapped.road.step = watched
     observation, reward, terminated, _, info = env.step(env.action_space.sample())
     road, rates = info["road"], env.unwrapped.config
     assert env.observation_space.contains(observation)
@@ -59,8 +51,8 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     assert not np.any(terminated)
     assert road["source"] in ("proposal", "last plan", "braking")
     frames = int(rates["simulation_frequency"] // rates["policy_frequency"])
-    assert len(env.robots[0].actions) == len(accelerations) == frames
-    assert max(accelerations) <= min(road["acceleration"] + 1e-9, 5.0)
+    assert len(env.robots[0].actions) == frames
+    assert 0.0 < road["acceleration"] <= 5.0
 
 
 @pytest.mark.slow
@@ -86,29 +78,21 @@ def test_the_robot_no_longer_crashes_where_it_did(name, seed, ahead, why):
     assert not car.crashed, why
 
 
-def test_a_budget_that_no_plan_keeps_makes_all_plans_late_and_says_so():
-    env = driven("merge-v0", "budget:0.001")
+@pytest.mark.parametrize("frequency", [1, 5])
+def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is_and_counts_plans_that_are_late(frequency):
+    env = driven("merge-v0", "budget:0.001", config={"policy_frequency": frequency})
     roads = [env.step(0)[4]["road"] for _ in range(2)]
-    assert [road["late"] for road in roads] == [np.isfinite(road["decisions"]).sum() for road in roads]
+    assert [np.isfinite(road["decisions"]).sum() for road in roads] == [5 // frequency] * 2
+    assert [road["late"] for road in roads] == [5 // frequency] * 2
     assert roads[1]["source"] == "last plan"
 
 
-@pytest.mark.parametrize("frequency", [1, 5])
-def test_it_plans_five_times_a_second_whatever_the_policy_frequency_is(frequency):
-    env = driven("merge-v0", config={"policy_frequency": frequency})
-    assert [np.isfinite(env.step(0)[4]["road"]["decisions"]).sum() for _ in range(2)] == [5 // frequency] * 2
-
-
 def test_other_cars_that_show_their_routes_have_one_way_each():
-    ways = []
-    for intentions in (False, True):
-        env = ms_highway.drive(gym.make("intersection-v1"), {"driver": "fixed:naive", "intentions": intentions})
-        env.reset(seed=3)
-        env.step(env.action_space.sample())
-        owners = env.unwrapped.vehicle.steps[0].owners
-        ways.append(owners[owners >= 0].tolist())
-    unknown, shown = ways
-    assert len(unknown) > len(set(unknown)) == len(shown) == len(set(shown))
+    env = ms_highway.drive(gym.make("intersection-v1"), {"driver": "fixed:naive", "intentions": True})
+    env.reset(seed=3)
+    env.step(None)
+    owners = env.robots[0].last_step.owners
+    assert np.unique(owners[owners >= 0], return_counts=True)[1].tolist() == [1] * (owners >= 0).sum()
 
 
 def test_actions_change_nothing_and_a_time_limit_in_steps_is_kept():
@@ -118,16 +102,6 @@ def test_actions_change_nothing_and_a_time_limit_in_steps_is_kept():
         np.testing.assert_array_equal(outcome[0], same[0])
         assert (outcome[1], outcome[4]["action"]) == (same[1], 1)  # of which highway-env thinks that it is idle
         assert outcome[2:4] == (False, step == 14)
-
-
-def test_imitating_the_continuous_actions_told_of_the_robot_drives_as_it_did():
-    env, stock = driven("highway-fast-v0", config=CONTINUOUS), gym.make("highway-fast-v0", config=CONTINUOUS)
-    stock.reset(seed=0)
-    for _ in range(15):
-        stock.step(env.step(None)[4]["road"]["action"])
-        own, other = env.unwrapped.vehicle, stock.unwrapped.vehicle
-        assert np.linalg.norm(own.position - other.position) < 1e-3
-    assert own.speed != 25.0
 
 
 def test_each_action_told_of_the_robot_leads_where_it_went_and_where_none_does_it_is_nan():
@@ -200,38 +174,21 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
     owners = last.owners.tolist()
     several = next(path for path, owner in enumerate(owners) if owner >= 0 and owners.count(owner) > 1)
     models = tuple("tom" if path == several else model for path, model in enumerate(last.models))
-    env.robots[0].last_step = replace(last, models=models)
+    env.robots[0].last_step = replace(last, models=models, path=last.path[:0])  # as of a plan that failed
     assert pixels(env.render(), model_color("tom")) > 100  # the body, beside the dots of one path
     env.close()
 
 
-def test_a_plan_that_is_none_is_not_drawn():
+def test_videos_show_the_panel_in_every_frame(tmp_path):
+    pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
     env = driven("merge-v0", render_mode="rgb_array")
-    robot = env.robots[0]
-    scene = replace(robot.look(), robot=np.full(4, np.nan, np.float32))
-    robot.look = lambda: scene
-    assert env.step(1)[4]["road"]["source"] == "braking"
-    assert env.render().shape == (150 + PANEL, 600, 3)
-    env.close()
-
-
-@pytest.mark.parametrize(("outside", "count"), [(False, 2), (True, 16)])  # per step, or per frame of the simulation
-def test_pictures_and_videos_are_made_inside_and_outside_of_the_wrapper(outside, count, tmp_path):
-    env = gym.make("merge-v0", render_mode="rgb_array")
-    if outside:
-        pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
-        env = ms_highway.drive(env, {"driver": "fixed:naive"})
-        env = gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
-        env.unwrapped.set_record_video_wrapper(env)
-    else:
-        env = ms_highway.drive(gym.wrappers.RenderCollection(env), {"driver": "fixed:naive"})
+    env = gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
+    env.unwrapped.set_record_video_wrapper(env)
     env.reset(seed=0)
     env.step(1)
-    frames = env.recorded_frames if outside else env.render()
-    assert {frame.shape for frame in frames} == {(150 + PANEL, 600, 3)}
-    assert len(frames) == count
+    assert [frame.shape for frame in env.recorded_frames] == [(150 + PANEL, 600, 3)] * 16
     env.close()
-    assert bool(list(tmp_path.glob("films/*.mp4"))) == outside
+    assert list(tmp_path.glob("films/*.mp4"))
 
 
 def test_vector_environments_go_on_where_some_episodes_end_before_others():

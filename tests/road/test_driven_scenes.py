@@ -68,20 +68,23 @@ def test_what_an_intersection_does_to_highway_envs_drivers_is_undone_in_other_sc
         assert [getattr(IDMVehicle, value) for value in VALUES] == expected
 
 
-def test_what_others_have_set_in_highway_envs_drivers_is_left_alone(monkeypatch):
-    monkeypatch.setattr(IDMVehicle, "DISTANCE_WANTED", 12.0)
-    monkeypatch.setattr(IDMVehicle, "COMFORT_ACC_MAX", 6)
-    ms_highway.drive(gym.make("merge-v0")).reset(seed=0)
-    assert (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX) == (12.0, 6)
+@pytest.mark.parametrize("name", ["highway-fast-v0", "ms-highway/recorded-v0"])
+def test_where_a_road_moves_on_before_anybody_acts_all_keep_their_velocity(name):
+    env = ms_highway.drive(gym.make(name))
+    env.reset(seed=0)
+    cars = list(env.unwrapped.road.vehicles)
+    expected = [car.position + 0.1 * car.velocity for car in cars]
+    env.unwrapped.road.step(0.1)
+    np.testing.assert_allclose([car.position for car in cars], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("config", "message"),
     [
         ({"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
-        ({"driver": "priced:cheap"}, "'priced:cheap'; it needs its price, such as priced:0.1"),
-        ({"driver": "fixed:nobody"}, "'fixed:nobody'; choose one of 'priced'"),
-        ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "add 'tom' to it"),
+        ({"driver": "priced:cheap"}, "'priced:cheap'; choose one of priced, .* with numbers from 0"),
+        ({"driver": "nobody"}, "'nobody'; choose one of priced"),
+        ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "'fixed:tom'; .*rungs of.*'ladder'.*'naive', 'idm'"),
         ({"ladder": ("tom", "naive")}, "give rungs of naive, idm, tom in this order"),
         (
             {"costs": {"naive": 1, "tom": -1}},

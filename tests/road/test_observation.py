@@ -12,10 +12,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
-from ms_highway.geometry.road_map import road_map
 from ms_highway.road.observation import observe_road
 from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS
-from ms_highway.road.traffic_paths import _ways
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 
@@ -98,15 +96,6 @@ def test_a_route_does_not_wobble_while_it_is_driven(scene):
             assert np.abs(aside).max() < 0.05
 
 
-def test_the_way_into_a_roundabout_and_out_of_it_is_one_smooth_curve():
-    ego = with_ego("roundabout-v0")
-    route = observe_road(ego, "nxs").route
-    assert np.hypot(route.x, route.y).min() == pytest.approx(24.0, abs=0.3), "the ring, a corner cut"
-    end = ego.road.network.get_lane(("nxs", "nxr", 0))
-    assert end.distance(np.array([route.x[-1], route.y[-1]])) < 0.1
-    assert np.abs(route.curvature).max() < 0.07, "joints have 0.12 of their own"
-
-
 @pytest.mark.parametrize(
     ("lane", "at", "changes", "room"),
     [
@@ -123,14 +112,6 @@ def test_the_exit_asks_for_changes_to_its_lane_before_it_leaves_the_road(lane, a
     assert (float(seen.route.y[-1]) > 26.0) == (changes[1] == 0), "the exit bends away from the road"
 
 
-def test_the_exit_lane_opens_beside_the_road_and_stays_open():
-    right = seen_from("exit-v0", ("0", "1", 5), 380.0, "exit").open[2]
-    knots = 380.0 - 2.5 - 20.0 + 2.0 * np.arange(KNOTS)
-    assert not right[knots < 399].any()
-    assert right[(knots > 401) & (knots < 520)].all()
-    assert seen_from("exit-v0", ("0", "1", 5), 380.0).edges[1].max() == pytest.approx(6.0, abs=0.1)
-
-
 def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_closed_to_the_cars_beside_it():
     seen = seen_from("merge-v0", ("k", "b", 0), 60.0)
     x, (left, own, _) = seen.route.x, seen.open
@@ -142,17 +123,6 @@ def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_cl
     beside = seen_from("merge-v0", ("b", "c", 1), 10.0)
     assert not beside.open[2].any()
     assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
-
-
-def test_a_robot_on_the_lane_of_those_who_come_still_follows_its_own():
-    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 60.0)
-    own = observe_road(ego, "o1").route
-    ego.position = ego.position - np.array([4.0, 2.0])
-    ego.on_state_update()
-    assert ego.lane_index == ("il0", "o0", 0)
-    seen = observe_road(ego, "o1")
-    assert seen.robot[1] == pytest.approx(-4.0, abs=0.05)
-    np.testing.assert_allclose(seen.route.x[:20], own.x[1:21], atol=0.05)
 
 
 def test_cars_before_an_intersection_may_go_several_ways():
@@ -168,26 +138,6 @@ def test_cars_before_an_intersection_may_go_several_ways():
     assert [shown.paths.x[0, -1] < -50.0, shown.paths.y[0, -1]] == [True, pytest.approx(-2.0, abs=0.1)]
     among(ego, (("ir2", "il3", 0), 10.0))
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
-
-
-def test_a_car_that_shows_its_route_has_one_way_also_farther_than_branches():
-    ego = with_ego("intersection-v0", ("o0", "ir0", 0), 80.0)
-    (far,) = among(ego, (("o3", "ir3", 0), 5.0))
-    for goal in ("o0", "o1", "o2"):
-        far.plan_route_to(goal)
-        (way,) = _ways(far, road_map(far.road.network), True)
-        assert [lane.index[:2] for lane in way.chain.lanes[:3]] == [leg[:2] for leg in far.route]
-
-
-def test_a_car_that_changes_lanes_has_a_way_along_both_also_where_it_shows_its_route():
-    ego = with_ego("roundabout-v0")
-    (other,) = among(ego, (("ex", "ee", 0), 1.0))
-    other.plan_route_to("exr")
-    other.heading, other.speed = other.heading + 0.25, 12.0
-    for shows in (False, True):
-        ways = _ways(other, road_map(other.road.network), shows)
-        assert {way.chain.lanes[0].index[2] for way in ways} == {0, 1}
-        assert not shows or all(way.chain.lanes[1].index[:2] == other.route[1][:2] for way in ways)
 
 
 def test_leaders_are_the_nearest_cars_ahead_on_the_same_path():

@@ -14,10 +14,8 @@ from roads import (
     NOBODY,
     PLANNING,
     PLANS,
-    coming,
     driven_and_judged,
     execute,
-    judged,
     scene_of,
     told,
     winding,
@@ -25,28 +23,19 @@ from roads import (
 )
 
 from ms_highway.geometry.curve import SPACING, interpolate
-from ms_highway.road.proposals import ALL, FULL_BRAKING, PROPOSALS
+from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, PROPOSALS
 from ms_highway.road.scene import KNOTS, TRAFFIC
 
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
 FOLLOWING = np.ones(TRAFFIC, bool)
-NOTHING = np.zeros((TRAFFIC, STEPS), np.float32)
-AS_MODELLED = np.zeros(TRAFFIC, np.float32)
 STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
-FOLLOWING_RIGHT, KEEPING_RIGHT = ([plan[:3] for plan in ALL].index((2, 0.0, follows)) for follows in (True, False))
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
-def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=NOTHING, surprise=AS_MODELLED):
+def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=0.0):
     """All proposals, and how they turn out."""
     plans = PLANS._replace(controls=np.tile(np.asarray(last, np.float32), (PROPOSALS, 1, 1)))
-    others = told(follows, ordered, accelerations, surprise)
-    return plans, driven_and_judged(scene, PLANNING, others, plans)[0]
-
-
-def given(scene, controls, lane, follows):
-    """How a plan turns out whose controls are given."""
-    return jax.tree.map(lambda field: field[0], judged(scene, controls[None], np.array([lane]), follows)[0])
+    return plans, driven_and_judged(scene, PLANNING, told(follows, ordered, accelerations), plans)[0]
 
 
 def before_a_bend(speed, ahead):
@@ -91,34 +80,9 @@ def test_who_follows_is_slow_enough_for_a_bend_when_it_gets_there(speed, ahead):
 @pytest.mark.parametrize(("gap", "speed"), [(35.0, 20.0), (20.0, 20.0), (10.0, 10.0)])
 def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed, braking):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
-    first = np.arange(TRAFFIC) == 0
-    plans, rollouts = proposed(scene, NOBODY, STRAIGHT_ON, first, np.where(first[:, None], braking, NOTHING))
+    plans, rollouts = proposed(scene, ordered=np.arange(TRAFFIC) == 0, accelerations=braking)
     own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
     assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
-
-
-def test_predictions_stay_on_their_paths_and_come_to_the_middle_of_the_lane():
-    scene = scene_of(bend=1 / 30, cars=[(0.0, 1, 8.0)])
-    scene.states[0, 1] = 1.0
-    found = given(scene, STRAIGHT_ON, 1, NOBODY)
-    x, y, heading, _ = found.world[0]
-    distance, along = np.hypot(x, y - 30), 8 * DT * np.arange(1, STEPS + 1)
-    assert (np.diff(distance) > 0).all()
-    assert abs(distance[-1] - 26.0) < 0.15
-    np.testing.assert_allclose(heading, along / 26 - np.arcsin(2.5 / 26), atol=2e-3)
-    np.testing.assert_allclose(found.along[0], along, rtol=1e-4)
-    np.testing.assert_allclose(found.cosine[0], 1.0, atol=1e-3)
-    np.testing.assert_allclose(found.d[0], 30 - distance, atol=0.05)
-
-
-def test_a_follower_brakes_for_a_robot_that_cuts_in_and_one_that_keeps_its_speed_does_not():
-    cut_in = np.zeros((STEPS, 2), np.float32)
-    cut_in[:6, 0], cut_in[6:12, 0] = 0.006, -0.006
-    calm, brakes = (given(scene_of(cars=[(-10.0, 1, 24.0)]), cut_in, 2, follows) for follows in (NOBODY, FOLLOWING))
-    np.testing.assert_allclose(calm.speeds[0], 24.0)
-    np.testing.assert_allclose(np.diff(calm.along[0]), 24.0 * DT, rtol=1e-4)
-    assert np.min(brakes.speeds[0]) < 20.0
-    assert float(brakes.s[0, -1]) < float(brakes.states[-1, 0]) - 2.5
 
 
 def theirs(speed, wanted, distance, ahead):
@@ -135,7 +99,7 @@ def test_predictions_of_who_follows_are_highway_envs_behind_others_and_behind_th
     led.leaders[0], led.gaps[0] = 1, distance
     behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
     for scene in (led, behind):
-        speeds = np.asarray(given(scene, STRAIGHT_ON, 1, FOLLOWING).speeds)
+        speeds = np.asarray(proposed(scene, FOLLOWING)[1].speeds)[LAST_PLAN]
         assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, speed, distance, ahead), abs=5e-3)
 
 
@@ -158,7 +122,7 @@ def test_a_car_that_turns_is_expected_at_the_angle_to_its_path_that_highway_envs
 
 @pytest.mark.parametrize("heading", [1.2, 2.6, -0.8])
 def test_a_car_that_has_crashed_is_expected_to_slide_where_it_heads_as_highway_envs_do(heading):
-    scene = wrecked(scene_of(cars=[(30.0, 0, 6.0)]), 0, heading, speed=6.0)
+    scene = wrecked(scene_of(cars=[(30.0, 0, 6.0)]), heading, speed=6.0)
     _, rollouts = proposed(scene)
     car, places = Vehicle(None, [30.0, 0.0], heading, 6.0), []
     car.crashed = True
@@ -167,21 +131,6 @@ def test_a_car_that_has_crashed_is_expected_to_slide_where_it_heads_as_highway_e
         places.append(car.position.copy())
     np.testing.assert_allclose(np.asarray(rollouts.world)[0, 0, :2].T, places[9::10], atol=0.6)
     np.testing.assert_allclose(np.asarray(rollouts.world)[:, 0, 2], heading, atol=1e-6)
-
-
-def gaps(number, *cars):
-    """Gaps to the first car [m], negative behind the robot, once a proposal is in the right lane; the last comes."""
-    scene = coming(scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[*cars, (250.0, 0, 20.0)]), len(cars))
-    rollouts = proposed(scene)[1]
-    s, d, _, _ = np.moveaxis(np.asarray(rollouts.states)[number], -1, 0)
-    assert d[-1] > 2.0
-    return (np.asarray(rollouts.s)[number, 0] - s - 2.5)[d > 2.0]
-
-
-def test_where_others_come_plans_drop_behind_the_car_beside_or_overtake_it_before_they_change_lanes():
-    assert gaps(FOLLOWING_RIGHT, (3.0, 1, 20.0)).min() > 7.0
-    assert gaps(FOLLOWING_RIGHT, (1.5, 1, 14.0)).max() < -7.0
-    assert gaps(KEEPING_RIGHT, (12.0, 1, 12.0)).max() < -5.0
 
 
 def test_in_a_bend_at_the_grip_of_tyres_a_plan_brakes_before_it_steers():

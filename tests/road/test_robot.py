@@ -45,28 +45,6 @@ def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(speed
     assert 0.9 * GRIP < max(robot.accelerations) <= GRIP
 
 
-@pytest.mark.parametrize(("frequency", "every"), [(5, 1), (10, 2), (15, 3)])
-def test_it_plans_every_fifth_of_a_second_and_holds_the_control_in_between(frequency, every):
-    robot = robot_on_a_road(20.0, Wild(0.001, 1.0))
-    for frame in range(12):
-        robot.act("FASTER")
-        robot.act({"acceleration": 5.0, "steering": 0.3})
-        robot.act()
-        assert robot.driver.calls == len(robot.steps) == frame // every + 1
-        robot.step(1 / frequency)
-        np.testing.assert_allclose(robot.applied, robot.last_step.control, atol=1e-3)
-
-
-@pytest.mark.parametrize("speed", [5.0, 20.0])
-def test_the_yaw_rate_is_speed_times_curvature(speed):
-    robot = robot_on_a_road(speed, SimpleNamespace(step=lambda scene: SimpleNamespace(control=np.array([0.004, 0.0]))))
-    for _ in range(30):
-        robot.act()
-        before = robot.heading
-        robot.step(0.1)
-    assert robot.heading - before == pytest.approx(speed * 0.004 * 0.1)
-
-
 def test_a_crashed_robot_brakes_as_highway_envs_vehicles_do():
     robot = robot_on_a_road(20.0, Wild(0.5, 20.0))
     other = Vehicle(robot.road, robot.position, 0.0, 20.0)

@@ -6,13 +6,13 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
-from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 
 from ms_highway.choice.quadratic import Switching
 from ms_highway.game.scenario import driving_game
 from ms_highway.loop.driver import Driver
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import ladder
+from ms_highway.road.stock import replace_ego
 from ms_highway.vehicle import HumanVehicle, RobotVehicle
 from ms_highway.vehicle.road_view import look
 
@@ -39,25 +39,6 @@ def drive(environment, steps):
         yield [car for car in environment.road.vehicles if isinstance(car, HumanVehicle)]
         if terminated or truncated:
             return
-
-
-def replaced(environment, kinds):
-    """The environment's first cars, its own being the very first, replaced by cars of other kinds."""
-    cars = environment.road.vehicles
-    for place, kind in enumerate(kinds):
-        cars[place], old = kind.create_from(cars[place]), cars[place]
-        if old is environment.vehicle:
-            environment.vehicle = cars[place]
-    environment.define_spaces()
-    return cars[: len(kinds)]
-
-
-def choosing(environment, price):
-    """A robot by itself in the place of the ego that chooses models by Algorithm 1."""
-    (robot,) = replaced(environment, [RobotVehicle])
-    switching = Switching(Costs.of(np.array([0.09, 0.17]), 1), price, ladder(("naive", "turn")))
-    robot.drive_with(Driver(driving_game(look(robot).scene, 30.0), switching))
-    return robot
 
 
 @pytest.mark.slow
@@ -112,15 +93,6 @@ def test_an_environment_with_humans_in_it_can_be_copied():
         np.testing.assert_allclose(car.position, other.position)
 
 
-@pytest.mark.parametrize("kind", [IDMVehicle, LinearVehicle])
-def test_highway_envs_drivers_change_lanes_among_humans(kind):
-    environment = humans_in("highway-v0", 1, vehicles_count=20, duration=10)
-    others = replaced(environment, [type(environment.vehicle)] + [kind] * 10)[1:]
-    assert {car.target_speed for car in others} == {30.0}  # the limit, which humans drive at
-    environment.vehicle.position[0] -= 1000.0  # out of the way
-    assert any(car.target_lane_index != car.lane_index for _ in drive(environment, 4) for car in others)
-
-
 def test_drivers_of_all_kinds_can_take_each_others_places_and_keep_their_routes():
     environment = humans_in("roundabout-v0")
     routes = [car.route for car in environment.road.vehicles[1:]]
@@ -142,21 +114,9 @@ def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():
     assert humans
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["merge-v0"])
-def test_a_robot_by_itself_drives_stock_episodes_and_chooses_its_models(name):
-    frequencies = {"simulation_frequency": 10, "policy_frequency": 5}
-    environment, models = humans_in(name, vehicles_count=10, duration=8, **frequencies), set()
-    robot = choosing(environment, 0.0)
-    for _ in drive(environment, 40):
-        assert robot.last_step.compile_seconds == 0  # after the first of the two acts of a step
-        assert robot.last_step.status == "planned"
-        assert (robot.on_road, robot.crashed) == (True, False)
-        models.add(robot.last_step.model)
-    assert models == {"naive", "turn"}
-
-
 def test_a_robot_by_itself_with_algorithm_1_refuses_another_rate_than_its_games():
-    robot = choosing(humans_in("highway-v0", vehicles_count=2), 0.0)
+    robot = replace_ego(humans_in("highway-v0", vehicles_count=2), RobotVehicle.create_from)
+    switching = Switching(Costs.of(np.array([0.09, 0.17]), 1), 0.0, ladder(("naive", "turn")))
+    robot.drive_with(Driver(driving_game(look(robot).scene, 30.0), switching))
     with pytest.raises(ValueError, match="configure the environment with 'simulation_frequency': 10"):
         robot.step(1 / 15)
