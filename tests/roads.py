@@ -1,5 +1,7 @@
 """Stretches of road for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 from jax import numpy as jnp
@@ -17,6 +19,7 @@ from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
 NOBODY = np.zeros(TRAFFIC, bool)
+ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
@@ -61,6 +64,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         lanes=np.tile(lanes[:, None], KNOTS).astype(np.float32),
         open=np.ones((LANES, KNOTS), bool),
         edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
+        paved=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         changes=np.zeros(LANES, np.float32),
         room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
@@ -77,6 +81,13 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         moving=present.copy(),
         accelerations=np.zeros(TRAFFIC, np.float32),
     )
+
+
+def country_road(*cars, speed=8.0):
+    """A road of one lane for each direction: nobody but who goes round something drives on the left."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=cars, limit=10.0)
+    paved = np.tile(np.array([[-6.0], [2.0]], np.float32), KNOTS)
+    return replace(scene, open=ONE_LANE, edges=np.clip(paved, -2.0, 2.0), paved=paved)
 
 
 def crossing(robot_s, come_from, speed=10.0):
@@ -107,6 +118,14 @@ def coming(scene, car):
     return scene
 
 
+def turning_off(robot_s):
+    """A standing robot, and a car from ahead, on the left lane, that turns left across its route at s = 44 to 50."""
+    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, 10.0)])
+    along = SPACING * np.arange(TRAFFIC_KNOTS) - BEHIND
+    path = winding(np.where((along > 60) & (along < 80), -1 / 13, 0.0))
+    return on_path(scene, 115.0 - path.x, -LANE - path.y, path.heading + np.pi, path.curvature)
+
+
 @jax.jit
 def execute(scene, planning, controls):
     """Return the robot's states after each control, and the controls within limits that it executed."""
@@ -132,7 +151,7 @@ def driven_and_judged(scene, planning, others, plans):
     return driven, score(now, driven, plans)
 
 
-def judged(scene, controls, lanes, follows, planning=PLANNING):
+def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
     """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
     number = len(controls)
     assert number <= PROPOSALS
@@ -140,6 +159,7 @@ def judged(scene, controls, lanes, follows, planning=PLANNING):
     plans = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS, axis=0), PLANS)
     plans = plans._replace(
         lane=np.asarray(lanes, np.int32)[filled],
+        side=np.broadcast_to(np.asarray(sides, np.int32), number)[filled],
         controls=np.asarray(controls, np.float32)[filled],
     )
     found = driven_and_judged(scene, planning, told(follows), plans)

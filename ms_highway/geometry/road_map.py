@@ -8,12 +8,14 @@ from math import cos, hypot, inf, sin
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 from weakref import WeakKeyDictionary, proxy
 
+import numpy as np
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
+from scipy.spatial import cKDTree
 
 from ms_highway.geometry.curve import wrapped
-from ms_highway.geometry.lane_paths import SMOOTHING, LaneCurve, Point, join_lanes
+from ms_highway.geometry.lane_paths import COARSE, SMOOTHING, LaneCurve, Point, Points, Row, join_lanes, samples
 
 
 class Spot(NamedTuple):
@@ -285,6 +287,29 @@ class RoadMap:
     def goal(self, destination: Destination) -> Goal:
         """Return a goal, the same one for the same destination."""
         return Goal(self, destination)
+
+    def paves(self, points: Points) -> Row:
+        """Return at which points there is a lane, whoever may drive there."""
+        tree, widest = self._surface
+        distances, _ = tree.query(np.pad(points, [(0, 0)] * (points.ndim - 1) + [(0, 1)]), distance_upper_bound=widest)
+        return np.isfinite(distances)
+
+    @cached_property
+    def _surface(self) -> tuple[cKDTree, float]:
+        """Points in the middle of all lanes, lifted, and the widest radius R of the circles that they pave.
+
+        Lifted by ``sqrt(R^2 - r^2)``, the middle of a circle of radius r is nearer than R to just the places in it, so
+        that a look for the nearest suffices, however wide lanes are.
+        """
+        parts = [samples(lane.shape, 0.0, lane.length) for lane in self.lanes.values()]
+        widths = [
+            np.array([lane.shape.width_at(place) for place in places])
+            for lane, (places, _, _) in zip(self.lanes.values(), parts, strict=True)
+        ]
+        radii = np.hypot(np.concatenate(widths), COARSE) / 2  # they meet at the lanes' edges
+        heights = np.sqrt(radii.max() ** 2 - radii**2)
+        middles = np.concatenate([points for _, points, _ in parts])
+        return cKDTree(np.column_stack([middles, heights])), float(radii.max())
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # no state: a copy's network gets an equal map

@@ -40,6 +40,7 @@ class RoadPlan(NamedTuple):
         path: x, y and heading of the robot's centre after each step [steps, 3].
         predictions: x and y of others [traffic, steps, 2].
         chosen: number of the proposal that drives.
+        side: on which it goes round what cannot move, see `ms_highway.road.proposals.Profiles`.
         broken: whether it breaks a constraint.
     """
 
@@ -47,11 +48,12 @@ class RoadPlan(NamedTuple):
     path: Numbers
     predictions: Numbers
     chosen: Index
+    side: Index
     broken: Flag
 
     def handed_on(self) -> LastPlan:
         """Return what the next plan has of it, a step later."""
-        return LastPlan(self.controls, self.path[-1, :2]).later()
+        return LastPlan(self.controls, self.path[-1, :2], self.side).later()
 
 
 class Proposed(NamedTuple):
@@ -75,7 +77,7 @@ class Proposed(NamedTuple):
 
 def no_plan(planning: RoadPlanning) -> LastPlan:
     """Return what stands for the last plan before the first one: go on straight."""
-    return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32))
+    return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32), np.int32(0))
 
 
 def propose_road(
@@ -120,9 +122,9 @@ def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> Roa
     """Return the best plan; one that collides if others merely follow ranks behind those that do not."""
     relies = few.scores.collides & ~answered.scores.broken
     best = jnp.argmax(answered.scores.preference - now.weights.unsound * relies)
-    _, driven, scores = jax.tree.map(lambda field: field[best], answered)
+    plans, driven, scores = jax.tree.map(lambda field: field[best], answered)
     predictions = jnp.swapaxes(driven.world[:, :2], 1, 2)
-    return RoadPlan(driven.controls, driven.path[:3].T, predictions, numbers[best], scores.broken)
+    return RoadPlan(driven.controls, driven.path[:3].T, predictions, numbers[best], plans.side, scores.broken)
 
 
 def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> EachStep:

@@ -29,6 +29,9 @@ HEADWAY, STANDSTILL = 0.7, 2.0  # s and m, between bumpers, of the robot
 CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 CREEPING = 3.0  # m/s, at which crossing cars come that stand
 
+NEARLY = 0.3  # m, beside its way round what cannot move, up to which a robot is on it
+SECONDS_ASIDE = 1.2  # s, least time to reach an obstacle for a robot that is not yet beside it
+TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
 CLEAR, OVERTAKING = 0.5, 3.0  # m around others and s before it passes them, in which a plan changes no lane
 
 
@@ -94,8 +97,10 @@ def simulate(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
 
 def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
     """Return the lateral position that a plan goes to where its rear axle is at s."""
+    passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
     own, goal = (interpolate(now.scene.lanes[lane], s) for lane in (1, plan.lane))
-    return jnp.where(plan.beyond, 2 * goal - own, goal)
+    goal = jnp.where(plan.beyond, 2 * goal - own, goal)
+    return jnp.where(passes, now.obstruction.sides[(plan.side > 0).astype(int)], goal)
 
 
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
@@ -106,7 +111,7 @@ def _slip(scene: RoadScene, along: EachStep) -> EachStep:
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
     """Return the robot's control in a step of a plan."""
-    scene, planning, crossings = now.scene, now.planning, now.crossings
+    scene, planning, crossings, obstruction = now.scene, now.planning, now.crossings, now.obstruction
     s, d, heading, speed = car
     onward, front = speeds * where[2], s + scene.size[0]
     ahead, apart = where[0] - (s + scene.size[0] / 2), scene.reach[:, 1] + ROOM
@@ -128,15 +133,22 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     waiting = jnp.sqrt(2 * planning.stopping * planning.grip * jnp.maximum(left, 0.0))
     cap = jnp.minimum(interpolate(now.caps, s + PREVIEW * speed), waiting)
 
+    # slowly towards what cannot move, until the robot is aside of it
+    slowly = (plan.side != 0) & (jnp.abs(d - target) > NEARLY) & (front < obstruction.begin)
+    slow = jnp.maximum((obstruction.begin - front) / SECONDS_ASIDE, STEERING_SPEED)
+    cap = jnp.where(slowly, jnp.minimum(cap, slow), cap)
+
     # behind whoever is ahead, here or in the lane that the robot goes to
     beside = (where[1] > jnp.minimum(d, target) - apart) & (where[1] < jnp.maximum(d, target) + apart)
-    gap = jnp.where((ahead > 0) & beside & scene.present, ahead - scene.reach[:, 0], FAR)
+    beside = beside & (scene.moving | (plan.side == 0))
+    room = scene.reach[:, 0] + TURNING * (~scene.moving & (plan.lane == 1))
+    gap = jnp.where((ahead > 0) & beside & scene.present, ahead - room, FAR)
     safe = onward + jnp.sqrt(2 * CLOSE_BRAKING * jnp.maximum(gap - CLOSE_GAP - CLOSE_REACTION * speed, 0.0))
     kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, HEADWAY, STANDSTILL).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
 
     haste, gain = (jnp.where(plan.yields > 0, HURRY, other) for other in (HASTE, 1.0))
-    free = gain * (COMFORT_GAIN * (jnp.minimum(cap, planning.desired_speed) - speed))
+    free = gain * (COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed))
     free = jnp.minimum(jnp.clip(free, -HASTE, haste), jnp.minimum(kept, haste))
     acceleration = jnp.where(plan.follows, free, plan.rate)
     return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])

@@ -42,7 +42,7 @@ def terminal_value(now: Situation, driven: DrivenPlans, lanes: Lane, goal: Plans
         driven: the plans.
         lanes: that they go to, 0 to 2.
         goal: lateral positions of these lanes after the plans [m].
-        target: lateral positions that the plans go to: of the lanes, or beyond them [m].
+        target: lateral positions that the plans go to: others than the lanes' on a way round what cannot move [m].
     """
     weights, aside = now.weights, jnp.abs(goal - driven.states[:, -1, 1])
     share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - aside / LANE, 0.0, 1.0))  # of its change of lane
