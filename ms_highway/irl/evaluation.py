@@ -135,27 +135,26 @@ def evaluate(
     """
     learned: Fit | LearnedReward
     fit: Fit | None = None
+    given = isinstance(reward, LearnedReward)
     if isinstance(reward, LearnedReward):
         learned, drivers, model, horizon = reward, check_drivers(reward.drivers), reward.model, reward.horizon
     else:
         model = reward
     progress("cutting segments")
     snapshots, segments = cut_snapshots(recordings), cut_segments(recordings, horizon)
-    groups = np.union1d(segments.group, snapshots.group)
-    cross_validated = not isinstance(reward, LearnedReward)
-    if cross_validated and min(parts, len(groups)) < 2:
+    held_out = folds(np.union1d(segments.group, snapshots.group), 1 if given else parts)
+    if not given and len(held_out) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
     progress(f"differentiating {len(segments)} segments")
     derivatives = differentiate(segments, model.names)
     likelihoods, fold = np.empty(len(segments)), np.zeros(len(snapshots), dtype=int)
-    errors: list[dict[str, Errors]] = []
+    errors: list[list[Errors]] = []
     weights: list[dict[str, Any]] = []
-    held_out = folds(groups, parts if cross_validated else 1)
     for number, names in enumerate(held_out):
         tested, predicted = np.isin(segments.group, names), np.isin(snapshots.group, names)
-        if cross_validated:
+        if not given:
             progress(f"learning, fold {number + 1} of {len(held_out)}")
             learned = fit = fit_weights(derivatives.of(~tested), model, fit)
             drivers = learn_drivers(snapshots, ~predicted, intervals=False)
@@ -163,10 +162,9 @@ def evaluate(
         progress(f"predicting {predicted[snapshots.which].sum()} drivers")
         likelihoods[tested] = segment_log_likelihoods(derivatives.of(tested), learned)
         fold[predicted] = number
-        mixtures = {name: predict_with(name, snapshots, drivers, others) for name in PREDICTORS}
-        errors.append({name: prediction_errors(mixture, snapshots.recorded) for name, mixture in mixtures.items()})
-    by_name = snapshots.by_fold(fold, errors)
-    found: dict[str, Errors] = {name: by_name[name] for name in PREDICTORS}
+        mixtures = (predict_with(name, snapshots, drivers, others) for name in PREDICTORS)
+        errors.append([prediction_errors(mixture, snapshots.recorded) for mixture in mixtures])
+    found: dict[str, Errors] = dict(zip(PREDICTORS, snapshots.by_fold(fold, errors), strict=True))
     likelihood = {"model": likelihoods, "constant_velocity": constant_velocity_log_likelihoods(segments)}
     return Evaluation(
         predictors={name: metrics(each) for name, each in found.items()},
