@@ -104,9 +104,8 @@ def test_weights_that_diverge_and_features_that_are_not_finite_are_refused(demon
 
 def test_recordings_of_which_nothing_can_be_learned_are_refused():
     aside = np.tile([[0.0, 40.0, 0.0, 20.0], [0.0, 0.0, 0.0, 20.0]], (9, 1, 1))
-    for states in (aside[:3], aside):
-        with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
-            cut_segments([recorded(states)], 5)
+    with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
+        cut_segments([recorded(aside)], 5)
     aside[4, 0, 3] = np.nan
     with pytest.raises(ValueError, match="car 0 at step 4 is not finite"):
         recorded(aside)
