@@ -101,9 +101,14 @@ def metrics(errors: Errors) -> dict[str, ByHorizon]:
         if not seen.any():
             continue
         distance, log_p, level = (part[seen, at] for part in errors)
-        values = {"fde": distance, "ade": errors.distance[seen, : at + 1], "rmse": distance**2}
-        values |= {"miss": distance > MISS, "log_p": log_p}
-        values |= {f"inside {percent}": level < percent / 100 for percent in LEVELS}
+        values = {
+            "fde": distance,
+            "ade": errors.distance[seen, : at + 1],
+            "rmse": distance**2,
+            "miss": distance > MISS,
+            "log_p": log_p,
+            **{f"inside {percent}": level < percent / 100 for percent in LEVELS},
+        }
         for name, value in values.items():
             mean = np.sqrt(value.mean()) if name == "rmse" else value.mean()
             rows.setdefault(name, {})[str(horizon)] = float(mean)

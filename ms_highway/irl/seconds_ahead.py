@@ -85,11 +85,10 @@ def learn_drivers(
 
 
 def _label(snapshots: Snapshots) -> _Labels:
-    y, now = snapshots.future[..., 1], np.nan_to_num(snapshots.now[..., 1])
-    seen = np.isfinite(y).sum(axis=1)
-    last = np.take_along_axis(y, np.maximum(seen - 1, 0)[:, None], axis=1)[:, 0]
-    last = np.where(np.isfinite(last), last, now)
-    side = lane_numbers(snapshots.lanes, last) - lane_numbers(snapshots.lanes, now)
+    y = np.concatenate([snapshots.past[:, -1:], snapshots.future], axis=1)[..., 1]
+    seen = np.isfinite(y[:, 1:]).sum(axis=1)
+    last = np.take_along_axis(y, seen[:, None], axis=1)[:, 0]
+    side = lane_numbers(snapshots.lanes, last) - lane_numbers(snapshots.lanes, y[:, 0])
     counts = snapshots.predicted & (seen >= SURE) & (np.abs(side) <= 1)
     return _Labels(counts, side * counts)
 

@@ -78,19 +78,18 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     rows = []
     for recording, group, first_track, lanes in numbered(recordings):
         states = _extrapolated(recording.states)
-        road = Scene(
-            lanes=lanes,
-            lane_width=recording.lane_width,
-            obstacles=np.empty((0, 2)),
-            obstacle_size=np.ones(2),
-            car_size=np.ones(2),
-            corner=0.5,
-            target_lane=lanes[0],
-            length_unit=PAPER_UNIT,
-        )
         for number, driver in enumerate(recording.drivers, first_track):
-            scene, track = replace(road, car_size=recording.sizes[driver]), track_of(recording, driver)
-            entry = recording.seen[:, driver].argmax()
+            scene = Scene(
+                lanes=lanes,
+                lane_width=recording.lane_width,
+                obstacles=np.empty((0, 2)),
+                obstacle_size=np.ones(2),
+                car_size=recording.sizes[driver],
+                corner=0.5,
+                target_lane=lanes[0],
+                length_unit=PAPER_UNIT,
+            )
+            track, entry = track_of(recording, driver), recording.seen[:, driver].argmax()
             for first in range(0, len(track.controls) - steps + 1, steps):
                 start, now = track.states[first], entry + first
                 present = recording.seen[now] & (np.arange(len(recording.sizes)) != driver)

@@ -44,10 +44,9 @@ def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path):
 
 def test_headings_turn_to_the_right_on_a_curved_road(tmp_path):
     # The road bends left on a radius of 400 m; who goes straight on turns right of it.
-    angle = np.linspace(0, 0.5, 60)
-    bend = 400 * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=-1)
-    turn = np.array([[np.cos(TURN), np.sin(TURN)], [-np.sin(TURN), np.cos(TURN)]])
-    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, bend @ turn), cars=car(100, 50, 0)))
+    angle = TURN + np.linspace(0, 0.5, 60)
+    bend = 400 * np.stack([np.sin(angle) - np.sin(TURN), np.cos(TURN) - np.cos(angle)], axis=-1)
+    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, bend), cars=car(100, 50, 0)))
     x, y, heading, _ = recording.states[:, 0].T
     along = 50 + SPEED * 0.1 * np.arange(STEPS)
     np.testing.assert_allclose(heading, np.arctan2(along, 400), atol=2e-3)

@@ -107,12 +107,12 @@ def test_collisions_are_noted_and_without_effect():
 
 
 def test_recorded_actions_drive_the_recorded_states():
-    env = make("dense")
+    env = make("dense").unwrapped
     observations, taken = driven(env, 2)
     states = observations[:, 0, 1:].astype(float)
-    low, high = env.unwrapped.action_type.acceleration_range
-    limit = env.unwrapped.action_type.steering_range[1]
-    controls = np.stack([np.tan(taken[:, 1] * limit) / 5, low + (taken[:, 0] + 1) * (high - low) / 2], axis=-1)
+    low, high = env.action_type.acceleration_range
+    curvatures = np.tan(taken[:, 1] * env.action_type.steering_range[1]) / 5
+    controls = np.stack([curvatures, low + (taken[:, 0] + 1) * (high - low) / 2], axis=-1)
     np.testing.assert_allclose(step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5)
 
 

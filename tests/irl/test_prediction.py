@@ -33,13 +33,11 @@ KINDS = ("fde", "ade", "rmse", "miss", "log_p", *(f"inside {level}" for level in
 
 def following(gap, speed=15.0, leader=15.0, times=61):
     """A recording of a driver that keeps its velocity and of a leader, a gap between bumpers apart."""
-    time = 0.1 * np.arange(times)[:, None]
-    cars = [
-        np.column_stack([start + velocity * time, 0 * time + 3.4, 0 * time, 0 * time + velocity])
-        for start, velocity in ((0.0, speed), (gap + 5.0, leader))
-    ]
+    states = np.zeros((times, 2, 4))
+    states[..., 1], states[..., 3] = 3.4, (speed, leader)
+    states[..., 0] = [0.0, gap + 5.0] + 0.1 * np.arange(times)[:, None] * states[..., 3]
     sizes, lanes = np.tile([5.0, 2.0], (2, 1)), np.array([0.0, 3.4, 6.8])
-    return Recording("a pair", "a pair", np.stack(cars, axis=1), np.array([0]), sizes, lanes, 3.4, 29.0)
+    return Recording("a pair", "a pair", states, np.array([0]), sizes, lanes, 3.4, 29.0)
 
 
 def nth(recording, number):
@@ -139,19 +137,16 @@ def test_the_density_of_two_modes_integrates_to_one():
 
 
 def test_situations_are_told_apart_by_what_drivers_did_and_counted():
-    def which(recording):
-        return {name for name, chosen in driving_regimes(cut_snapshots([recording])).items() if chosen[0]}
-
-    assert which(following(20.0)) == {"following"}
-    assert which(following(20.0, speed=3.0, leader=3.0)) == {"slow"}
     moving, time = following(20.0), 0.1 * np.arange(61)
     moving.states[:, 0, 1] -= 1.2 * time
     moving.states[:, 0, 3] -= 2.0 * time
-    assert which(moving) == {"lane change", "braking"}
+    for recording, regimes in ((moving, {"lane change", "braking"}), (following(20.0, 3.0, 3.0), {"slow"})):
+        found = driving_regimes(cut_snapshots([recording]))
+        assert {name for name, chosen in found.items() if chosen[0]} == regimes
     snapshots, ones = cut_snapshots([following(20.0), following(60.0)]), np.ones((12, 50))
-    found = metrics_by_regime({"late": Errors(ones, 0 * ones, ones)}, snapshots)["distance"]
-    assert list(found) == ["no leader", "following"]
-    assert found["following"] == {"windows": {"1": 4, "2": 4, "3": 4, "5": 2}, "late": dict.fromkeys("1235", 1)}
+    rows = metrics_by_regime({"late": Errors(ones, 0 * ones, ones)}, snapshots)["distance"]
+    assert list(rows) == ["no leader", "following"]
+    assert rows["following"] == {"windows": {"1": 4, "2": 4, "3": 4, "5": 2}, "late": dict.fromkeys("1235", 1)}
 
 
 def test_rewards_without_a_peer_and_too_few_folds_are_refused():
@@ -239,7 +234,7 @@ def test_half_of_the_drivers_are_within_the_ellipse_of_a_covariance_that_holds_h
         ({"states": [0.0, 0.0, 0.0, 20.0]}, r"states are of shape \(4,\)"),
         ({"speed_limit": 0}, "speed_limit is 0; give a positive number"),
         ({"seconds": 8}, "seconds are 8; give a number from 0.1 to 5"),
-        ({"predictor": "lane_modes"}, "lane_modes is gone since 2.0.0: use fitted_idm or model"),
+        ({"predictor": "imm"}, "predictor is 'imm'; choose one of model, constant_velocity, idm, fitted_idm"),
     ],
 )
 def test_what_cannot_be_predicted_is_refused(changes, message):

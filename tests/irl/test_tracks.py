@@ -53,13 +53,13 @@ def test_a_standing_car_and_the_shortest_track_have_controls():
 
 
 def test_us101_tracks_are_close_to_what_was_recorded_and_plausible(us101):
-    squares, acceleration, curvature = [], [], []
+    errors, controls = [], []
     for recording in us101[::4]:
         for driver in recording.drivers:
             track = track_of(recording, driver)
-            squares.append(np.sum((track.states - recording.states[recording.seen[:, driver], driver])[:, :2] ** 2, -1))
-            acceleration.append(np.diff(track.states[:, 3]) / 0.1)
-            curvature.append(track.controls[:, 0])
-    assert np.sqrt(np.mean(np.concatenate(squares))) < 0.15
-    assert 0.4 < np.std(np.concatenate(acceleration)) < 1.0
-    assert np.abs(np.concatenate(curvature)).max() < 0.05
+            errors.append(track.states[:, :2] - recording.states[recording.seen[:, driver], driver, :2])
+            controls.append(track.controls - keep_velocity(PAPER_DYNAMICS, track.states[:-1]))
+    curvature, acceleration = np.concatenate(controls).T
+    assert np.sqrt(2 * np.mean(np.square(np.concatenate(errors)))) < 0.15
+    assert 0.4 < np.std(acceleration) < 1.0
+    assert np.abs(curvature).max() < 0.05

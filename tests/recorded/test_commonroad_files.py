@@ -80,10 +80,10 @@ def test_each_piece_of_a_goal_is_enough(position, inside, outside, tmp_path):
 def test_each_piece_that_stands_is_a_box_along_its_longest_edge(tmp_path):
     pieces = rectangle("<orientation>0.3</orientation>") + polygon((100, -1), (104, -1), (104, 1), (100, 1))
     turned, flat = read(tmp_path, CARS + standing(9, pieces, 0, 0, 0.5)).obstacles
-    assert (turned.number, turned.size) == (9, pytest.approx((4.5, 1.8)))
-    np.testing.assert_allclose(np.sin(np.subtract(turned.pose, (0, 0, 0.8))), 0, atol=1e-9)
-    assert flat.size == pytest.approx((4, 2))
-    np.testing.assert_allclose(flat.pose[:2], 102 * np.array([np.cos(0.5), np.sin(0.5)]), atol=1e-9)
+    for box, size, x, angle in ((turned, (4.5, 1.8), 0, 0.8), (flat, (4, 2), 102, 0.5)):
+        assert (box.number, box.size) == (9, pytest.approx(size))
+        np.testing.assert_allclose(box.pose[:2], [x * np.cos(0.5), x * np.sin(0.5)], atol=1e-9)
+        assert abs(np.sin(box.pose[2] - angle)) < 1e-9
 
 
 def signed(values, points=30):
