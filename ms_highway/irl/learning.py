@@ -27,8 +27,6 @@ from ms_highway.runtime.progress import Progress, silent
 COMFORT_GIVEN = 0.1
 """Comfort weight that sets the scale of all others; small against the curvature of the published weights."""
 
-FOLDS = 4  # of the cross-validated likelihood
-
 SIMULATED = RewardModel(
     SIMULATED_WEIGHTS, {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)}
 )
@@ -53,6 +51,7 @@ def learn_reward(
     model: RewardModel,
     horizon: int,
     source: str,
+    validations: int = 4,
     *,
     progress: Progress = silent,
 ) -> LearnedReward:
@@ -63,6 +62,7 @@ def learn_reward(
         model: the weights to learn and those given.
         horizon: K, the length of the segments in steps.
         source: name of the data, for the provenance.
+        validations: number of folds of the cross-validated likelihood.
         progress: called with a message when a part begins.
 
     Raises:
@@ -75,7 +75,7 @@ def learn_reward(
     progress("fitting")
     real = recordings[0].measured
     found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
-    held_out, parts = [], folds(segments.group, FOLDS)
+    held_out, parts = [], folds(segments.group, validations)
     for number, names in enumerate(parts if len(parts) > 1 else [], 1):
         chosen = np.isin(segments.group, names)
         progress(f"cross-validating, {number} of {len(parts)}")
