@@ -140,15 +140,15 @@ def evaluate(
     """
     learned: Fit | LearnedReward
     fit: Fit | None = None
-    given = isinstance(reward, LearnedReward)
     if isinstance(reward, LearnedReward):
-        learned, drivers, model, horizon = reward, check_drivers(reward.drivers), reward.model, reward.horizon
+        learned, drivers, model = reward, check_drivers(reward.drivers), reward.model
+        horizon, parts = reward.horizon, 1
     else:
         model = reward
     progress("cutting segments")
     snapshots, segments = cut_snapshots(recordings), cut_segments(recordings, horizon)
-    held_out = folds(np.union1d(segments.group, snapshots.group), 1 if given else parts)
-    if not given and len(held_out) < 2:
+    held_out = folds(np.union1d(segments.group, snapshots.group), parts)
+    if isinstance(reward, RewardModel) and len(held_out) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
@@ -159,7 +159,7 @@ def evaluate(
     weights: list[dict[str, Any]] = []
     for number, names in enumerate(held_out):
         tested, predicted = np.isin(segments.group, names), np.isin(snapshots.group, names)
-        if not given:
+        if len(held_out) > 1:
             progress(f"learning, fold {number + 1} of {len(held_out)}")
             learned = fit = fit_weights(derivatives.of(~tested), model, fit)
             drivers = learn_drivers(snapshots, ~predicted, intervals=False)
