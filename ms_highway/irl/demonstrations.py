@@ -156,11 +156,13 @@ def load_demonstrations(dataset: str) -> list[Recording]:
         raise ValueError(f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`")
     with _opened(dataset) as (stored, provenance):
         known = (provenance.get("format"), provenance.get("time_step")) == (FORMAT, TIME_STEP)
-        episodes = [np.asarray(each.observations, dtype=float) for each in (stored.iterate_episodes() if known else ())]
-        recordings = [_episode_recording(f"episode {number}", tracks) for number, tracks in enumerate(episodes)]
+        episodes = enumerate(stored.iterate_episodes() if known else ())
+        recordings = [_episode_recording(f"episode {number}", each.observations) for number, each in episodes]
     if not recordings:
-        reason = "is empty" if known else "was not recorded by this version of the package"
-        raise ValueError(f"data set {dataset} {reason}; choose another, or record one with `ms-highway irl record`")
+        raise ValueError(
+            f"data set {dataset} was not recorded by this version of the package, or is empty; choose another, or "
+            "record one with `ms-highway irl record`"
+        )
     return recordings
 
 
@@ -170,6 +172,7 @@ def _episode_recording(name: str, tracks: np.ndarray) -> Recording:
     Raises:
         ValueError: if they are not finite: cars would seem to be out of sight.
     """
+    tracks = np.asarray(tracks, dtype=float)
     if not np.isfinite(tracks).all():
         step, car, _ = np.argwhere(~np.isfinite(tracks))[0]
         raise ValueError(f"{name} is not finite at step {step}, car {car}")
@@ -179,13 +182,6 @@ def _episode_recording(name: str, tracks: np.ndarray) -> Recording:
     return Recording(name, name, states, np.array([0]), np.array(sizes), *road, measured=False)
 
 
-def _minari() -> Any:
-    with needing("demonstrations"):
-        import h5py  # noqa: F401
-        import minari
-    return minari
-
-
 def _data_directory(dataset: str) -> Path:
     """Return the directory of a data set's files.
 
@@ -193,10 +189,12 @@ def _data_directory(dataset: str) -> Path:
         ValueError: if the name is not that of a data set.
         ImportError: without the packages of the extra ``demonstrations``.
     """
-    _minari()  # whose error names the extra
-    from minari.dataset.minari_dataset import parse_dataset_id
-    from minari.namespace import validate_namespace
-    from minari.storage import get_dataset_path
+    with needing("demonstrations"):
+        import h5py  # noqa: F401
+        import minari  # noqa: F401
+        from minari.dataset.minari_dataset import parse_dataset_id
+        from minari.namespace import validate_namespace
+        from minari.storage import get_dataset_path
 
     try:
         namespace, *_ = parse_dataset_id(dataset)
@@ -214,8 +212,11 @@ def _opened(dataset: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     Raises:
         ValueError: where it cannot be read.
     """
+    data = _data_directory(dataset)
+    import minari
+
     try:
-        stored = _minari().MinariDataset(_data_directory(dataset))
+        stored = minari.MinariDataset(data)
         yield stored, stored.storage.metadata.get(PROVENANCE) or {}
     except BROKEN as error:
         remedy = "delete it and record it again with `ms-highway irl record`"
@@ -256,7 +257,9 @@ def _add_episode(episode: Any, dataset: str, env: gym.Env, provenance: dict[str,
         env: the environment that is recorded.
         provenance: metadata of a new data set.
     """
-    minari, data = _minari(), _data_directory(dataset)
+    import minari
+
+    data = _data_directory(dataset)
     with naming(data), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about authors who are not named
         if data.exists():

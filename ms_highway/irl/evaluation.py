@@ -101,9 +101,14 @@ def metrics(errors: Errors) -> dict[str, ByHorizon]:
         if not seen.any():
             continue
         distance, log_p, level = (part[seen, at] for part in errors)
-        values = {"fde": distance, "ade": errors.distance[seen, : at + 1], "rmse": distance**2}
-        values |= {"miss": distance > MISS, "log_p": log_p}
-        values |= {f"inside {percent}": level < percent / 100 for percent in LEVELS}
+        values = {
+            "fde": distance,
+            "ade": errors.distance[seen, : at + 1],
+            "rmse": distance**2,
+            "miss": distance > MISS,
+            "log_p": log_p,
+            **{f"inside {percent}": level < percent / 100 for percent in LEVELS},
+        }
         for name, value in values.items():
             mean = np.sqrt(value.mean()) if name == "rmse" else value.mean()
             rows.setdefault(name, {})[str(horizon)] = float(mean)
@@ -136,26 +141,25 @@ def evaluate(
     learned: Fit | LearnedReward
     fit: Fit | None = None
     if isinstance(reward, LearnedReward):
-        learned, drivers, model, horizon = reward, check_drivers(reward.drivers), reward.model, reward.horizon
+        learned, drivers, model = reward, check_drivers(reward.drivers), reward.model
+        horizon, parts = reward.horizon, 1
     else:
         model = reward
     progress("cutting segments")
     snapshots, segments = cut_snapshots(recordings), cut_segments(recordings, horizon)
-    groups = np.union1d(segments.group, snapshots.group)
-    cross_validated = not isinstance(reward, LearnedReward)
-    if cross_validated and min(parts, len(groups)) < 2:
+    held_out = folds(np.union1d(segments.group, snapshots.group), parts)
+    if isinstance(reward, RewardModel) and len(held_out) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
     progress(f"differentiating {len(segments)} segments")
     derivatives = differentiate(segments, model.names)
     likelihoods, fold = np.empty(len(segments)), np.zeros(len(snapshots), dtype=int)
-    errors: list[dict[str, Errors]] = []
+    errors: list[list[Errors]] = []
     weights: list[dict[str, Any]] = []
-    held_out = folds(groups, parts if cross_validated else 1)
     for number, names in enumerate(held_out):
         tested, predicted = np.isin(segments.group, names), np.isin(snapshots.group, names)
-        if cross_validated:
+        if len(held_out) > 1:
             progress(f"learning, fold {number + 1} of {len(held_out)}")
             learned = fit = fit_weights(derivatives.of(~tested), model, fit)
             drivers = learn_drivers(snapshots, ~predicted, intervals=False)
@@ -163,10 +167,9 @@ def evaluate(
         progress(f"predicting {predicted[snapshots.which].sum()} drivers")
         likelihoods[tested] = segment_log_likelihoods(derivatives.of(tested), learned)
         fold[predicted] = number
-        mixtures = {name: predict_with(name, snapshots, drivers, others) for name in PREDICTORS}
-        errors.append({name: prediction_errors(mixture, snapshots.recorded) for name, mixture in mixtures.items()})
-    by_name = snapshots.by_fold(fold, errors)
-    found: dict[str, Errors] = {name: by_name[name] for name in PREDICTORS}
+        mixtures = (predict_with(name, snapshots, drivers, others) for name in PREDICTORS)
+        errors.append([prediction_errors(mixture, snapshots.recorded) for mixture in mixtures])
+    found: dict[str, Errors] = dict(zip(PREDICTORS, snapshots.by_fold(fold, errors), strict=True))
     likelihood = {"model": likelihoods, "constant_velocity": constant_velocity_log_likelihoods(segments)}
     return Evaluation(
         predictors={name: metrics(each) for name, each in found.items()},

@@ -69,11 +69,11 @@ def log_density(mixture: Mixture, positions: Paths) -> Steps:
     """Return the log density of positions after each step [1/m^2]; NaN where a position is NaN."""
     modes, spread = mixture
     scales = spread.scales(*modes.path.shape[1:3])
-    off = (jnp.asarray(positions)[:, None] - modes.path) / scales
+    off = (positions[:, None] - modes.path) / scales
     freedom = spread.freedom(modes.path.shape[2])
     each = -(freedom / 2 + 1) * jnp.log1p(jnp.sum(off**2, axis=-1) / freedom)
     each = each - jnp.log(2 * jnp.pi) - jnp.sum(jnp.log(scales), axis=-1)
-    chances = jnp.log(jnp.maximum(jnp.asarray(modes.probability), 1e-9))
+    chances = jnp.log(jnp.maximum(modes.probability, 1e-9))
     return jax.scipy.special.logsumexp(each + chances[..., None], axis=1)
 
 
@@ -114,8 +114,8 @@ def _spread_of(parameters: Parameters) -> Spread:
 @jax.value_and_grad
 def _negative_log_density(parameters: Parameters, modes: Modes, positions: Paths, known: Steps) -> Scalar:
     """Return minus the mean log density of the known positions, with a weak prior."""
-    spread = _spread_of(jnp.asarray(parameters))
+    spread = _spread_of(parameters)
     each = log_density(Mixture(modes, spread), positions)[:, EVERY - 1 :: EVERY]
-    weak = jnp.sum((jnp.asarray(parameters) - jnp.array(FIRST)) ** 2) / (2 * PRIOR**2)
+    weak = jnp.sum((parameters - jnp.array(FIRST)) ** 2) / (2 * PRIOR**2)
     seen = jnp.maximum(known.sum(axis=0), 1)  # every horizon counts alike, though fewer are seen for long
     return weak / known.sum() - jnp.mean(jnp.where(known, each, 0.0).sum(axis=0) / seen)

@@ -3,8 +3,6 @@
 Under IDM, cars steer to the centre of the lane that they are in at first, as highway-env's do.
 """
 
-from dataclasses import replace
-
 import jax
 import numpy as np
 from jax import numpy as jnp
@@ -12,7 +10,7 @@ from jax import numpy as jnp
 from ms_highway.game.neighbours import leaders
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.mixture import Modes, one_mode
-from ms_highway.irl.recording import CarFlags, CarStates
+from ms_highway.irl.recording import CarFlags, CarStates, straight_on
 from ms_highway.irl.snapshots import AT, SCALES, STEPS, Paths, Snapshots, lane_numbers
 from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.planning.car_following import idm_acceleration
@@ -28,9 +26,8 @@ EVALUATIONS = 50
 
 def predict_constant_velocity(snapshots: Snapshots) -> Modes:
     """Predict drivers that keep their speed and heading."""
-    x, y, heading, speed = snapshots.drivers(snapshots.now).T[..., None]
-    distance = speed * TIME_STEP * np.arange(1, STEPS + 1)
-    return one_mode(np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading)], axis=-1))
+    now = snapshots.drivers(snapshots.now)[:, None]
+    return one_mode(straight_on(now, now[..., 3] * TIME_STEP * np.arange(1, STEPS + 1))[..., :2])
 
 
 @pytree
@@ -69,26 +66,20 @@ FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
 
 def predict_idm(snapshots: Snapshots, parameters: IdmParameters) -> Modes:
     """Simulate all cars of each snapshot by IDM in their present lanes; return the paths of the drivers."""
-    return one_mode(snapshots.drivers(np.asarray(_compiled_positions(parameters, _present_only(snapshots)))))
+    return one_mode(snapshots.drivers(np.asarray(_compiled_positions(parameters, snapshots))))
 
 
-def fit_idm(snapshots: Snapshots, evaluations: int = EVALUATIONS) -> IdmParameters:
+def fit_idm(snapshots: Snapshots) -> IdmParameters:
     """Fit the parameters that predict best, in closed loop, all cars of a snapshot together.
 
     Minimises ``sqrt(1 + (error / scale)^2)`` of the positions along and across the road after 1, 2, 3 and 5 s, by
-    L-BFGS over the logarithms of the parameters.
-
-    Args:
-        snapshots: to fit to; the only use of their future.
-        evaluations: of the error, at most.
+    L-BFGS over the logarithms of the parameters. This is the only use of the snapshots' future.
     """
     positions = np.moveaxis(snapshots.future[:, AT, :, :2], 1, 2)
     known = np.isfinite(positions).all(axis=-1) & snapshots.predicted[..., None]
     first = np.log(jax.tree.leaves(FIRST_IDM)[:7])
-    given = map(jnp.asarray, (np.nan_to_num(positions), known))
-    return IdmParameters(
-        *np.exp(minimum(_mean_idm_error, first, _present_only(snapshots), *given, maxfun=evaluations)).tolist()
-    )
+    data = jax.device_put((snapshots, np.nan_to_num(positions), known))
+    return IdmParameters(*np.exp(minimum(_mean_idm_error, first, *data, maxfun=EVALUATIONS)).tolist())
 
 
 @jit_quickly
@@ -98,12 +89,6 @@ def _mean_idm_error(logarithms: Parameters, snapshots: Snapshots, positions: Car
     paths = _positions(IdmParameters(*jnp.exp(logarithms)), snapshots)[:, :, AT]
     off = jnp.where(known[..., None], paths - positions, 0.0) / jnp.array(SCALES)
     return jnp.sum(jnp.sqrt(1 + off**2) - 1) / jnp.sum(known)
-
-
-def _present_only(snapshots: Snapshots) -> Snapshots:
-    """Return the snapshots without what IDM does not look at, for JAX."""
-    now = replace(snapshots, past=snapshots.past[:, -1:], future=snapshots.future[:, :0])
-    return jax.tree.map(jnp.asarray, now)
 
 
 def _positions(parameters: IdmParameters, snapshots: Snapshots) -> Paths:

@@ -20,7 +20,7 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl import Others
 from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
 from ms_highway.irl.peers import HIGHWAY_ENV_IDM, IdmParameters, fit_idm, predict_constant_velocity, predict_idm
-from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates
+from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, straight_on
 from ms_highway.irl.snapshots import STEPS, Snapshots, lane_numbers
 from ms_highway.planning.learned_driving import NOBODY, SECOND, leader_of, moved, seen_states, shown_traits
 from ms_highway.runtime import retired
@@ -137,10 +137,7 @@ def _expected_traffic(
     if others == "recorded":
         return seen_states(jnp.concatenate([snapshot.past[-1:], snapshot.future[:-1]]))
     if others == "coasting":
-        _, _, heading, speed = now.T
-        still = jnp.zeros_like(speed)
-        velocity = jnp.stack([speed * jnp.cos(heading), speed * jnp.sin(heading), still, still], axis=-1)
-        return now + TIME_STEP * jnp.arange(STEPS)[:, None, None] * velocity
+        return straight_on(now, TIME_STEP * jnp.arange(STEPS)[:, None] * now[:, 3])
     after = roll_out(drivers, snapshot, traits, side)
     return jnp.concatenate([now[None], after[:-1]])
 

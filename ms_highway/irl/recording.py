@@ -8,12 +8,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.game.dynamics import Dynamics, recover_control, step
+from ms_highway.game.dynamics import recover_control, step
+from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.runtime.arrays import Vector
 
 # Arrays of learning and prediction, of NumPy or JAX
@@ -106,6 +108,26 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, 
         tracks += len(item.drivers)
 
 
+class Rows:
+    """Rows that are cut from recordings: arrays with a leading axis [n]; each is from the recordings of a `group`."""
+
+    group: Numbers
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+    def of(self, chosen: Flags) -> Self:
+        """Return the chosen rows."""
+        return jax.tree.map(lambda numbers: numbers[chosen], self)
+
+
+def straight_on(states: States, distance: Float[Any, "*times"]) -> States:
+    """Return the states of cars after they have gone some distance at constant speed and heading, by NumPy or JAX."""
+    xp, heading = states.__array_namespace__(), states[..., 2]
+    still = xp.zeros_like(heading)
+    return states + distance[..., None] * xp.stack([xp.cos(heading), xp.sin(heading), still, still], axis=-1)
+
+
 class Track(NamedTuple):
     """A track: one step of its dynamics with each control leads from each state to the next.
 
@@ -118,15 +140,15 @@ class Track(NamedTuple):
     controls: Points
 
 
-def track_of(recording: Recording, car: int, dynamics: Dynamics) -> Track:
+def track_of(recording: Recording, car: int) -> Track:
     """Return a car's track: `smoothed` if it was measured, the recorded states if it was simulated."""
     states = recording.states[recording.seen[:, car], car]
     if recording.measured:
-        return smoothed(states[:, :2], dynamics)
-    return Track(states, recover_control(dynamics, states[:-1], states[1:]))
+        return smoothed(states[:, :2])
+    return Track(states, recover_control(PAPER_DYNAMICS, states[:-1], states[1:]))
 
 
-def smoothed(recorded: Points, dynamics: Dynamics) -> Track:
+def smoothed(recorded: Points) -> Track:
     """Return the most likely track of a car, given its recorded positions and priors of accelerations and jerks.
 
     Recorded speeds and headings, themselves derived from noisy positions, are not used. With a step's distance
@@ -139,8 +161,7 @@ def smoothed(recorded: Points, dynamics: Dynamics) -> Track:
     They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and h_0: a standing car therefore
     keeps its heading, and its curvature decays to 0.
     """
-    dt = float(dynamics.time_step)
-    each = np.eye(len(recorded) - 1)
+    dt, each = TIME_STEP, np.eye(len(recorded) - 1)
     change, cosine = np.diff(each, axis=0), np.ones(len(each))
     sine_per_heading = cosine
     for _ in range(ROUNDS):
@@ -160,8 +181,8 @@ def smoothed(recorded: Points, dynamics: Dynamics) -> Track:
         cosine, sine_per_heading = np.cos(heading[:-1]), np.sinc(heading[:-1] / np.pi)
 
     likeliest = np.stack([np.full_like(speed, x), np.full_like(speed, y), heading, speed], axis=-1)
-    controls = recover_control(dynamics, likeliest[:-1], likeliest[1:])
-    states = accumulate(controls, partial(step, dynamics), initial=likeliest[0])
+    controls = recover_control(PAPER_DYNAMICS, likeliest[:-1], likeliest[1:])
+    states = accumulate(controls, partial(step, PAPER_DYNAMICS), initial=likeliest[0])
     return Track(np.stack(list(states)), controls)
 
 

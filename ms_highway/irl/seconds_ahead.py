@@ -85,11 +85,10 @@ def learn_drivers(
 
 
 def _label(snapshots: Snapshots) -> _Labels:
-    y, now = snapshots.future[..., 1], np.nan_to_num(snapshots.now[..., 1])
-    seen = np.isfinite(y).sum(axis=1)
-    last = np.take_along_axis(y, np.maximum(seen - 1, 0)[:, None], axis=1)[:, 0]
-    last = np.where(np.isfinite(last), last, now)
-    side = lane_numbers(snapshots.lanes, last) - lane_numbers(snapshots.lanes, now)
+    y = np.concatenate([snapshots.past[:, -1:], snapshots.future], axis=1)[..., 1]
+    seen = np.isfinite(y[:, 1:]).sum(axis=1)
+    last = np.take_along_axis(y, seen[:, None], axis=1)[:, 0]
+    side = lane_numbers(snapshots.lanes, last) - lane_numbers(snapshots.lanes, y[:, 0])
     counts = snapshots.predicted & (seen >= SURE) & (np.abs(side) <= 1)
     return _Labels(counts, side * counts)
 
@@ -102,7 +101,7 @@ def _fit_drivers(
     Also return the drivers, with the intentions that make their lane changes most likely.
     """
     number, used = labels.counts.sum(), labels.counts.any(axis=1).sum()
-    data, evaluations = _in_single_precision(snapshots), count(1)
+    data, evaluations = jax.device_put(snapshots), count(1)
 
     def loss(logarithms: Parameters) -> tuple[float, Parameters]:
         progress(f"fitting {used} snapshots seconds ahead, evaluation {next(evaluations)}")
@@ -113,10 +112,6 @@ def _fit_drivers(
 
     found = minimum(loss, begin, maxiter=iterations, ftol=1e-6)
     return found, structs.replace(_drivers_of(found), intention=_fit_intention(data, labels))
-
-
-def _in_single_precision(snapshots: Snapshots) -> Snapshots:
-    return jax.tree.map(lambda part: jnp.asarray(part, jnp.float32 if part.dtype.kind == "f" else None), snapshots)
 
 
 def _drivers_of(logarithms: Parameters) -> Drivers:
@@ -185,7 +180,7 @@ def _deviations(found: Parameters, snapshots: Snapshots, labels: _Labels) -> lis
     They are those of least errors, with the slopes of each driver's errors in all its snapshots, and the Hessian with
     the prior, of finite differences.
     """
-    data = _in_single_precision(snapshots)
+    data = jax.device_put(snapshots)
     hessian = slope_differences(lambda logarithms: _mean_error(logarithms, data, labels)[1], found, DIFFERENCE)
     prior = np.diag(1 / DEVIATIONS**2) / labels.counts.sum()
     inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)

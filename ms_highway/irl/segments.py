@@ -19,9 +19,20 @@ from ms_highway.game.features import motion_features
 from ms_highway.game.game import Game, move
 from ms_highway.game.neighbours import far_behind, places
 from ms_highway.game.reward import FEATURES, features_for
-from ms_highway.game.scenario import PAPER_DYNAMICS, PAPER_UNIT, PHYSICAL_LIMIT, TIME_STEP, driving_game
+from ms_highway.game.scenario import PAPER_UNIT, PHYSICAL_LIMIT, TIME_STEP, driving_game
 from ms_highway.game.scene import Scene
-from ms_highway.irl.recording import CarStates, Controls, Flags, Numbers, Recording, States, numbered, track_of
+from ms_highway.irl.recording import (
+    CarStates,
+    Controls,
+    Flags,
+    Numbers,
+    Recording,
+    Rows,
+    States,
+    numbered,
+    straight_on,
+    track_of,
+)
 from ms_highway.runtime.arrays import Trajectory, Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 
@@ -31,7 +42,7 @@ SATURATED = 0.8  # of the limits of plans
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Segments:
+class Segments(Rows):
     """n segments of K steps: arrays of NumPy or JAX in SI units with a leading axis [n]; one segment has no such axis.
 
     Attributes:
@@ -53,13 +64,6 @@ class Segments:
     driver: Numbers
     group: Numbers
 
-    def __len__(self) -> int:
-        return len(self.start)
-
-    def of(self, chosen: Flags) -> "Segments":
-        """Return the chosen segments."""
-        return jax.tree.map(lambda numbers: numbers[chosen], self)
-
 
 def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     """Cut the drivers' tracks into consecutive segments without overlap; return the `regular` ones.
@@ -74,19 +78,18 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     rows = []
     for recording, group, first_track, lanes in numbered(recordings):
         states = _extrapolated(recording.states)
-        road = Scene(
-            lanes=lanes,
-            lane_width=recording.lane_width,
-            obstacles=np.empty((0, 2)),
-            obstacle_size=np.ones(2),
-            car_size=np.ones(2),
-            corner=0.5,
-            target_lane=lanes[0],
-            length_unit=PAPER_UNIT,
-        )
         for number, driver in enumerate(recording.drivers, first_track):
-            scene, track = replace(road, car_size=recording.sizes[driver]), track_of(recording, driver, PAPER_DYNAMICS)
-            entry = recording.seen[:, driver].argmax()
+            scene = Scene(
+                lanes=lanes,
+                lane_width=recording.lane_width,
+                obstacles=np.empty((0, 2)),
+                obstacle_size=np.ones(2),
+                car_size=recording.sizes[driver],
+                corner=0.5,
+                target_lane=lanes[0],
+                length_unit=PAPER_UNIT,
+            )
+            track, entry = track_of(recording, driver), recording.seen[:, driver].argmax()
             for first in range(0, len(track.controls) - steps + 1, steps):
                 start, now = track.states[first], entry + first
                 present = recording.seen[now] & (np.arange(len(recording.sizes)) != driver)
@@ -108,9 +111,7 @@ def _extrapolated(states: CarStates) -> CarStates:
     """Return the states, with motion at constant velocity after a car was last seen."""
     states = states.copy()
     for before, after in itertools.pairwise(states):
-        x, y, heading, speed = before.T
-        distance = speed * TIME_STEP
-        kept = np.stack([x + distance * np.cos(heading), y + distance * np.sin(heading), heading, speed], axis=-1)
+        kept = straight_on(before, before[:, 3] * TIME_STEP)
         after[:] = np.where(np.isnan(after).any(axis=-1, keepdims=True), kept, after)
     return states
 
@@ -122,18 +123,18 @@ def regular(segments: Segments) -> Flags:
     and point along it: there ``off_road`` has a kink, where another corner becomes the outermost, and a car that slides
     along the edge stays at the kink whatever the weight is.
     """
-    off_road, slant = in_batches(partial(_road_edge, driver_game(segments, {})), segments)
-    at_kink = (off_road & (slant < KINK)).any(axis=1)
+    at_kink = in_batches(partial(_at_kink, driver_game(segments, {})), segments)
     saturated = (np.abs(segments.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
     return ~at_kink & ~saturated
 
 
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
-def _road_edge(game: Game, segment: Segments) -> tuple[jax.Array, jax.Array]:
-    """Return whether the driver is off the road, and the magnitude of its heading's sine, after each step."""
+def _at_kink(game: Game, segment: Segments) -> jax.Array:
+    """Return whether the driver is off the road, and points along it, after any step."""
     path = move(game, segment.start, segment.controls / game.planner.control_scale)
-    return path_features(game, segment, path)[:, FEATURES.index("off_road")] > 0, jnp.abs(Motion(*path).sine)
+    off_road = path_features(game, segment, path)[:, FEATURES.index("off_road")] > 0
+    return jnp.any(off_road & (jnp.abs(Motion(*path).sine) < KINK))
 
 
 def driver_game(segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:

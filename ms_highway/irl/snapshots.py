@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Recording, numbered
+from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Numbers, Recording, Rows, numbered
 from ms_highway.planning.learned_driving import PAST
 from ms_highway.runtime.arrays import Vector
 
@@ -36,7 +36,7 @@ Paths = Float[Any, "n 50 2"]  # x and y after each step of 5 s
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Snapshots:
+class Snapshots(Rows):
     """n snapshots of recorded traffic: arrays of NumPy or JAX, in SI units and lane coordinates.
 
     Attributes:
@@ -61,9 +61,6 @@ class Snapshots:
     track: CarNumbers
     group: Numbers
 
-    def __len__(self) -> int:
-        return len(self.group)
-
     @property
     def now(self) -> CarStates:
         """States of all cars, NaN for those that are not seen."""
@@ -78,10 +75,6 @@ class Snapshots:
     def which(self) -> Numbers:
         """Number of the snapshot of each predicted driver."""
         return np.nonzero(self.predicted)[0]
-
-    def of(self, chosen: Flags) -> "Snapshots":
-        """Return the chosen snapshots."""
-        return jax.tree.map(lambda numbers: numbers[chosen], self)
 
     def drivers(self, values: Any) -> Any:
         """Return the rows of the predicted drivers of values [n, cars, ...], snapshot after snapshot."""

