@@ -104,10 +104,10 @@ def on_path(scene, *path):
     return scene
 
 
-def wrecked(scene, heading=0.0, speed=0.0):
-    """The scene with its first car crashed, which lies, or slides, at an angle to its path."""
-    scene.states[0, 2:] = heading, speed
-    scene.moving[0] = False
+def wrecked(scene, car, heading=0.0, speed=0.0):
+    """The scene with a car that has crashed, and lies, or slides, at an angle to its path."""
+    scene.states[car, 2:] = heading, speed
+    scene.moving[car] = False
     return scene
 
 

@@ -122,7 +122,7 @@ def test_a_car_that_turns_is_expected_at_the_angle_to_its_path_that_highway_envs
 
 @pytest.mark.parametrize("heading", [1.2, 2.6, -0.8])
 def test_a_car_that_has_crashed_is_expected_to_slide_where_it_heads_as_highway_envs_do(heading):
-    scene = wrecked(scene_of(cars=[(30.0, 0, 6.0)]), heading, speed=6.0)
+    scene = wrecked(scene_of(cars=[(30.0, 0, 6.0)]), 0, heading, speed=6.0)
     _, rollouts = proposed(scene)
     car, places = Vehicle(None, [30.0, 0.0], heading, 6.0), []
     car.crashed = True

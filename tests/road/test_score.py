@@ -76,7 +76,7 @@ def test_of_cars_behind_only_those_count_that_the_robot_cuts_in_on(lane, control
 @pytest.mark.parametrize(("place", "crashed", "close"), [(1.25, True, False), (1.5, True, True), (1.5, False, False)])
 def test_what_has_crashed_is_passed_by_more_than_a_car_that_stands_and_may_drive_on(place, crashed, close):
     scene = scene_of(robot=(0.0, place, 0.0, 10.0), cars=[(20.0, 1, 0.0)])
-    _, scores = scores_of(wrecked(scene) if crashed else scene, KEEPING, KEEPING)
+    _, scores = scores_of(wrecked(scene, 0) if crashed else scene, KEEPING, KEEPING)
     assert scores.collides[0] == close
 
 

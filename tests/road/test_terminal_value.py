@@ -14,7 +14,7 @@ from ms_highway.runtime.compilation import jit_quickly
 
 MEMORY = no_plan(PLANNING)
 CLOSING_UP, KEEPING_SPEED = (
-    [plan[:4] for plan in ALL].index((1, 0.0, closes, closes)) for closes in (True, False)
+    [plan[:5] for plan in ALL].index((1, 1.0, 0.0, closes, closes)) for closes in (True, False)
 )  # in the own lane
 
 lost_after = jit_quickly(lambda now, rollouts: speed_lost(now, rollouts, PLANS.lane)[0])
