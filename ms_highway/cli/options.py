@@ -127,7 +127,7 @@ def configuration(options: argparse.Namespace) -> dict[str, Any]:
         if not sign or key in ("controller", "action"):
             raise ValueError(f"--set {text}: say it like --set horizon=10; who drives is no key that can be set")
         config[key] = _value(value)
-    reward, known = config.get("human_reward"), HUMAN_REWARDS.values()
+    reward, known = config.get("human_reward"), dict.fromkeys(HUMAN_REWARDS.values())
     if isinstance(reward, str) and reward not in known:
         try:
             config["human_reward"] = load(Path(reward)).weights
