@@ -109,7 +109,7 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, 
 
 
 class Rows:
-    """Rows that are cut from recordings: arrays with a leading axis [n]; each is from the recordings of a `group`."""
+    """Rows that are cut from recordings: arrays with a leading axis [n]; each is from the recordings of a group."""
 
     group: Numbers
 

@@ -10,7 +10,7 @@ import gymnasium as gym
 import ms_highway  # noqa: F401  # registers the environments
 
 env = gym.make(
-    "ms-highway/merger-v0",
+    "ms-highway/merger-v1",
     render_mode="rgb_array",
     config={"controller": {"type": "learned", "lambda": 1.0}},  # the default; or {"type": "fixed", "model": "tom"}
 )

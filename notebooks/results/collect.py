@@ -35,13 +35,13 @@ RECORDED = "recorded"
 """Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road recorded``, and what keeps them."""
 
 PHYSICAL = {  # in the project's README
-    "merger-v1": ["naive", "turn", "tom", "learned:1", "switching:1"],
-    "give-way-v1": ["naive", "turn", "tom", "learned:1", "switching:1"],
-    "stay-back-v1": ["naive", "turn", "learned:1", "switching:1"],
+    "merger-v1": ["naive", "tom", "learned:1", "switching:0.1"],
+    "give-way-v1": ["naive", "tom", "learned:1", "switching:0.1"],
+    "stay-back-v1": ["naive", "turn", "learned:1", "switching:0.1"],
 }
 SHOWN = {  # below it
-    "merger": ["naive", "tom", "learned:1", "switching:0.1"],
-    "give_way": ["naive", "tom", "learned:1", "switching:0.01"],
+    "merger": ["tom", "learned:1", "switching:0.1"],
+    "give_way": ["tom", "learned:1", "switching:0.01"],
 }
 
 SHOWN_COLUMNS = ["reward per step (90 % interval)", "counted ms", "plan ms", "decide ms", "naive / turn / tom %"]
@@ -96,8 +96,8 @@ def tables() -> dict[str, str]:
         limit_50=", 0.2 and 50 control limit", limit_9=", 0.2 and 9 control limit", limit_6=", 0.1 and 6 control limit"
     )
     shown_tables = {
-        "physical": rows_of(physical, PHYSICAL, [*SHOWN_COLUMNS, "episodes with a collision"]),
-        "shown": rows_of(whole, SHOWN, SHOWN_COLUMNS),
+        "physical": rows_of(physical, PHYSICAL, [*SHOWN_COLUMNS[:1], "plan ms", *SHOWN_COLUMNS[-1:], "episodes with a collision"]),
+        "shown": rows_of(whole, SHOWN, [*SHOWN_COLUMNS[:2], SHOWN_COLUMNS[-1]]),
         "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
         "human rewards": brief(overview(compare=", learned human reward", published=", published human reward")),
         **{name: brief(overview(**{name.replace(" ", "_"): ""})) for name in ("worth", "crowd", "crowd peers")},
