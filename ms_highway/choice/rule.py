@@ -25,7 +25,7 @@ SHIPPED_COSTS = {"naive": 0.0015, "idm": 0.0015, "turn": 0.0021, "tom": 0.0021} 
 
 The mean of six episodes of Dense Merge on one core: 1.5 ms, and 0.6 more for each of eight humans under turn or tom."""
 
-PHYSICAL_COSTS = {"naive": 0.0007, "turn": 0.0013, "tom": 0.0011}  # s
+PHYSICAL_COSTS = {"naive": 0.0007, "idm": 0.0007, "turn": 0.0013, "tom": 0.0011}  # s
 """Planning time in plans of a second with one human: means of episodes of Merger v1 and Give Way v1 on one core."""
 
 NOT_ESTIMATED = -np.inf

@@ -96,7 +96,9 @@ def tables() -> dict[str, str]:
         limit_50=", 0.2 and 50 control limit", limit_9=", 0.2 and 9 control limit", limit_6=", 0.1 and 6 control limit"
     )
     shown_tables = {
-        "physical": rows_of(physical, PHYSICAL, [*SHOWN_COLUMNS[:1], "plan ms", *SHOWN_COLUMNS[-1:], "episodes with a collision"]),
+        "physical": rows_of(
+            physical, PHYSICAL, [*SHOWN_COLUMNS[:1], "plan ms", *SHOWN_COLUMNS[-1:], "episodes with a collision"]
+        ),
         "shown": rows_of(whole, SHOWN, [*SHOWN_COLUMNS[:2], SHOWN_COLUMNS[-1]]),
         "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
         "human rewards": brief(overview(compare=", learned human reward", published=", published human reward")),

@@ -79,7 +79,7 @@ def test_the_command_learns_values_that_drive(scenario, tmp_path, capsys):
     [
         ("merger --out values.json", "'values.json' is no name that ends in .npz"),
         ("dense_merge merger --out values.npz", "some scenarios have one human, others several"),
-        ("merger --set costs=naive=0.1 --out values.npz", "without seconds for 'turn'"),
+        ("merger --set costs=naive=0.1 --out values.npz", "without seconds for tom, turn"),
         ("merger --set ladder=best --out values.npz", "leave +warm out"),
         ("merger --set yielding=never --out values.npz", "config['yielding']"),
     ],
