@@ -159,8 +159,10 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
     @classmethod
     def parse(cls, text: str) -> Config:
         """See `ControllerSettings.parse`; it is like ``naive=0.7,tom=0.3``."""
-        parts = [part.partition("=") for part in text.split(",")]
-        return {"shares": {name: share for name, _, share in parts}}
+        shares = {name: share for name, _, share in (part.partition("=") for part in text.split(","))}
+        if len(shares) <= text.count(","):
+            raise ValueError(f"the shares {text!r} name a model twice; name each once")
+        return {"shares": shares}
 
     def __post_init__(self) -> None:
         super().__post_init__()

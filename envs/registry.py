@@ -145,7 +145,10 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     Raises:
         ValueError: if the class is no such one, or the name is one of the package's, a human model's or no word.
     """
-    if not issubclass(settings, ControllerSettings) or settings.rule is ControllerSettings.rule:
+    if (
+        not (isinstance(settings, type) and issubclass(settings, ControllerSettings))
+        or settings.rule is ControllerSettings.rule
+    ):
         raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
     name = str(settings.__struct_config__.tag)
     if name in OURS or is_model(name) or not (name.isidentifier() and name.islower()):
@@ -156,7 +159,7 @@ def add_rule(settings: type[ControllerSettings]) -> None:
 
 def priced_types() -> list[str]:
     """Return the types of the controllers that choose models online, by a rule at a lambda."""
-    return [name for name, kind in CONTROLLERS.items() if kind.__struct_encode_fields__[0] == "lambda"]
+    return [name for name, kind in CONTROLLERS.items() if "lambda" in kind.__struct_encode_fields__]
 
 
 def fixed_order_types() -> list[str]:

@@ -55,14 +55,15 @@ keys; these are the usual ones:
                           were found to serve best; tom@8 plans in 8 ascent steps, tom@8+warm from the rest of
                           the last plan
   costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37), the
-                          default; shipped, the default among several humans, under budgets measured ones; measured on
+                          default; shipped, that among several humans and in -v1, under budgets measured ones; measured on
                           this machine, not in simulations; or seconds by model: costs=naive=0.1,turn=0.2,tom=0.5
   solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton under naive
-                          and turn; or convex_newton (default among several humans), for seconds
-  horizon=10              controls in a plan (default: 5), each of time_step=0.1 seconds; iterations=20 gradient steps
-                          of step_size=0.03 are chosen to suit the horizon unless they are given
+                          and turn; or convex_newton (default among several humans and in -v1), for seconds
+  horizon=10              controls in a plan (default: 5; 10 or 20 in -v1), each of time_step=0.1 seconds; iterations=20
+                          gradient steps of step_size=0.03 are chosen to suit the horizon unless they are given
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
-  grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none)
+  grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8
+                          in -v1)
   humans=6                number of humans, 2 to 20, in {" and ".join(SCENARIO_NAMES[3:5])}
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
                           keep their velocity; always make room for it; or mixed, each of them never or always

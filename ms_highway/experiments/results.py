@@ -123,7 +123,7 @@ def read_results(directory: Path, records: pd.DataFrame | None = None) -> Result
         raise ValueError(f"{directory} has no {SETTINGS_FILE}; {REMEDY}")
     results = ResultsDirectory(directory)
     settings = results.settings()
-    if "semantics" not in settings or not isinstance(settings.get("measured", {}), dict):
+    if "asked" not in settings or not isinstance(settings.get("measured", {}), dict):
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
     records = read_steps(directory, settings) if records is None else records
     if records.empty:

@@ -203,3 +203,10 @@ def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leav
 def test_a_key_is_set_by_json_or_by_words(text, value):
     options = parse(["compare", "--set", "grip=8", "--set", text])
     assert configuration(options) == {"grip": 8, text.partition("=")[0]: value}
+
+
+def test_scenes_of_the_paper_and_physical_ones_stand_in_one_comparison(tmp_path, capsys):
+    run(f"compare merger merger-v1 --controllers naive --seeds 1 --out {tmp_path}")
+    assert "out of date" not in capsys.readouterr().err
+    assert set(pd.read_csv(tmp_path / "summary.csv")["scenario"]) == {"merger", "merger-v1"}
+    run(f"report {tmp_path}")
