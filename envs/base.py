@@ -80,7 +80,8 @@ class InteractionEnv(GameEnv):
       semantics: the scenario's in paper semantics, unlimited in released semantics.
     * ``grip``: the total acceleration that tyres hold, of steering and speeding up or braking together [m/s^2], such as
       `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
-      None sets no such limit, as in the paper; in physical semantics it stands for ``GRIP``. It does not apply where the agent drives.
+      None sets no such limit, as in the paper; in physical semantics it stands for ``GRIP``. It does not apply where
+      the agent drives.
     * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
       ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a reward whose jumps are smooth,
       with a small cost of not keeping the velocity (`ms_highway.numerics.convex_newton.EASE`), so that what is

@@ -55,8 +55,8 @@ keys; these are the usual ones:
                           were found to serve best; tom@8 plans in 8 ascent steps, tom@8+warm from the rest of
                           the last plan
   costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37), the
-                          default; shipped, that among several humans and in -v1, under budgets measured ones; measured on
-                          this machine, not in simulations; or seconds by model: costs=naive=0.1,turn=0.2,tom=0.5
+                          default; shipped, that among several humans and in -v1, under budgets measured ones; measured
+                          on this machine, not in simulations; or by model: costs=naive=0.1,turn=0.2,tom=0.5
   solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton under naive
                           and turn; or convex_newton (default among several humans and in -v1), for seconds
   horizon=10              controls in a plan (default: 5; 10 or 20 in -v1), each of time_step=0.1 seconds; iterations=20
