@@ -3,8 +3,7 @@
 ``import ms_highway`` registers with Gymnasium the ids ``ms-highway/stay-back-v1``, ``ms-highway/merger-v1`` and
 ``ms-highway/give-way-v1``, in which cars keep to what tyres hold, the same at version 0, as in the paper;
 ``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and ``ms-highway/demonstration-v0``; and what the wings
-add. Imports `ms_highway.vehicle` and what
-stands below it.
+add. Imports `ms_highway.vehicle` and what stands below it.
 """
 
 import re

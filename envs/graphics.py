@@ -87,7 +87,7 @@ class InteractionViewer(Viewer):
         return [self.sim_surface.vec2pix(each) for each in states]
 
     def _draw_names(self) -> None:
-        """Write on their roofs who is the robot and who the human; several humans have numbers."""
+        """Write "robot" and "human" on the roofs of the cars; number several humans."""
         humans = self.env.humans
         names = ["human"] if len(humans) == 1 else map(str, range(1, 1 + len(humans)))
         for name, car in zip(("robot", *names), (self.env.robot, *humans), strict=True):

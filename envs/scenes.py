@@ -32,7 +32,7 @@ class GiveWayEnv(InteractionEnv):
 
 
 class StayBackV1Env(InteractionEnv):
-    """Stay Back within what tyres hold: plans of two seconds, and a human who starts ahead."""
+    """Stay Back within what tyres hold: plans last two seconds, and the human starts ahead of the robot."""
 
     scenario = STAY_BACK_V1
 

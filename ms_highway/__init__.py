@@ -6,16 +6,17 @@ JAX. To start::
     import gymnasium as gym
     import ms_highway  # registers the environments
 
-    env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "learned", "lambda": 1.0}})
+    env = gym.make("ms-highway/merger-v1", config={"controller": {"type": "learned", "lambda": 1.0}})
     observation, info = env.reset(seed=0)
     observation, reward, terminated, truncated, info = env.step(0)  # the robot drives itself
 
 or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 
-* Environments: ``ms-highway/stay-back-v0``, ``merger-v0`` and ``give-way-v0``, the paper's, and ``dense-merge-v0`` and
-  ``crossing-crowd-v0``, with several humans, see `InteractionEnv`; and ``demonstration-v0``, traffic to record driving
-  in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with its planning problems, see
-  `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that and highway-env's own.
+* Environments: ``ms-highway/stay-back-v1``, ``merger-v1`` and ``give-way-v1``, within what tyres hold; the same at
+  version 0, the paper's; ``dense-merge-v0`` and ``crossing-crowd-v0``, with several humans, see `InteractionEnv`;
+  ``demonstration-v0``, traffic to record driving in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``,
+  recorded traffic with its planning problems, see `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that
+  and highway-env's own.
 * One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a scenario, `add_feature` a
   feature of rewards.
 * Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and `HumanVehicle`, for roads of
@@ -28,6 +29,7 @@ from ms_highway.runtime import forks, interrupt  # noqa: F401  # a hook is set w
 
 interrupt.watch()  # first of all, as what follows takes seconds
 
+import warnings as _warnings  # noqa: E402
 from importlib.metadata import version  # noqa: E402
 from importlib.util import find_spec as _find_spec  # noqa: E402
 
@@ -76,3 +78,6 @@ _ENVIRONMENTS = {
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned
     if f"ms-highway/{_name}" not in _registry:
         _register_environment(f"ms-highway/{_name}", entry_point=f"ms_highway.{_environment}")
+
+# Version 0 is the paper's physics, not an older version of the same: Gymnasium's advice to upgrade is wrong there.
+_warnings.filterwarnings("ignore", ".*ms-highway/[a-z-]*-v0 is out of date", DeprecationWarning)

@@ -22,7 +22,7 @@ def move(game, state, controls):
 
 
 def drive(driver, start, steps, humans=None):
-    """Return the states and the robot's steps among given humans, or such who plan for their rewards in the game."""
+    """Return the states and the robot's steps. Humans drive as given or, by default, plan for their rewards."""
     game = driver.game
     humans = humans or [fixed(swap_roles(game, human)) for human in range(game.number)]
     states, driven = [np.asarray(start, float)], []
@@ -36,7 +36,7 @@ def drive(driver, start, steps, humans=None):
 
 
 def simulated(loop, starts, steps=5, schedule=DECIDES, yielding=USUAL):
-    """Return the records of episodes of a game from some starts; what is given for all of them is repeated."""
+    """Simulate episodes of a game from some starts and return their records; arguments for one episode serve all."""
     number, humans = len(starts), loop.game.number
     robot, others = loop.game.robot.weights, loop.game.humans.weights
     given = Episodes(

@@ -55,7 +55,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: warn(message)  # without its place in the source
-            warnings.filterwarnings("ignore", ".*ms-highway/[a-z-]*-v0 is out of date")  # the paper's scenes are meant
             (high_throughput if options.command.simulates else low_latency)()
             check_platforms()
             if not options.no_compilation_cache:

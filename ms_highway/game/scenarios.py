@@ -73,7 +73,7 @@ def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
 
 
 STAY_BACK_V1 = _physical(STAY_BACK, 20, cars=((-1.24, -0.14), (-1.03, 0.0, 0.045)), steps=60)
-"""The robot starts 32 m before the cones, with a human 7 m ahead who is 1.5 m/s faster.
+"""The robot starts 32 m before the cones. The human starts 7 m ahead of it and drives 1.5 m/s faster.
 
 Within what tyres hold, one car has to slow down in time for the other one. Nearer starts leave no room for that, and
 from farther ones, or beside the human, all models earn the same.

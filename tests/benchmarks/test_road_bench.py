@@ -14,6 +14,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.benchmarks.road import RECORDED, SCENES, known_scenes
+from ms_highway.benchmarks.road.blocks import run_blocks
 from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, run_episode, summary
 from ms_highway.benchmarks.road.export import WHEELBASE
 from ms_highway.benchmarks.road.measures import Watch, measured
@@ -167,3 +168,9 @@ def test_an_exported_solution_is_the_drive_of_a_kinematic_single_track_model(exp
     turned = [state.velocity / WHEELBASE * np.tan(state.steering_angle) for state in states[:-1]]
     np.testing.assert_allclose(np.diff([state.orientation for state in states]), 0.1 * np.array(turned), atol=1e-6)
     assert max(map(abs, turned)) > 1e-3
+
+
+def test_a_scene_that_cannot_be_made_ends_the_blocks_that_wait_for_its_core():
+    blocks = [Block("nowhere-v0", driver) for driver in ("idle", "random", "idm")]
+    with pytest.raises(Exception, match="nowhere"):
+        list(run_blocks(blocks, range(1), jobs=1))

@@ -106,7 +106,7 @@ def test_a_part_of_the_ladder_weighs_rewards_as_the_whole_ladder_does(decided):
 
 
 def over_naive(gains, price=0.0, doubt=0.0):
-    """A rule whose networks expect the same gains of turn and tom everywhere, but for a doubt about tom."""
+    """Return a rule whose networks expect equal gains of turn and tom everywhere, and are less certain about tom."""
     expected = np.array([[*gains, 0, 0], [*gains, 0, 0]], np.float32)
     expected[:, 1] += np.array([doubt, -doubt])
     network = ((np.zeros((2, INPUTS, 4), np.float32), expected),)

@@ -1,4 +1,4 @@
-"""Rules for several humans: who is important, and what they gain together within a budget."""
+"""Rules for several humans: `nearest` by distance, and `budget` by the gains that fit into a time."""
 
 from dataclasses import dataclass, field, replace
 

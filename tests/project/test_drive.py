@@ -10,6 +10,7 @@ from ms_highway.cli.main import main
 COSTS = {"naive": 0.001, "turn": 0.002, "tom": 0.01}  # s
 
 
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")  # also where there is no pyproject.toml
 @pytest.mark.parametrize(
     ("name", "config"),
     [

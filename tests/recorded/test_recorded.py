@@ -66,7 +66,7 @@ def make(file, traffic="replay", action="ContinuousAction", render_mode=None, **
 
 
 def begun(*arguments, **config):
-    """The environment of a file in its first episode, and what `reset` tells."""
+    """Return the environment of a file in its first episode, and the ``info`` of its `reset`."""
     env = make(*arguments, **config).unwrapped
     return env, env.reset(seed=0)[1]["recorded"]
 
@@ -113,7 +113,7 @@ def us(us101_directory):
 
 @pytest.fixture(scope="module")
 def stood(us):
-    """Two episodes on US-101 whose ego brakes until it stands: the last info, the speeds of others, who overlapped."""
+    """Brake to a stop in two episodes on US-101; return the last info, the speeds of others and overlapping cars."""
     found = {}
     for traffic in ("replay", "learned"):
         (env, told), speeds, pairs = begun(us("17_1"), traffic), [], set()
@@ -340,7 +340,7 @@ def test_after_a_failed_reset_the_old_episode_goes_on(change, tmp_path):
 
 @pytest.fixture(scope="module")
 def roads(us):
-    """Environments on two roads, of which the second has exits."""
+    """Return environments on two roads; the second road has exits."""
     return [begun(us(name))[0] for name in ("17_1", "14_1")]
 
 

@@ -4,7 +4,7 @@ A process is left after its episodes, because some scenes change the class of th
 """
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from queue import Queue
@@ -38,15 +38,20 @@ def run_blocks(
 
     def drive(block: Block) -> tuple[Block, list[Episode]]:
         core = free.get()
-        with own_process(partial(low_latency_on_core, core), modules) as process:
-            episodes = [process.submit(run_episode, block, seed).result() for seed in seeds]
-            firsts = {episode.success: episode.seed for episode in reversed(episodes)}
-            for success, seed in firsts.items():
-                name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{block.name(seed)}.gif"
-                if films:
-                    process.submit(film, block, seed, films / file_name(name)).result()
-        free.put(core)
-        return block, episodes
+        try:
+            with own_process(partial(low_latency_on_core, core), modules) as process:
+                return block, drive_on(process, block)
+        finally:
+            free.put(core)
+
+    def drive_on(process: ProcessPoolExecutor, block: Block) -> list[Episode]:
+        episodes = [process.submit(run_episode, block, seed).result() for seed in seeds]
+        firsts = {episode.success: episode.seed for episode in reversed(episodes)}
+        for success, seed in firsts.items():
+            name = f"{block.scene}_{block.driver}_{'success' if success else 'failure'}_{block.name(seed)}.gif"
+            if films:
+                process.submit(film, block, seed, films / file_name(name)).result()
+        return episodes
 
     with ThreadPoolExecutor(workers) as threads:
         yield from threads.map(drive, blocks)
