@@ -33,13 +33,21 @@ def test_a_name_that_is_not_public_is_refused_as_python_refuses_it():
     assert set(ms_highway.__all__) <= set(dir(ms_highway))
 
 
-@pytest.mark.slow
-def test_the_wheel_works_from_another_directory_without_the_source_tree(tmp_path):
-    source, installed = tmp_path / "source", tmp_path / "installed"
-    for folder in ("ms_highway", "envs"):
-        shutil.copytree(ROOT / folder, source / folder, symlinks=True)
+@pytest.fixture
+def checkout_without_links(tmp_path):
+    """Copy the project as Git checks it out where it cannot make symbolic links: a text file stands for the link."""
+    source = tmp_path / "source"
+    shutil.copytree(ROOT / "ms_highway", source / "ms_highway", ignore=lambda folder, names: {"envs", "__pycache__"})
+    shutil.copytree(ROOT / "envs", source / "envs")
+    (source / "ms_highway" / "envs").write_text("../envs")
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
+    return source
+
+
+@pytest.mark.slow
+def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout_without_links, tmp_path):
+    source, installed = checkout_without_links, tmp_path / "installed"
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(installed), str(source)]
     subprocess.run(pip, check=True)
     shutil.rmtree(source)
@@ -49,6 +57,10 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(tmp_path
     package = installed / "ms_highway"
     for name in ("py.typed", "__init__.pyi", "data/report.html.jinja"):
         assert (package / name).exists(), name
+    packaged = {path.relative_to(package) for path in package.rglob("*.py")}
+    written = {path.relative_to(ROOT / "ms_highway") for path in (ROOT / "ms_highway").rglob("*.py")}
+    written |= {Path("envs") / path.name for path in (ROOT / "envs").glob("*.py")}
+    assert packaged == written
     assert "US-101" in (package / "data" / "NOTICE.txt").read_text()
     shutil.copy(Path(__file__).with_name("test_drive.py"), tmp_path)
     program = (
@@ -58,3 +70,17 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(tmp_path
     )
     environment = {**os.environ, "PYTHONPATH": str(installed)}
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True)
+
+
+@pytest.mark.slow
+def test_an_editable_installation_finds_the_environments_where_there_are_no_links(checkout_without_links, tmp_path):
+    source, installed = checkout_without_links, tmp_path / "installed"
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(installed), "-e", str(source)]
+    subprocess.run(pip, check=True)
+    program = (
+        f"import site, sys; sys.path = [p for p in sys.path if p != {str(ROOT)!r}]; site.addsitedir({str(installed)!r})\n"
+        "import gymnasium, ms_highway.envs\n"
+        f"assert ms_highway.envs.__file__ == {str(source / 'envs' / '__init__.py')!r}, ms_highway.envs.__file__\n"
+        "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
