@@ -48,18 +48,18 @@ Without a key, the engine makes up for the friction at 20 m/s; with one, the car
 
 def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
     """Build the game of the driver, for weights by name, on three lanes of the paper's scenes."""
-    lanes = np.arange(LANES) * LANE_WIDTH * PAPER_UNIT
+    lanes = np.arange(LANES) * LANE_WIDTH
     scene = Scene(
         lanes=lanes,
-        lane_width=LANE_WIDTH * PAPER_UNIT,
+        lane_width=LANE_WIDTH,
         obstacles=np.zeros((0, 2)),
         obstacle_size=np.ones(2),
-        car_size=np.array(CAR_SIZE) * PAPER_UNIT,
+        car_size=np.array(CAR_SIZE),
         corner=0.5,
         target_lane=lanes[0],
         length_unit=PAPER_UNIT,
     )
-    return driving_game(scene, SPEED_LIMIT * PAPER_UNIT, weights, grip=None)
+    return driving_game(scene, SPEED_LIMIT, weights, grip=None)
 
 
 class DemonstrationSettings(Struct, frozen=True):

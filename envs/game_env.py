@@ -17,7 +17,7 @@ from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.game.features import features
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward
-from ms_highway.game.scenario import CONE_SIZE, PAPER_UNIT
+from ms_highway.game.scenario import CONE_SIZE
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import State
 
@@ -60,7 +60,7 @@ class Timing:
 class Cone(Obstacle):
     """A traffic cone."""
 
-    LENGTH, WIDTH = (size * PAPER_UNIT for size in CONE_SIZE)  # m
+    LENGTH, WIDTH = CONE_SIZE  # m
 
 
 class GameEnv(ConfiguredEnv):

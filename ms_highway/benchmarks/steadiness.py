@@ -17,7 +17,7 @@ import pandas as pd
 from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison, episode_steps
-from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
+from ms_highway.game.scenario import SPEED_LIMIT
 from ms_highway.loop.devices import use_devices
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.jax_settings import high_throughput, own_process
@@ -25,7 +25,7 @@ from ms_highway.runtime.jax_settings import high_throughput, own_process
 AFTER = 1, 5, 10, 20
 """Steps from the start after which the change of the robot's path is measured."""
 
-NOISE_OF_A_METRE = 1.0, 1.0, 1 / (SPEED_LIMIT * PAPER_UNIT), 1.0  # noise of x, y, heading and speed, for 1 m
+NOISE_OF_A_METRE = 1.0, 1.0, 1 / SPEED_LIMIT, 1.0  # noise of x, y, heading and speed, for 1 m
 RESOLUTION = 1e-6  # m, about that of float32 near a start
 
 

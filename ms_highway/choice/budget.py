@@ -11,9 +11,9 @@ from jaxtyping import Float, Int
 
 from ms_highway.choice.quadratic import Quadratic, change_of_control, expand, total
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, with_human
-from ms_highway.game.game import Game, each_human
+from ms_highway.game.game import Game, constant_velocity, each_human
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
 
 SHARE = 0.8
@@ -100,7 +100,7 @@ class OneStepGains(Rule):
         """Return what the robot earns with the top rung in the last step, less what it earns naively."""
         before, robot, human, reward = self.switching.executed(game, seen)
         expansion = expand(game, before, robot, human)
-        kept = Naive().predict(game, before)[0]
+        kept = constant_velocity(game, before[1])[0]
         expected = jnp.where(uses_top, kept, human)  # by the other model
         answers = ~uses_top & self.ladder[-1].responds
         influence = jnp.where(answers, expansion.influence, 0.0)

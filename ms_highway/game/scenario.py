@@ -1,7 +1,7 @@
 """Define scenarios (geometry, rewards, starts, noise) with one human or several, and build their games.
 
-The numbers of a `Scenario` are in the paper's unit of length, 100/3 m: a car of 0.15 x 0.075 is 5 m x 2.5 m and a
-speed of 0.6 per second is 20 m/s. Games are built in any unit; drawn starts are in SI units unless another is given.
+The numbers of a `Scenario` and of drawn starts are in SI units. Games are built in any unit of length, such as that of
+the paper, 100/3 m, in which the released code computes.
 """
 
 from collections.abc import Mapping
@@ -25,13 +25,13 @@ Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
 PAPER_UNIT = 100 / 3  # m
 
-CAR_SIZE = (0.15, 0.075)  # paper units
-CONE_SIZE = (0.07, 0.0561166667)  # paper units
-LANE_WIDTH = 0.1  # paper units
-SPEED_LIMIT = 0.6  # paper units per second
+CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)  # m: 5 by 2.5
+CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)  # m
+LANE_WIDTH = 0.1 * PAPER_UNIT  # m
+SPEED_LIMIT = 0.6 * PAPER_UNIT  # m/s: 20
 TIME_STEP = 0.1  # s
 PAPER_FRICTION = 0.2  # 1/s; the paper gives no value of alpha
-RELEASED_DRAG = 0.2  # per paper unit, in the world only: the released planners neglect it
+RELEASED_DRAG = 0.2 / PAPER_UNIT  # 1/m, in the world only: the released planners neglect it
 
 PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
 """The paper's dynamics with friction, Sec. IV-A; the same in any unit of length."""
@@ -53,13 +53,16 @@ it; later controls of a plan may exceed it by a quarter (`ms_highway.game.game.b
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
 """Weights that every driver of every scenario has."""
 
-POSITION_NOISE = 5e-4  # standard deviation, paper units
-MOTION_NOISE = 1e-3  # standard deviation of speed [paper units per second] and heading [rad]
-MERGING_NOISE = 0.01  # further standard deviation of the merging car's x, paper units
+POSITION_NOISE = 5e-4 * PAPER_UNIT  # m, standard deviation of x and y
+HEADING_NOISE = 1e-3  # rad, standard deviation
+START_SPEED_NOISE = 1e-3 * PAPER_UNIT  # m/s, standard deviation without streams
+MERGING_NOISE = 0.01 * PAPER_UNIT  # m, further standard deviation of the merging car's x
 
 
 SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
 """Bounds on plans for seconds, with `GRIP`: what tyres hold on a dry road."""
+
+WIDEST_LANE = 6.0  # m
 
 REACHED = 0.8  # m
 """Distance from the centre of the target lane within which the robot has reached it."""
@@ -79,8 +82,8 @@ class Stream:
     """Humans that drive in one lane, one behind the other.
 
     Attributes:
-        lane: lateral position of the lane's centre.
-        speed: mean speed.
+        lane: lateral position of the lane's centre [m].
+        speed: mean speed [m/s].
     """
 
     lane: float
@@ -93,15 +96,15 @@ class Scenario:
 
     Attributes:
         name: in commands and records.
-        lanes: lateral position of each lane's centre.
-        cars: start (x, y) of the robot, the human, and the scripted cars; all start at the speed limit, heading 0,
-            unless a third number says how much faster. With streams, of the robot alone.
+        lanes: lateral position of each lane's centre, 3.3 m apart in the package's scenarios [m].
+        cars: start (x, y) of the robot, the human, and the scripted cars [m]; all start at the speed limit, 20 m/s,
+            heading 0, unless a third number says how much faster [m/s]. With streams, of the robot alone.
         steps: length of an episode.
         ladder: names of the human models to choose from by default, cheapest first.
         prices: two lambdas, aggressive and conservative, of the paper's comparison [reward per second].
         robot_weights, human_weights: reward weights by feature.
-        robot_gap, human_gap: distance behind the leader at which the gap feature is highest.
-        cones: centres of the cones.
+        robot_gap, human_gap: distance behind the leader at which the gap feature is highest [m].
+        cones: centres of the cones [m].
         merging_car: index of the car with additional noise on its start.
         corner: see `Scene`.
         streams: of the humans, who are dealt out evenly; the first streams get what remains. With streams, the robot
@@ -111,6 +114,9 @@ class Scenario:
         semantics: by default, see `build_game`.
         planning, solver, control_limit, grip: of plans by default, see `build_game`.
         way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
+
+    Raises:
+        ValueError: for sizes that no road has, as of numbers that are not in metres.
     """
 
     name: str
@@ -135,6 +141,19 @@ class Scenario:
     control_limit: tuple[float, float] | None = PHYSICAL_LIMIT
     grip: float | None = None
     way_out: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse lanes in which two cars overlap, lanes that are far from each other, and cars off all lanes."""
+        place, remedy = f"scenario {self.name!r}", "all numbers are in metres, y to the right"
+        lanes = np.sort(np.asarray(self.lanes, float).ravel())
+        apart = np.diff(lanes)
+        if not len(lanes) or not np.isfinite(lanes).all() or np.any((apart < CAR_SIZE[1]) | (apart > WIDEST_LANE)):
+            found = f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to {WIDEST_LANE:g} m apart"
+            raise ValueError(f"{place} has {found}, and {remedy}")
+        for kind, points in (("a car", self.cars), ("a cone", self.cones)):
+            for point in points:
+                if not np.isfinite(point).all() or np.min(np.abs(lanes - point[1])) > WIDEST_LANE:
+                    raise ValueError(f"{place} has {kind} at {point}, beside all lanes, at {self.lanes}; {remedy}")
 
 
 def title(name: str) -> str:
@@ -165,7 +184,7 @@ def build_game(
             for no bounds.
         grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`; None for no limit, or
             in physical semantics for `GRIP`.
-        unit: length of one paper unit in the game; 1 keeps the released code's numbers.
+        unit: length of one paper unit, 100/3 m, in the game; 1 keeps the released code's numbers.
         solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`; None for the
             scenario's.
         human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans' reward; the other weights of the
@@ -178,27 +197,28 @@ def build_game(
         aims = {name: weight for name, weight in human_weights.items() if name not in COMMON_WEIGHTS}
         human_weights = {**aims, **human_driving}
     human_weights["collision_risk"] = scenario.caution * human_weights.get("collision_risk", 0.0)
+    metre = unit / PAPER_UNIT
     scene = Scene(
-        lanes=np.array(scenario.lanes) * unit,
-        lane_width=LANE_WIDTH * unit,
-        obstacles=np.array(scenario.cones).reshape(-1, 2) * unit,
-        obstacle_size=np.array(CONE_SIZE) * unit,
-        car_size=np.array(CAR_SIZE) * unit,
+        lanes=np.array(scenario.lanes) * metre,
+        lane_width=LANE_WIDTH * metre,
+        obstacles=np.array(scenario.cones).reshape(-1, 2) * metre,
+        obstacle_size=np.array(CONE_SIZE) * metre,
+        car_size=np.array(CAR_SIZE) * metre,
         corner=scenario.corner,
-        target_lane=min(scenario.lanes) * unit,
+        target_lane=min(scenario.lanes) * metre,
         length_unit=unit,
         leader=2 if len(scenario.cars) > 2 else None,
     )
     names = features_for(scenario.robot_weights, human_weights)
-    robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * unit, scenario.robot_gap * unit, names)
-    human = linear_reward(human_weights, SPEED_LIMIT * unit, scenario.human_gap * unit, names)
+    robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * metre, scenario.robot_gap * metre, names)
+    human = linear_reward(human_weights, SPEED_LIMIT * metre, scenario.human_gap * metre, names)
     if semantics == "released":
         plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
-        world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / unit, TIME_STEP)
+        world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / metre, TIME_STEP)
     else:
         plans = world = PAPER_DYNAMICS
     if semantics == "physical" and grip is None:
-        grip = GRIP * unit / PAPER_UNIT
+        grip = GRIP * metre
     planning = planning or scenario.planning
     plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
     planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning)
@@ -261,7 +281,7 @@ def _planner(
     """
     smooth = solver == "convex_newton"
     iterations, step_size = gradient_steps(planning)
-    turn_scale = 1 / (SPEED_LIMIT * scene.length_unit) if dynamics.steering == "curvature" else 1.0
+    turn_scale = PAPER_UNIT / (SPEED_LIMIT * scene.length_unit) if dynamics.steering == "curvature" else 1.0
     return Planner(
         control_scale=np.array([turn_scale, scene.length_unit]),
         control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
@@ -277,15 +297,15 @@ def _planner(
 def draw_starts(scenario: Scenario, random: np.random.Generator) -> State:
     """Draw the start of every car of a scenario without streams, with the noise of the paper's experiments.
 
-    Normal noise of standard deviation 5e-4 units on x and y and 1e-3 on speed and heading; another 0.01 units on the x
-    of the merging car.
+    Normal noise of standard deviation 1.7 cm on x and y, 1e-3 rad on heading and 3.3 cm/s on speed; another 33 cm on
+    the x of the merging car.
     """
     cars = np.array([(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars])
-    noise = [POSITION_NOISE, POSITION_NOISE, MOTION_NOISE, MOTION_NOISE]
+    noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, START_SPEED_NOISE]
     cars += random.normal(scale=noise, size=cars.shape)
     if scenario.merging_car is not None:
         cars[scenario.merging_car, 0] += random.normal(scale=MERGING_NOISE)
-    return cars * [PAPER_UNIT, PAPER_UNIT, 1.0, PAPER_UNIT]
+    return cars
 
 
 def draw_episode(scenario: Scenario, random: np.random.Generator, humans: Reward) -> tuple[State, HumansWeights]:
@@ -304,12 +324,12 @@ def draw_episode(scenario: Scenario, random: np.random.Generator, humans: Reward
     weights = np.array(humans.weights, np.float32)
     if not scenario.streams:
         return draw_starts(scenario, random), weights
-    robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT]) * [PAPER_UNIT, PAPER_UNIT, 1.0, PAPER_UNIT]
+    robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT])
     number, lanes = len(weights), len(scenario.streams)
     dealt = [len(range(place, number, lanes)) for place in range(lanes)]
     streams = [_stream(stream, each, random) for stream, each in zip(scenario.streams, dealt, strict=True)]
     cars = np.concatenate([robot[None], *streams])
-    noise = [POSITION_NOISE * PAPER_UNIT, POSITION_NOISE * PAPER_UNIT, MOTION_NOISE, SPEED_NOISE]
+    noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, SPEED_NOISE]
     cars += random.normal(scale=noise, size=cars.shape)
     factors = np.exp(random.normal(0.0, CAUTION_SPREAD, number))
     factors = np.where(random.uniform(size=number) < CARELESS, CARELESS_FACTOR, factors)
@@ -324,5 +344,4 @@ def _stream(stream: Stream, humans: int, random: np.random.Generator) -> State:
     ahead = (humans + 1) // 2  # of the robot
     beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
     x = beside + np.sum(spacings[:ahead]) - np.cumsum(spacings)
-    y, speed = stream.lane * PAPER_UNIT, stream.speed * PAPER_UNIT
-    return np.stack([x, np.full(humans, y), np.zeros(humans), np.full(humans, speed)], axis=-1)
+    return np.stack([x, np.full(humans, stream.lane), np.zeros(humans), np.full(humans, stream.speed)], axis=-1)

@@ -1,4 +1,7 @@
-"""The package's scenarios: three of the paper with one human, two with several. Numbers are in the paper's units."""
+"""The package's scenarios: three of the paper with one human, two with several.
+
+The paper gives positions in a unit of 100/3 m, ``UNIT``.
+"""
 
 from dataclasses import replace
 from math import sqrt
@@ -6,53 +9,54 @@ from typing import Any
 
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import COMMON_WEIGHTS, GRIP, SECONDS_LIMIT, SPEED_LIMIT, Scenario, Stream
+from ms_highway.game.scenario import PAPER_UNIT as UNIT
 
 STAY_BACK = Scenario(
     name="stay_back",
-    lanes=(-0.14, 0.0),
-    cars=((-0.9, -0.14), (-0.9, 0.0)),
+    lanes=(-0.14 * UNIT, 0.0),
+    cars=((-0.9 * UNIT, -0.14 * UNIT), (-0.9 * UNIT, 0.0)),
     steps=35,
     ladder=("naive", "turn"),
     prices=(5.0, 0.4),
     robot_weights=COMMON_WEIGHTS,
     human_weights=COMMON_WEIGHTS,
     cones=(
-        (-0.25, -0.18),
-        (-0.2, -0.17),
-        (-0.15, -0.15),
-        (-0.1, -0.15),
-        (-0.1, 0.01),
-        (-0.15, 0.01),
-        (-0.2, 0.03),
-        (-0.25, 0.04),
+        (-0.25 * UNIT, -0.18 * UNIT),
+        (-0.2 * UNIT, -0.17 * UNIT),
+        (-0.15 * UNIT, -0.15 * UNIT),
+        (-0.1 * UNIT, -0.15 * UNIT),
+        (-0.1 * UNIT, 0.01 * UNIT),
+        (-0.15 * UNIT, 0.01 * UNIT),
+        (-0.2 * UNIT, 0.03 * UNIT),
+        (-0.25 * UNIT, 0.04 * UNIT),
     ),
 )
 """Cones narrow the road, and two cars side by side do not fit between them."""
 
 MERGER = Scenario(
     name="merger",
-    lanes=(-0.1, 0.0),
-    cars=((-0.1, 0.0), (-0.2, -0.1), (0.05, -0.1)),
+    lanes=(-0.1 * UNIT, 0.0),
+    cars=((-0.1 * UNIT, 0.0), (-0.2 * UNIT, -0.1 * UNIT), (0.05 * UNIT, -0.1 * UNIT)),
     steps=40,
     ladder=("naive", "turn", "tom"),
     prices=(0.6, 0.1),
     robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
     human_weights=COMMON_WEIGHTS | {"target_lane": 1000, "gap": 70},
-    human_gap=0.25,
+    human_gap=0.25 * UNIT,
     merging_car=0,
 )
 """The gap in the left lane is too small for the robot unless the human behind it yields."""
 
 GIVE_WAY = Scenario(
     name="give_way",
-    lanes=(-0.1, 0.0),
-    cars=((-0.275, -0.1), (-0.275, 0.0), (0.05, -0.1), (-0.6, -0.1)),
+    lanes=(-0.1 * UNIT, 0.0),
+    cars=((-0.275 * UNIT, -0.1 * UNIT), (-0.275 * UNIT, 0.0), (0.05 * UNIT, -0.1 * UNIT), (-0.6 * UNIT, -0.1 * UNIT)),
     steps=40,
     ladder=("naive", "turn", "tom"),
     prices=(0.03, 0.01),
     robot_weights=COMMON_WEIGHTS | {"target_lane": 1000, "gap": 10, "partner_target_lane": 350, "partner_merged": 5},
     human_weights=COMMON_WEIGHTS | {"target_lane": 0.7 * 150},
-    robot_gap=0.325,
+    robot_gap=0.325 * UNIT,
     merging_car=1,
     corner=0.675 / sqrt(2),
 )
@@ -72,7 +76,9 @@ def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
     return replace(physical, planning=PlanningSettings(horizon=horizon), **changes)
 
 
-STAY_BACK_V1 = _physical(STAY_BACK, 20, cars=((-1.24, -0.14), (-1.03, 0.0, 0.045)), steps=60)
+STAY_BACK_V1 = _physical(
+    STAY_BACK, 20, cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.03 * UNIT, 0.0, 0.045 * UNIT)), steps=60
+)
 """The robot starts 32 m before the cones. The human starts 7 m ahead of it and drives 1.5 m/s faster.
 
 Within what tyres hold, one car has to slow down in time for the other one. Nearer starts leave no room for that, and
@@ -96,7 +102,7 @@ def _merge_among_several(
         prices=(10.0, 1.0),
         robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
         human_weights=COMMON_WEIGHTS,
-        cones=tuple((first_cone + 0.09 * place, 0.02) for place in range(3)),
+        cones=tuple(((first_cone + 0.09 * place) * UNIT, 0.02 * UNIT) for place in range(3)),
         streams=streams,
         humans=8,
         caution=0.3,
@@ -108,15 +114,15 @@ def _merge_among_several(
     )
 
 
-DENSE_MERGE = _merge_among_several("dense_merge", 80, (-0.1, 0.0), 2.0, (Stream(-0.1),))
+DENSE_MERGE = _merge_among_several("dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),))
 """The robot's lane ends, and most gaps of the stream beside it are too short for a car unless somebody yields."""
 
 CROSSING_CROWD = _merge_among_several(
     "crossing_crowd",
     100,
-    (-0.2, -0.1, 0.0),
+    (-0.2 * UNIT, -0.1 * UNIT, 0.0),
     1.5,
-    (Stream(-0.1, 0.95 * SPEED_LIMIT), Stream(-0.2, 1.05 * SPEED_LIMIT)),
+    (Stream(-0.1 * UNIT, 0.95 * SPEED_LIMIT), Stream(-0.2 * UNIT, 1.05 * SPEED_LIMIT)),
 )
 """The robot's lane ends, and it wants to cross the stream of humans beside it, to join another one in the left lane.
 

@@ -30,7 +30,7 @@ from ms_highway.loop.step import (
     responsive_rungs,
 )
 from ms_highway.loop.yielding import unmoved_control
-from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
@@ -68,6 +68,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     """
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
+    warn_of_limits(loop.models, loop.game, episodes.starts[0])
     mesh = device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
     return share_among(mesh, partial(_simulate, loop), episodes, loop.together)
 

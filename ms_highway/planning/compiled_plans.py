@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, human_model
+from ms_highway.planning.human_models import HumanModel, human_model, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import Escape, keep_way_out
@@ -74,6 +74,7 @@ class CompiledPlans:
 
     def warm_up(self, state: State, way_out: bool = False) -> float:
         """Compile and run the plans, and the look for a way out, that have not run before; return the seconds spent."""
+        warn_of_limits(self.ladder, self.game, state)
         several = self.game.number > 1
         assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
         seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)

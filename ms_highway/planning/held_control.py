@@ -21,7 +21,7 @@ from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 Cars = Float[Any, "*cars"]
 
 UNIT = PAPER_UNIT  # m
-TURN_SCALE = 1 / (SPEED_LIMIT * UNIT)  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
+TURN_SCALE = 1 / SPEED_LIMIT  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
 HARDEST, STRONGEST, SHARPEST = 8.0, 4.0, 0.02  # m/s^2 of braking and accelerating, 1/m
 TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps that a control is held for
 

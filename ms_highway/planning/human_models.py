@@ -1,7 +1,8 @@
 """Plan under each human model of the ladder: naive, IDM, turn and theory of mind.
 
 A `HumanModel` predicts one human, in the game of the robot with that human alone (`ms_highway.game.game.pair`);
-`ms_highway.planning.several` plans among several. All controls are scaled, see `ms_highway.game.game`.
+`ms_highway.planning.several` plans among several. Predictions are in SI units; plans, and what they start from, are
+scaled, see `ms_highway.game.game`.
 
 A model has an effort: the number of its steps, and the plan that they start from. Names are ``tom@8``, theory of mind
 in 8 ascent steps, ``tom+warm``, from the rest of the last plan, and ``tom@8+warm``.
@@ -12,12 +13,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import ClassVar
+from warnings import warn
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
-from ms_highway.game.game import Game, constant_velocity, swap_players
+from ms_highway.game.game import Game, bounded, pair, swap_players
 from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_traced_step
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.planning.car_following import FAR, idm_acceleration
@@ -98,7 +101,20 @@ class HumanModel:
         return None if base is None or self.steps is None else base * self.steps / usual
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
-        """Predict the human's controls, scaled."""
+        """Predict the human's controls over the horizon, in SI units and traced by JAX.
+
+        Under a control (omega, a), the speed v changes by ``v' = a - friction v`` and the heading by ``v omega``; so
+        `ms_highway.game.dynamics.keep_velocity` plus (0, -4) brakes by 4 m/s^2. What the limits of plans cut off is
+        cut off in the plan, too, and warned of if it is at the start of an episode.
+
+        Args:
+            game: of the robot and this human; ``game.planner.horizon`` steps of ``game.dynamics.time_step`` seconds.
+            state: x, y [m], heading [rad] and speed [m/s] of the robot, the human and all other cars, [cars, 4].
+            start: scaled plan that the robot's starts from; None for a cold start.
+
+        Returns:
+            Curvature omega [1/m] and acceleration a before friction [m/s^2] in each step, [horizon, 2].
+        """
         raise NotImplementedError
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
@@ -115,7 +131,7 @@ class PredictedHuman(HumanModel):
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Optimise the robot's controls against the prediction."""
-        return plan_against(game, state, self.predict(game, state, start)[None], start)
+        return plan_against(game, state, scaled_prediction(self, game, state, start)[None], start)
 
 
 @dataclass(frozen=True)
@@ -126,7 +142,8 @@ class Naive(PredictedHuman):
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the controls that keep the human's speed and heading."""
-        return constant_velocity(game, state[1])
+        control = keep_velocity(game.dynamics, state[1])
+        return control.__array_namespace__().tile(control, (game.planner.horizon, 1))
 
 
 @dataclass(frozen=True)
@@ -144,7 +161,7 @@ class IntelligentDriver(PredictedHuman):
         def follow(state: State, _: None) -> tuple[State, Control]:
             control = following_control(game, state)
             kept = keep_velocity(game.dynamics, state)
-            return step(game.dynamics, state, kept.at[1].set(control)), control / game.planner.control_scale
+            return step(game.dynamics, state, kept.at[1].set(control)), control
 
         return jax.lax.scan(follow, jnp.asarray(state), None, game.planner.horizon)[1]
 
@@ -169,7 +186,7 @@ class Turn(PredictedHuman):
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the human's plan against a robot that keeps its velocity."""
         mirrored = start and Plan(start.humans[0], start.robot[None])
-        return Naive().plan(*swap_players(game, state), mirrored).robot
+        return Naive().plan(*swap_players(game, state), mirrored).robot * game.planner.control_scale
 
 
 @dataclass(frozen=True)
@@ -185,7 +202,7 @@ class TheoryOfMind(HumanModel):
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the human's side of the joint plan."""
-        return self.plan(game, state, start).humans[0]
+        return self.plan(game, state, start).humans[0] * game.planner.control_scale
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Improve the robot's and the human's controls by a joint ascent."""
@@ -202,6 +219,39 @@ PAPER_MODELS = ("naive", "turn", "tom")
 """Names of the paper's models, cheapest first."""
 
 RESERVED = (*PACKAGE_MODELS, BEST)
+
+
+def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan | None = None) -> Controls:
+    """Return a model's prediction, scaled, as plans take it: a registered model's within the limits of plans.
+
+    Raises:
+        ValueError: if a registered model does not predict [horizon, 2] numbers.
+    """
+    controls = model.predict(game, state, start)
+    if type(model).name in PACKAGE_MODELS:  # which keep to the limits by themselves
+        return controls / game.planner.control_scale
+    wanted, shape = (game.planner.horizon, 2), jnp.shape(controls)
+    if shape != wanted:
+        remedy = "predict the curvature [1/m] and the acceleration [m/s^2] of every step of the horizon"
+        raise ValueError(f"human model {model.name!r} predicts an array of shape {shape}, not {wanted}; {remedy}")
+    scaled = jnp.asarray(controls) / game.planner.control_scale
+    return jnp.where(jnp.isfinite(scaled), bounded(game, state[1], scaled), scaled)
+
+
+def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> None:
+    """Warn of registered models whose prediction of the first human, at a start, the limits of plans cut."""
+    for model in ladder:
+        if type(model).name in PACKAGE_MODELS or model.responds:
+            continue
+        alone = pair(model.within(game), jnp.asarray(state), 0)
+        told = np.asarray(model.predict(*alone))
+        kept = np.asarray(scaled_prediction(model, *alone) * game.planner.control_scale)
+        cut = np.argwhere(np.abs(told - kept) > 1e-3 * np.abs(told))
+        if len(cut):
+            place = tuple(cut[0])
+            what = ("a curvature of {:.3g} 1/m", "an acceleration of {:.3g} m/s^2")[place[1]].format(told[place])
+            why = f"human model {model.name!r} predicts {what}, which the limits of plans cut to {kept[place]:.3g}"
+            warn(f"{why}; predictions are in SI units, see ms_highway.HumanModel.predict", stacklevel=2)
 
 
 def register(model: HumanModel, before: str | None = None) -> None:

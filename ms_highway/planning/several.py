@@ -4,7 +4,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, bounded, constant_velocity, pair
-from ms_highway.planning.human_models import HumanModel, IntelligentDriver, Naive, TheoryOfMind, Turn
+from ms_highway.planning.human_models import PACKAGE_MODELS, HumanModel, Naive, scaled_prediction
 from ms_highway.planning.joint import Answering, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State, for_each
@@ -30,7 +30,7 @@ def plan_for(
 
 def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:
     """Limit the plan of a registered model; the package's models keep to the limits by themselves."""
-    if type(model) in (Naive, IntelligentDriver, Turn, TheoryOfMind):
+    if type(model).name in PACKAGE_MODELS:
         return plan
     robot, human = (
         jnp.where(jnp.isfinite(side), bounded(game, car, side), side)
@@ -64,7 +64,7 @@ def _predict(
 
     def predict(human: Index, expected: HumansControls) -> HumansControls:
         begin = None if anew else Plan(start.robot, start.humans[human][None])
-        return expected.at[human].set(model.predict(*pair(model.within(game), state, human), begin))
+        return expected.at[human].set(scaled_prediction(model, *pair(model.within(game), state, human), begin))
 
     return for_each(rungs == rung, predict, expected)
 

@@ -16,8 +16,8 @@ class SqueezeEnv(InteractionEnv):
 
     scenario = Scenario(
         name="squeeze",
-        lanes=(-0.2, -0.1, 0.0),
-        cars=((0.0, 0.0), (-0.12, -0.1), (0.25, -0.2), (-0.35, -0.2)),
+        lanes=(-20 / 3, -10 / 3, 0.0),
+        cars=((0.0, 0.0), (-4.0, -10 / 3), (25 / 3, -20 / 3), (-35 / 3, -20 / 3)),
         steps=40,
         ladder=("naive", "turn", "tom"),
         prices=(0.1, 0.02),
@@ -32,14 +32,14 @@ class WorksEnv(InteractionEnv):
 
     scenario = Scenario(
         name="works",
-        lanes=(-0.1, 0.0),
-        cars=((-0.1, -0.1), (-0.06, 0.0)),
+        lanes=(-10 / 3, 0.0),
+        cars=((-10 / 3, -10 / 3), (-2.0, 0.0)),
         steps=40,
         ladder=("naive", "turn", "tom"),
         prices=(0.1, 0.02),
         robot_weights={**COMMON_WEIGHTS, "target_lane": 500, "partner_target_lane": 250, "partner_merged": 5},
         human_weights={**COMMON_WEIGHTS, "target_lane": 120},
-        cones=((0.6, 0.02), (0.67, 0.02), (0.74, 0.02), (0.81, 0.02)),
+        cones=((20.0, 2 / 3), (67 / 3, 2 / 3), (74 / 3, 2 / 3), (27.0, 2 / 3)),
         merging_car=1,
     )
 

@@ -21,13 +21,13 @@ from ms_highway.experiments.runner import read, run
 
 
 class ZipperEnv(InteractionEnv):
-    """The robot's lane is closed by cones, and a human drives beside it in the other; lengths in the paper's unit."""
+    """The robot's lane is closed by cones, and a human drives beside it in the other; lengths in metres."""
 
     scenario = Scenario(
         name="zipper",
-        lanes=(-0.1, 0.0),
-        cars=((-0.1, 0.0), (-0.13, -0.1)),  # robot, human
-        cones=((0.55, 0.03), (0.63, 0.03), (0.71, 0.03), (0.79, 0.03)),
+        lanes=(-10 / 3, 0.0),
+        cars=((-10 / 3, 0.0), (-13 / 3, -10 / 3)),  # robot, human
+        cones=((55 / 3, 1.0), (21.0, 1.0), (71 / 3, 1.0), (79 / 3, 1.0)),
         steps=40,
         ladder=("naive", "turn", "tom"),
         prices=(0.1, 0.02),  # lambdas of the two switching controllers that are compared by default

@@ -88,7 +88,7 @@ def test_registered_models_have_efforts_too(lazy, played):
 def test_counted_steps_are_gradient_steps_of_their_own_length_under_any_solver(played, solver):
     game, state = played("merger", solver=solver)
     robot = compiled("naive@1")(game, state).robot
-    expected = Naive().predict(game, state)
+    expected = Naive().predict(game, state) / game.planner.control_scale
     slope = jax.grad(total_reward, argnums=2)(game, state, np.zeros((5, 2)), expected[None])
     np.testing.assert_allclose(robot, project(game.planner, 0.1 * slope), atol=1e-5)
 

@@ -1,13 +1,16 @@
 """Plans under the ladder of human models."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
 
+import ms_highway
+from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_players, total_reward
+from ms_highway.game.scenarios import MERGER, MERGER_V1
 from ms_highway.numerics.second_derivatives import response
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import MODELS, TheoryOfMind
@@ -83,3 +86,53 @@ def test_the_damped_response_always_ascends():
         damped = response("damped", hessian, push)
         assert damped @ push > 0
         assert np.linalg.norm(damped) <= np.linalg.norm(push) * 1.001
+
+
+@dataclass(frozen=True)
+class Told(ms_highway.PredictedHuman):
+    name = "told"
+    acceleration: float = 0.0
+    steps_told: int | None = None
+
+    def predict(self, game, state, start=None):
+        control = keep_velocity(game.dynamics, state[1]) + jnp.array([0.0, self.acceleration])
+        return jnp.tile(control, (self.steps_told or game.planner.horizon, 1))
+
+
+@pytest.mark.parametrize("humans", [1, 2])
+def test_a_registered_model_predicts_in_si_units(played, humans):
+    game, state = played("merger", humans=humans)
+    braking = Told(acceleration=-4.0)
+    planned = CompiledPlans(game, [braking]).plan(checked_state(state), [0] * humans)[0]
+    expected = 0.2 * state[1, 3] - 4.0  # friction is made up for
+    np.testing.assert_allclose(planned.humans[..., 1] * game.planner.control_scale[1], expected, rtol=1e-5)
+
+
+def test_a_prediction_that_the_limits_cut_is_warned_of_and_one_of_another_shape_is_refused(played):
+    game, state = played(MERGER_V1, semantics="physical")
+    state = checked_state(state)
+    with pytest.warns(UserWarning, match=r"'told' predicts an acceleration of -396 m/s\^2.*limits.*to -3.99"):
+        CompiledPlans(game, [Told(acceleration=-400.0)]).warm_up(state)
+    with pytest.raises(ValueError, match=r"'told' predicts an array of shape \(3, 2\), not \(10, 2\)"):
+        CompiledPlans(game, [Told(steps_told=3)]).warm_up(state)
+
+
+def test_every_model_predicts_what_its_plan_counts_on(played):
+    game, state = played("merger")
+    for model in MODELS.values():
+        predicted, counted_on = jit_quickly(model.predict)(game, state), plan(model, game, state).humans[0]
+        np.testing.assert_allclose(counted_on * game.planner.control_scale, predicted, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "told"),
+    [
+        ({"lanes": (-0.1, 0.0)}, r"lanes at \(-0.1, 0.0\).*2.5 to 6 m apart.*metres"),
+        ({"lanes": (-133.0, 0.0)}, r"lanes at \(-133.0, 0.0\)"),
+        ({"cars": ((-10.0, 0.0), (0.0, 30.0))}, r"a car at \(0.0, 30.0\), beside all lanes"),
+        ({"cones": ((10.0, float("nan")),)}, r"a cone at \(10.0, nan\)"),
+    ],
+)
+def test_scenarios_in_other_units_than_metres_are_refused(numbers, told):
+    with pytest.raises(ValueError, match=f"scenario 'merger' has {told}"):
+        replace(MERGER, **numbers)

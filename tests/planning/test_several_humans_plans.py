@@ -70,8 +70,8 @@ def test_each_human_is_predicted_in_the_robots_game_with_it_alone(three, plans):
     game, state = three
     expected = plans.plan(state, [TURN, IDM, NAIVE])[0].humans
     for human, model in enumerate((Turn(), MODELS["idm"], MODELS["naive"])):
-        alone, seen = pair(game, jnp.asarray(state), human)
-        np.testing.assert_allclose(jit_quickly(model.predict)(alone, seen), expected[human], atol=1e-5)
+        predicted = jit_quickly(model.predict)(*pair(game, jnp.asarray(state), human))
+        np.testing.assert_allclose(predicted / game.planner.control_scale, expected[human], atol=1e-5)
 
 
 @dataclass(frozen=True)

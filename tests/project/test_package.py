@@ -75,10 +75,22 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout
 @pytest.mark.slow
 def test_an_editable_installation_finds_the_environments_where_there_are_no_links(checkout_without_links, tmp_path):
     source, installed = checkout_without_links, tmp_path / "installed"
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(installed), "-e", str(source)]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--target",
+        str(installed),
+        "-e",
+        str(source),
+    ]
     subprocess.run(pip, check=True)
     program = (
-        f"import site, sys; sys.path = [p for p in sys.path if p != {str(ROOT)!r}]; site.addsitedir({str(installed)!r})\n"
+        "import site, sys\n"
+        f"sys.path = [path for path in sys.path if path != {str(ROOT)!r}]; site.addsitedir({str(installed)!r})\n"
         "import gymnasium, ms_highway.envs\n"
         f"assert ms_highway.envs.__file__ == {str(source / 'envs' / '__init__.py')!r}, ms_highway.envs.__file__\n"
         "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
