@@ -12,15 +12,16 @@ from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
+from ms_highway.envs.keyboard import keyboard_control
 from ms_highway.envs.registry import controller_config, controller_settings
-from ms_highway.envs.settings import Settings
+from ms_highway.envs.settings import KEYBOARD, Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.driver import Driver, drivable, fixed
-from ms_highway.loop.yielding import Unmoved
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
@@ -73,8 +74,10 @@ class InteractionEnv(GameEnv):
     * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
       are drawn around, or ``"true"``, their own.
     * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"`` yield, but keep
-      their velocity; ``"always"``, make room for it (`ms_highway.loop.yielding.Unmoved`); or ``"mixed"``, each of
+      their velocity; ``"always"``, make room for it (`ms_highway.loop.human_drivers`); or ``"mixed"``, each of
       them never or always, drawn when the episode starts.
+    * ``human_driver``: what drives the humans instead of plans for their reward: a name of `ms_highway.add_driver`, or
+      ``"keyboard"``: the arrow keys drive the first human, in a window (``render_mode="human"``).
     * ``way_out``: whether the robot keeps a way out from humans who do not yield, see `ms_highway.planning.way_out`.
     * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
       semantics: the scenario's in paper semantics, unlimited in released semantics.
@@ -141,6 +144,7 @@ class InteractionEnv(GameEnv):
             "humans": scenario.humans,
             "beliefs": "learned",
             "yielding": "usual",
+            "human_driver": None,
             "way_out": scenario.way_out,
             "control_limit": None,
             "grip": scenario.grip,
@@ -169,6 +173,7 @@ class InteractionEnv(GameEnv):
             except ValueError as error:
                 raise ValueError(f"config['controller'] is {config['controller']}: {error}") from error
             drivable(rule, settings.controller.belief)
+            settings.warn_of_other_values(cls.scenario)
         return config | {"ladder": [model.name for model in settings.models]}
 
     def _read(self) -> None:
@@ -186,11 +191,13 @@ class InteractionEnv(GameEnv):
                 message = f"{self.scenario.name} needs an array {shape} of finite numbers"
                 raise ValueError(f"options['initial_states'] is {states.tolist()}; {message}")
         humans = self.settings.humans
-        kinds = [RobotVehicle, *[HumanVehicle] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
+        driver = HUMAN_DRIVERS.get(self.settings.human_driver or "")
+        human = driver if isinstance(driver, type) else HumanVehicle
+        kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         cars = [kind(self.road, state[:2], *state[2:]) for kind, state in zip(kinds, states, strict=True)]
         self._place(cars)
-        for car in cars[: 1 + humans]:
+        for car in cars[: 1 + humans if human is HumanVehicle else 1]:
             car.dynamics = jax.tree.map(float, self.game.world)
         self.road.objects = [Cone(self.road, place) for place in np.asarray(self.game.scene.obstacles, dtype=float)]
         self._drive()
@@ -205,19 +212,24 @@ class InteractionEnv(GameEnv):
         """Draw the start of every car in SI units, and what every human drives for; see `draw_episode`."""
         return draw_episode(self.scenario, random, self.game.humans)
 
-    def draw_yielding(self, random: np.random.Generator) -> Sequence[bool | None]:
-        """Say of every human whether it always yields, or never; None for those who plan for their reward."""
-        kind, humans = self.settings.yielding, self.settings.humans
-        if kind == "mixed":
-            return [bool(each) for each in random.uniform(size=humans) < 0.5]
-        return [{"never": False, "always": True}.get(kind)] * humans
+    def draw_drivers(self, random: np.random.Generator) -> Sequence[str | None]:
+        """Name the driver of every human; None for those who plan for their reward."""
+        names, humans = self.settings.drivers, self.settings.humans
+        if names == (KEYBOARD,):
+            return [KEYBOARD, *[None] * (humans - 1)]
+        if len(names) > 1:
+            return [names[yields] for yields in (random.uniform(size=humans) < 0.5).astype(int)]
+        return [*(names or (None,))] * humans
 
     def _drive(self) -> None:
         """Give the cars their drivers."""
         cars, game = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
-        for number, yields in enumerate(self.draw_yielding(self.np_random)):
+        for number, name in enumerate(self.draw_drivers(self.np_random)):
             own, human = swap_roles(game, number), self.humans[number]
-            driver = fixed(own) if yields is None else Unmoved(own, yields)
+            function = HUMAN_DRIVERS.get(name) if name else None
+            if isinstance(function, type):  # a vehicle of this class drives by itself
+                continue
+            driver = fixed(own) if name is None else FunctionDriver(own, name, function or keyboard_control)
             human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
             self._drive_robot(game if self.settings.beliefs == "true" else self.game)
@@ -298,7 +310,8 @@ class InteractionEnv(GameEnv):
             if self.steps:
                 info["success"] = info["is_success"] = self.success
         if self.steps:
-            info["human_status"] = tuple(human.last_step and human.last_step.status for human in self.humans)
+            steps = [getattr(human, "last_step", None) for human in self.humans]  # other vehicles have none
+            info["human_status"] = tuple(step and step.status for step in steps)
         if step is None:
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}

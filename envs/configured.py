@@ -43,6 +43,14 @@ OWN_TYPES = {kind.__name__: kind for kind in OWN}
 SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
 """What the values of highway-env's own keys must be, by the type of their default."""
 
+UNUSED = {
+    "other_vehicles_type": "'human_driver' says what drives the humans, and 'traffic' what drives recorded cars",
+    "show_trajectories": "plan and prediction are always drawn",
+    "render_agent": "render_mode says whether to draw",
+    "neighbour_vehicles_connected_lanes": "all lanes of these roads are one road",
+}
+"""highway-env's own keys that have no effect here, and what has."""
+
 STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
 
 
@@ -105,6 +113,8 @@ class ConfiguredEnv(AbstractEnv):
         read_own(cls.settings_type, whole)
         for key, default in super().default_config().items():
             check(f"config[{key!r}]", whole[key], SCALARS.get(type(default), Any))
+            if key in UNUSED and whole[key] != default:
+                raise ValueError(f"config[{key!r}] is {whole[key]!r}, which has no effect here; {UNUSED[key]}")
         frequency = 1 / whole.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each planned step
         frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
         for key in ("simulation_frequency", "policy_frequency"):

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from ms_highway.choice.rule import Order
+from ms_highway.choice.values import Values
 from ms_highway.envs.configuration import Config, NotNegative
 from ms_highway.game.scenario import Semantics
 from ms_highway.planning.compiled_plans import Costs
@@ -70,6 +71,10 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
     @property
     def budget(self) -> float | None:
         """Time of a cycle [s], None without one."""
+        return None
+
+    def learned(self, semantics: Semantics, humans: int) -> Values | None:
+        """Return the learned values by which it chooses; None without any."""
         return None
 
     def names(self) -> tuple[str, ...]:

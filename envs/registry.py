@@ -10,7 +10,7 @@ from ms_highway.choice.budget import Budget, OneStepGains
 from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
 from ms_highway.choice.rule import NEVER
-from ms_highway.choice.values import SHIPPED_VALUES, load_values
+from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
 from ms_highway.envs.configuration import Config, NotNegative, Positive, read
 from ms_highway.envs.controllers import (
     PLACE,
@@ -21,6 +21,7 @@ from ms_highway.envs.controllers import (
     ScheduleSettings,
     Start,
 )
+from ms_highway.game.scenario import Semantics
 from ms_highway.planning.human_models import is_model, model_names
 from ms_highway.runtime import retired
 
@@ -66,15 +67,19 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     def __post_init__(self) -> None:
         load_values(self.values or SHIPPED_VALUES)
 
+    def learned(self, semantics: Semantics, humans: int) -> Values:
+        """See `ControllerSettings.learned`."""
+        return _learned(self.values, semantics, humans)
+
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        return _learned(self.values, start, self.price)
+        return self.learned(start.semantics, start.humans).rule(start.ladder, start.costs, self.price)
 
 
-def _learned(values: str | None, start: Start, price: float) -> Any:
-    one = "physical" if start.semantics == "physical" else "pair"
-    learned = load_values(values or SHIPPED_VALUES, "several" if start.humans > 1 else one)
-    return learned.rule(start.ladder, start.costs, price)
+def _learned(values: str | None, semantics: Semantics, humans: int) -> Values:
+    """Return the values of a file, or those that the package has for a number of humans and semantics."""
+    one = "physical" if semantics == "physical" else "pair"
+    return load_values(values or SHIPPED_VALUES, "several" if humans > 1 else one)
 
 
 class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
@@ -97,12 +102,17 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
         """See `ControllerSettings`."""
         return self.milliseconds * 1e-3
 
+    def learned(self, semantics: Semantics, humans: int) -> Values | None:
+        """See `ControllerSettings.learned`."""
+        return None if self.values == ONE_STEP else _learned(self.values, semantics, humans)
+
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        if self.values == ONE_STEP:
+        learned = self.learned(start.semantics, start.humans)
+        if learned is None:
             gains: Any = OneStepGains(Quadratic(start.costs, 0.0, start.ladder))
         else:
-            gains = replace(_learned(self.values, start, 0.0), cautious=False)
+            gains = replace(learned.rule(start.ladder, start.costs, 0.0), cautious=False)
         return Budget(gains, start.costs, self.budget)
 
 

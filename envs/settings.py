@@ -17,6 +17,7 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS
 from ms_highway.numerics.convex_newton import ANSWERED_STEPS, STEPS
 from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
@@ -24,6 +25,12 @@ from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is
 
 HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "published"}
 """The humans' reward that belongs to each semantics."""
+
+YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
+"""The human drivers for each way to yield."""
+
+KEYBOARD = "keyboard"
+"""Name of the human driver who presses keys."""
 
 LADDER = "give a list of human models, cheapest first, or say 'best'"
 COSTS = (
@@ -51,6 +58,7 @@ class Settings(Struct, frozen=True):
     humans: int
     beliefs: Literal["learned", "true"]
     yielding: Literal["usual", "never", "always", "mixed"]
+    human_driver: str | None
     control_limit: Annotated[Literal["unlimited"] | tuple[Positive, Positive] | None, Meta(description=LIMIT)]
     grip: Annotated[Positive | None, Meta(description=GRIP)]
     way_out: bool
@@ -74,6 +82,13 @@ class Settings(Struct, frozen=True):
         if self.duration < time_step:
             why = f"an episode has one time step at least, {time_step:g} s"
             raise ValueError(f"config['duration'] is {self.duration!r}; {why}")
+        known = [name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING]
+        if self.human_driver is not None and self.human_driver not in known:
+            remedy = f"add it with ms_highway.add_driver, or name one of {', '.join(known)}"
+            raise ValueError(f"config['human_driver'] is {self.human_driver!r}; {remedy}")
+        if self.human_driver is not None and self.yielding != "usual":
+            why = f"humans who are driven by {self.human_driver!r} cannot be told how to yield"
+            raise ValueError(f"config['yielding'] is {self.yielding!r}; {why}")
         if isinstance(self.human_reward, dict):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
@@ -99,10 +114,32 @@ class Settings(Struct, frozen=True):
             )
             warn(f"config['step_size'] is {self.step_size:g}: {why}; leave it out to have one chosen", stacklevel=2)
 
+    def warn_of_other_values(self, scenario: Scenario) -> None:
+        """Warn of learned values from another scenario, semantics, solver or horizon than they are to choose in."""
+        values = self.controller.learned(self.semantics, self.humans)
+        if values is None:
+            return
+        learned_in = values.provenance.get("scenarios", [scenario.name])
+        learned = {"semantics": self.semantics, "solver": self.solver, "horizon": scenario.planning.horizon}
+        learned |= {name: values.provenance[name] for name in ("semantics", "solver") if name in values.provenance}
+        other = [name for name, value in learned.items() if getattr(self, name) not in [value, *np.ravel(value)]]
+        if scenario.name in learned_in and not other:
+            return
+        known = ", ".join([*learned_in, *(f"{name} {learned[name]}" for name in other)])
+        here = ", ".join([scenario.name, *(f"{name} {getattr(self, name)}" for name in other)])
+        changes = "".join(f" --set {name}={getattr(self, name)}" for name in other)
+        learn = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`, and say learned:LAMBDA:values.npz"
+        warn(f"the values of computation were learned in {known}, not in {here}; learn them with {learn}", stacklevel=2)
+
     @property
     def planning(self) -> PlanningSettings:
         """How far ahead, how often and by which gradient steps robot and humans plan."""
         return PlanningSettings(self.horizon, self.time_step, self.iterations, self.step_size)
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """Names of the drivers of humans who do not plan for their reward, `HUMAN_DRIVERS`."""
+        return YIELDING[self.yielding] if self.human_driver is None else (self.human_driver,)
 
     @property
     def models(self) -> tuple[HumanModel, ...]:

@@ -43,6 +43,7 @@ from .irl.forecast import Forecast as Forecast
 from .irl.forecast import predict as predict
 from .loop.driver import Driver as Driver
 from .loop.driver import fixed as fixed
+from .loop.human_drivers import add_driver as add_driver
 from .planning.compiled_plans import Costs as Costs
 from .planning.compiled_plans import plan as plan
 from .planning.human_models import HumanModel as HumanModel

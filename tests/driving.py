@@ -7,7 +7,7 @@ from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.game import swap_roles
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.driver import fixed
-from ms_highway.loop.records import DECIDES, USUAL, Episodes
+from ms_highway.loop.records import DECIDES, PLANS, Episodes
 
 SCENES = {1: "merger", 2: "dense_merge"}
 """Scenarios by number of humans."""
@@ -35,7 +35,7 @@ def drive(driver, start, steps, humans=None):
     return np.array(states), driven
 
 
-def simulated(loop, starts, steps=5, schedule=DECIDES, yielding=USUAL):
+def simulated(loop, starts, steps=5, schedule=DECIDES, drivers=PLANS):
     """Simulate episodes of a game from some starts and return their records; arguments for one episode serve all."""
     number, humans = len(starts), loop.game.number
     robot, others = loop.game.robot.weights, loop.game.humans.weights
@@ -45,6 +45,6 @@ def simulated(loop, starts, steps=5, schedule=DECIDES, yielding=USUAL):
         np.broadcast_to(np.asarray(schedule, np.int32), (number, steps, humans)),
         np.broadcast_to(robot, (number, *robot.shape)),
         np.broadcast_to(others, (number, *others.shape)),
-        np.broadcast_to(np.asarray(yielding, np.int32), (number, humans)),
+        np.broadcast_to(np.asarray(drivers, np.int32), (number, humans)),
     )
     return simulate(loop, given)

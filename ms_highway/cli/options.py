@@ -67,6 +67,7 @@ keys; these are the usual ones:
   humans=6                number of humans, 2 to 20, in {" and ".join(SCENARIO_NAMES[3:5])}
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
                           keep their velocity; always make room for it; or mixed, each of them never or always
+  human_driver=NAME       what drives the humans instead: what --import adds by ms_highway.add_driver
   way_out=false           let plans leave no escape from humans who do not yield
 
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""

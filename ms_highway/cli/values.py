@@ -126,8 +126,9 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
         raise ValueError("some scenarios have one human, others several; learn them in a file each")
     if any(human_model(name).warm for name in models):
         raise ValueError("rollouts have no rest of a last plan to begin with; leave +warm out of the ladder")
-    if first.loop.yielding:
-        raise ValueError("values are learned among humans who plan for their reward; leave config['yielding'] out")
+    if first.loop.drivers:
+        remedy = "leave config['yielding'] and config['human_driver'] out"
+        raise ValueError(f"values are learned among humans who plan for their reward; {remedy}")
     courses = [
         Course(
             name,

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
+from jax import numpy as jnp
 from jax.sharding import Mesh
 
 from ms_highway.choice.rule import Order, Rule, highest_gains
@@ -33,11 +34,13 @@ from ms_highway.experiments.records import (
     count_column,
     per_episode,
 )
+from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import REACHED
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.devices import usual_chunk
 from ms_highway.loop.fallback import STATUSES
-from ms_highway.loop.records import ALWAYS_YIELDS, DECIDES, NEVER_YIELDS, USUAL, Episodes, Loop, Records
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction
+from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive, cheapest_first, human_model
 from ms_highway.runtime.arrays import Array
@@ -52,7 +55,6 @@ STEP = (
 """Names of the methods and properties of an environment that a simulation replaces by its own code."""
 
 SEVERAL = ", of plans in which one human is predicted by it and the others by the first rung"
-YIELDING = {None: USUAL, False: NEVER_YIELDS, True: ALWAYS_YIELDS}
 
 
 @dataclass(frozen=True)
@@ -160,18 +162,19 @@ class Batch:
             ValueError: for a negative seed.
         """
         columns: list[tuple[Any, ...]] = []
+        numbers = {name: PLANS + place for place, name in enumerate((None, *self.environment.settings.drivers))}
         for name, seed in keys:
             if seed < 0:
                 raise ValueError(f"the seed is {seed}; it must not be negative")
             settings, random, shape = self.settings(name), seeding.np_random(seed)[0], (self.steps, self.humans)
             start, weights = self.environment.draw_episode(random)
-            yielding = [YIELDING[yields] for yields in self.environment.draw_yielding(random)]
+            drivers = [numbers[name] for name in self.environment.draw_drivers(random)]
             rungs = np.full(shape, DECIDES, np.int32)
             if isinstance(settings, OrderSettings):
                 table = np.vectorize(self.models.index)(settings.table(*shape, random))
                 rungs[:] = table[np.minimum(np.arange(self.steps), len(table) - 1)]
             price, own = np.float32(np.nan_to_num(settings.price)), self.loop.game.robot.weights
-            columns.append((np.float32(start), price, rungs, own, weights, yielding))
+            columns.append((np.float32(start), price, rungs, own, weights, drivers))
         return Episodes(*map(np.array, zip(*columns, strict=True)))
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
@@ -253,13 +256,33 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     used -= {model.name for model in settings[0].models}
     others = tuple(map(human_model, cheapest_first(used)))
     order = Order(np.zeros((1, 1), np.int32), settings[0].models)
-    yielding = settings[0].yielding != "usual"
-    loop = Loop(environment.game, order, others, settings[0].way_out, yielding=yielding, chunk=usual_chunk())
+    drivers = tuple(_traced_driver(name, environment.game) for name in settings[0].drivers)
+    loop = Loop(environment.game, order, others, settings[0].way_out, drivers=drivers, chunk=usual_chunk())
     batch = Batch(comparison, environment, controllers, costs, loop)
     for each in controllers.values():
         if each.chooses:
             batch.rule(each)
     return batch
+
+
+def _traced_driver(name: str, game: Game) -> DriverFunction:
+    """Return the function of a human driver, of which JAX can make a part of a simulation.
+
+    Raises:
+        ValueError: if it is a class of vehicles, the keyboard, or a function that JAX cannot trace.
+    """
+    driver, remedy = HUMAN_DRIVERS.get(name), "give add_driver a pure function of jax.numpy, or use `compare`"
+    if driver is None or isinstance(driver, type):
+        raise ValueError(f"config['human_driver'] is {name!r}, which cannot be simulated; {remedy}")
+    own, cars = swap_roles(game), jnp.zeros((2 + game.number, 4))
+    try:
+        control = jax.eval_shape(driver, own, cars)
+    except Exception as error:  # anything that code of the user's raises
+        reason = str(error).partition("\n")[0]
+        raise ValueError(f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}") from error
+    if jax.tree.map(jnp.shape, control) != (2,):
+        raise ValueError(f"the human driver {name!r} returns {control}; return a curvature and an acceleration")
+    return driver
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:

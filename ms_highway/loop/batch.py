@@ -20,7 +20,7 @@ from ms_highway.game.features import features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.loop.devices import device_mesh, share_among
 from ms_highway.loop.fallback import Followed, Rest, braking_control, follow, follow_escape, no_rest
-from ms_highway.loop.records import ALWAYS_YIELDS, DECIDES, USUAL, Episodes, Loop, Records
+from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
     Carry,
     advance,
@@ -29,7 +29,6 @@ from ms_highway.loop.step import (
     continues_plan,
     responsive_rungs,
 )
-from ms_highway.loop.yielding import unmoved_control
 from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.several import plan_for
@@ -100,7 +99,7 @@ class _Own(NamedTuple):
     price: Scalar
     robot_weights: Weights
     human_weights: HumansWeights
-    yielding: Rungs
+    drivers: Rungs
 
     def robots(self, game: Game) -> Game:
         """Return the game as the robot believes it."""
@@ -117,7 +116,7 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     together = loop.together
 
     def run(episodes: Episodes) -> Records:
-        numbers = episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.yielding
+        numbers = episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.drivers
         own = _Own(*map(jnp.asarray, numbers))
         begun = jax.vmap(partial(_begin, loop))(jnp.asarray(episodes.starts, jnp.float32))
         errors = None if episodes.errors is None else jnp.asarray(episodes.errors[:, :-1], jnp.float32)
@@ -227,9 +226,8 @@ def _move(loop: Loop, now: _Now, own: _Own, decision: Decision, plan: Plan, seen
         rest = jax.tree.map(lambda part: part[human], now.humans)
         driving = _follow(view, turned[0], Naive().plan(view, turned), rest.rungs, rest)
         control = driving.now.plan.robot[0]
-        if loop.yielding:
-            unmoved = unmoved_control(view, turned, own.yielding[human] == ALWAYS_YIELDS) / scale
-            control = jnp.where(own.yielding[human] == USUAL, control, unmoved)
+        for number, driver in enumerate(loop.drivers, PLANS + 1):
+            control = jnp.where(own.drivers[human] == number, driver(view, turned) / scale, control)
         return control, driving.kept
 
     controls, human_rests = each_human(game, drive)

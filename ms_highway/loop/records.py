@@ -9,14 +9,15 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.choice.rule import Rule
 from ms_highway.game.game import Game
 from ms_highway.loop.devices import CHUNK
+from ms_highway.loop.human_drivers import DriverFunction
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.runtime.arrays import Array
 
 DECIDES = -1
 """In a schedule: the rule chooses the rung of this human in this step."""
 
-USUAL, NEVER_YIELDS, ALWAYS_YIELDS = range(3)
-"""What a human does beside the robot: plan for its reward, or as `ms_highway.loop.yielding.Unmoved`."""
+PLANS = 0
+"""Number of the driver of a human who plans for its reward; those of `Loop.drivers` have the next ones."""
 
 
 @jax.tree_util.register_dataclass
@@ -30,7 +31,7 @@ class Loop:
         others: models that schedules may use beside the ladder; their numbers follow those of its rungs (static).
         way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out` (static).
         belief: whether the robot infers which model predicts every human, see `ms_highway.loop.driver` (static).
-        yielding: whether some humans yield always or never, see `Episodes` (static).
+        drivers: of humans who do not plan, see `ms_highway.loop.human_drivers.add_driver` (static).
         chunk: number of episodes computed together (static); with several humans, episodes are computed one by one. A
             human model is computed only for the chunks that use it: smaller chunks waste less computation, larger ones
             use wide hardware better. The last digits of results depend on it, and chaotic episodes (Stay Back) amplify
@@ -42,7 +43,7 @@ class Loop:
     others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
     way_out: bool = field(default=False, metadata={"static": True})
     belief: bool = field(default=False, metadata={"static": True})
-    yielding: bool = field(default=False, metadata={"static": True})
+    drivers: tuple[DriverFunction, ...] = field(default=(), metadata={"static": True})
     chunk: int = field(default=CHUNK, metadata={"static": True})
 
     @property
@@ -76,7 +77,7 @@ class Episodes:
         schedules: number of the model that predicts each human in each step, or `DECIDES`.
         robot_weights: of the robot's reward, in the order of its features.
         human_weights: of the rewards that the humans drive by; with one human, the robot knows them.
-        yielding: of each human, `USUAL`, `NEVER_YIELDS` or `ALWAYS_YIELDS`.
+        drivers: number of each human's driver, `PLANS` or one more than its place in `Loop.drivers`.
         errors: of what the robot sees of the first cars before every step, and after the last one, where nobody looks;
             None where it sees the truth.
     """
@@ -86,7 +87,7 @@ class Episodes:
     schedules: Int[Array, "episodes steps humans"]
     robot_weights: Float[Array, "episodes features"]
     human_weights: Float[Array, "episodes humans features"]
-    yielding: Int[Array, "episodes humans"]
+    drivers: Int[Array, "episodes humans"]
     errors: Float[Array, "episodes steps+1 cars 4"] | None = None
 
     def __len__(self) -> int:

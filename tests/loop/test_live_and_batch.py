@@ -20,8 +20,8 @@ from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_roles
 from ms_highway.loop.driver import Driver
 from ms_highway.loop.fallback import STATUSES, WAY_OUT
-from ms_highway.loop.records import ALWAYS_YIELDS, NEVER_YIELDS, USUAL, Loop
-from ms_highway.loop.yielding import Unmoved
+from ms_highway.loop.human_drivers import FunctionDriver, always_yields, never_yields
+from ms_highway.loop.records import Loop
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive, PredictedHuman, TheoryOfMind, ladder
 
@@ -176,16 +176,23 @@ def test_plans_that_fail(played):
     assert followed == [("planned", "naive"), *[again] * 4, *[brakes] * 2, ("planned", "naive"), again]
 
 
-def test_beliefs_ways_out_and_humans_who_yield_never_or_always(scene):
+def weaves(game, state):
+    """Drive as a human whose control depends on where the robot is."""
+    return keep_velocity(game.world, state[0]) + jnp.stack([jnp.float32(0.001), 0.1 * (state[1, 0] - state[0, 0])])
+
+
+def test_beliefs_ways_out_and_humans_with_drivers_of_their_own(scene):
     game, starts = scene
-    models = ladder(["naive", "tom+warm"])
-    loop = Loop(game, Order(np.array([[1]]), models), way_out=True, belief=True, yielding=True)
-    yielding = np.repeat([[USUAL], [NEVER_YIELDS], [ALWAYS_YIELDS], [USUAL]], game.number, axis=1)
-    records = simulated(loop, starts[[0, 0, 0, 1]], 8, schedule=1, yielding=yielding)
+    models, own = ladder(["naive", "tom+warm"]), (never_yields, always_yields, weaves)
+    loop = Loop(game, Order(np.array([[1]]), models), way_out=True, belief=True, drivers=own)
+    drivers = np.repeat([[0], [1], [2], [0], [3]], game.number, axis=1)
+    records = simulated(loop, starts[[0, 0, 0, 1, 1]], 8, schedule=1, drivers=drivers)
     assert (records.status[3] == WAY_OUT).any()
     agree(records, 3, drive(Driver(game, loop.rule, belief=True, way_out=True), starts[1], 8), models)
-    for episode, yields in enumerate([None, False, True]):
-        humans = None if yields is None else [Unmoved(swap_roles(game, i), yields) for i in range(game.number)]
+    others = [FunctionDriver(swap_roles(game, i), "weaves", weaves) for i in range(game.number)]
+    agree(records, 4, drive(Driver(game, loop.rule, belief=True, way_out=True), starts[1], 8, humans=others), models)
+    for episode, function in enumerate([None, never_yields, always_yields]):
+        humans = function and [FunctionDriver(swap_roles(game, i), "own", function) for i in range(game.number)]
         driver = Driver(game, loop.rule, belief=True, way_out=True)
         live = drive(driver, starts[0], 8, humans=humans)
         agree(records, episode, live, models)

@@ -1,0 +1,119 @@
+"""Drive humans by a function of the state instead of a plan: by one's own, or as who yields never or always."""
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
+from jaxtyping import Float
+
+from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.game import Game
+from ms_highway.loop.controller import ControlStep
+from ms_highway.runtime.arrays import Control, SameArray, State
+
+ROOM = 8.0  # m between bumpers, that is made for the robot
+MAKING_ROOM = 3.0  # m/s^2, of braking for it
+HARDEST = 8.0  # m/s^2
+CLOSEST = 0.5  # m, gap from which on braking grows no more
+BESIDE = 1.5  # lanes to the side, up to which room is made
+
+DriverFunction: TypeAlias = Callable[[Game, State], Control]
+"""Control of a human from its own game, where it is car 0 and the robot car 1, and the state of all cars [cars, 4]."""
+
+
+class FunctionDriver:
+    """Drive a human by a function of the state; plan nothing, and remember nothing.
+
+    Args:
+        game: of which car 0 is driven.
+        name: of the driver, in records.
+        function: see `add_driver`.
+    """
+
+    def __init__(self, game: Game, name: str, function: DriverFunction) -> None:
+        self.game, self.name, self.function = game, name, function
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def reset_partner(self) -> None:
+        """Nothing is remembered."""
+
+    def step(self, state: State, before: State | None = None) -> ControlStep:
+        """Return the control of the coming step; ``before`` is ignored.
+
+        Raises:
+            ValueError: if the function does not return two finite numbers.
+        """
+        control = np.asarray(self.function(self.game, np.asarray(state, dtype=float)), dtype=float)
+        if control.shape != (2,) or not np.isfinite(control).all():
+            remedy = "return a curvature [1/m] and an acceleration [m/s^2]"
+            raise ValueError(f"the human driver {self.name!r} returned {control.tolist()}; {remedy}")
+        kept = np.tile(control, (self.game.planner.horizon, 1))
+        return ControlStep(control, kept, np.zeros((1, *kept.shape)), (self.name,))
+
+
+def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) -> Float[SameArray, "2"]:
+    """Return the control, not scaled, of car 0, which yields to car 1, the robot, always or else never.
+
+    It keeps its velocity, and brakes in time for a slower car ahead in its lane. Who never yields takes no notice of
+    the robot. Who always does brakes for it as soon as its front has passed the own centre, in the own lane or beside
+    it, until there is room for it, unless somebody is between them.
+    """
+    xp, scene, own, others = state.__array_namespace__(), game.scene, state[0], state[1:]
+    length, width = xp.asarray(scene.car_size)[0], xp.asarray(scene.lane_width)
+    along, aside = others[:, 0] - own[0], xp.abs(others[:, 1] - own[1])
+    gaps, closing = xp.maximum(along - length, CLOSEST), xp.maximum(own[3] - others[:, 3], 0.0)
+    partner = xp.arange(len(others)) == 0
+    ahead = (along > 0) & (aside < width / 2) & (yields | ~partner)
+    braking = xp.max(xp.where(ahead, closing**2 / (2 * gaps), 0.0))
+    between = xp.any(ahead & (along < along[0]) & ~partner)
+    beside = (-length / 2 < along[0]) & (along[0] < length + ROOM) & (aside[0] < BESIDE * width)
+    braking = xp.where(yields & beside & ~between, xp.maximum(braking, MAKING_ROOM), braking)
+    kept = keep_velocity(game.world, own)
+    hardest = xp.minimum(HARDEST, own[3] / xp.asarray(game.world.time_step))
+    return xp.stack([kept[0], kept[1] - xp.minimum(braking, hardest)])
+
+
+def never_yields(game: Game, state: State) -> Control:
+    """Drive as who never yields, see `unmoved_control`."""
+    return unmoved_control(game, state, False)
+
+
+def always_yields(game: Game, state: State) -> Control:
+    """Drive as who always yields, see `unmoved_control`."""
+    return unmoved_control(game, state, True)
+
+
+HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yields, "always": always_yields}
+"""What drives humans who do not plan, by name: functions, and classes of highway-env vehicles."""
+
+RESERVED = (*HUMAN_DRIVERS, "keyboard", "usual", "mixed")
+
+
+def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
+    """Make known by a name what a human really does; `ms_highway.register` adds what the robot believes that it does.
+
+    It drives every human of an environment with ``config={"human_driver": name}``, in commands with
+    ``--set human_driver=NAME``; added again, it takes the place of the one of that name.
+
+    Args:
+        name: one word in lower case.
+        driver: a pure function, or a class of highway-env vehicles, such as ``IDMVehicle``. A function takes the game
+            of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and speed [m/s], itself first,
+            then the robot. It returns its curvature omega [1/m] and its acceleration a before friction [m/s^2], under
+            which the speed v changes by ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
+            ``game.world`` makes up for friction. Written with `jax.numpy`, it also drives in simulations of many
+            episodes (``ms-highway sweep``); a class of vehicles does not.
+
+    Raises:
+        ValueError: if the name is reserved or no such word, or the driver is neither.
+    """
+    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in RESERVED:
+        remedy = f"choose one word in lower case other than {', '.join(RESERVED)}"
+        raise ValueError(f"a human driver cannot be called {name!r}; {remedy}")
+    if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
+        remedy = "give a function of the game and the state, or a class of highway-env vehicles"
+        raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
+    HUMAN_DRIVERS[name] = driver
