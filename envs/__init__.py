@@ -111,5 +111,7 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     gymnasium.registry.pop(bare_id, None)
     module, word = environment.__module__, environment.__qualname__
     stands = getattr(sys.modules.get(module), word, None) is environment
-    gymnasium.register(bare_id, entry_point=f"{module}:{word}" if stands else cast(EnvCreator, environment))
+    entry_point = f"{module}:{word}" if stands else cast(EnvCreator, environment)
+    vector = f"ms_highway.envs.vector:{bare_id.removeprefix('ms-highway/')}"
+    gymnasium.register(bare_id, entry_point=entry_point, vector_entry_point=vector)
     return environment_id(name)

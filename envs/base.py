@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 from highway_env.road.road import Road
+from jaxtyping import Int
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
@@ -15,13 +16,15 @@ from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.keyboard import keyboard_control
 from ms_highway.envs.registry import controller_config, controller_settings
 from ms_highway.envs.settings import KEYBOARD, Settings
-from ms_highway.envs.spaces import Autopilot, HumanModelAction
+from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
 from ms_highway.game.game import Game, swap_roles
+from ms_highway.game.random import Random
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.driver import Driver, drivable, fixed
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver
+from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
@@ -134,7 +137,7 @@ class InteractionEnv(GameEnv):
         scenario, several = cls.scenario, bool(cls.scenario.streams)
         return {
             **super().default_config(),
-            "observation": {"type": "CarStates"},
+            "observation": {"type": "SceneStates" if scenario.semantics == "physical" else "CarStates"},
             "action": {"type": "Autopilot"},
             "controller": {"type": "learned", "lambda": 1.0},
             "ladder": list(scenario.ladder),
@@ -208,23 +211,24 @@ class InteractionEnv(GameEnv):
         """Number of cars: robot, humans and scripted ones."""
         return 1 + self.settings.humans + len(self.scenario.cars[2:])
 
-    def draw_episode(self, random: np.random.Generator) -> tuple[State, HumansWeights]:
+    def draw_episode(self, random: Random) -> tuple[State, HumansWeights]:
         """Draw the start of every car in SI units, and what every human drives for; see `draw_episode`."""
         return draw_episode(self.scenario, random, self.game.humans)
 
-    def draw_drivers(self, random: np.random.Generator) -> Sequence[str | None]:
-        """Name the driver of every human; None for those who plan for their reward."""
+    def draw_drivers(self, random: Random) -> Int[Any, "humans"]:
+        """Return the number of every human's driver: `PLANS`, or one more than its place in ``settings.drivers``."""
         names, humans = self.settings.drivers, self.settings.humans
         if names == (KEYBOARD,):
-            return [KEYBOARD, *[None] * (humans - 1)]
+            return np.array([PLANS + 1, *[PLANS] * (humans - 1)])
         if len(names) > 1:
-            return [names[yields] for yields in (random.uniform(size=humans) < 0.5).astype(int)]
-        return [*(names or (None,))] * humans
+            return PLANS + 1 + (random.uniform(size=humans) < 0.5)
+        return np.full(humans, PLANS + len(names))
 
     def _drive(self) -> None:
         """Give the cars their drivers."""
         cars, game = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
-        for number, name in enumerate(self.draw_drivers(self.np_random)):
+        names = (None, *self.settings.drivers)
+        for number, name in enumerate(names[place] for place in self.draw_drivers(self.np_random)):
             own, human = swap_roles(game, number), self.humans[number]
             function = HUMAN_DRIVERS.get(name) if name else None
             if isinstance(function, type):  # a vehicle of this class drives by itself
@@ -284,10 +288,7 @@ class InteractionEnv(GameEnv):
     @property
     def distance_to_cones(self) -> float:
         """From the robot's front to the first cone ahead in its lane, infinite without one [m]."""
-        x, y = self.robot.position
-        half_lane, lengths = float(self.game.scene.lane_width) / 2, Cone.LENGTH + self.robot.LENGTH
-        gaps = [cone.position[0] - x for cone in self.road.objects if abs(cone.position[1] - y) < half_lane]
-        return min((gap for gap in gaps if gap > 0), default=np.inf) - lengths / 2
+        return float(cone_distances(self.game.scene, self.car_states[:1])[0])
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""

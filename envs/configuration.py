@@ -67,6 +67,7 @@ TYPES: Types = {
     },
     "observation": {
         "CarStates": {},
+        "SceneStates": {},
         "Kinematics": keys_of(KinematicObservation),
         "OccupancyGrid": keys_of(OccupancyGridObservation),
         "LidarObservation": keys_of(LidarObservation),

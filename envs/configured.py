@@ -31,6 +31,7 @@ from ms_highway.envs.spaces import (
     CarStates,
     CarTracks,
     HumanModelAction,
+    SceneStates,
     TupleObservation,
     finite,
     limit_speed,
@@ -38,7 +39,7 @@ from ms_highway.envs.spaces import (
 from ms_highway.envs.viewer import Viewer, enable_pictures
 from ms_highway.game.scenario import TIME_STEP
 
-OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, TupleObservation)
+OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, SceneStates, TupleObservation)
 OWN_TYPES = {kind.__name__: kind for kind in OWN}
 SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
 """What the values of highway-env's own keys must be, by the type of their default."""

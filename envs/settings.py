@@ -128,8 +128,9 @@ class Settings(Struct, frozen=True):
         known = ", ".join([*learned_in, *(f"{name} {learned[name]}" for name in other)])
         here = ", ".join([scenario.name, *(f"{name} {getattr(self, name)}" for name in other)])
         changes = "".join(f" --set {name}={getattr(self, name)}" for name in other)
-        learn = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`, and say learned:LAMBDA:values.npz"
-        warn(f"the values of computation were learned in {known}, not in {here}; learn them with {learn}", stacklevel=2)
+        command = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"
+        remedy = f"learn them with {command}, and say learned:LAMBDA:values.npz"
+        warn(f"the values of computation were learned in {known}, not in {here}; {remedy}", stacklevel=2)
 
     @property
     def planning(self) -> PlanningSettings:

@@ -12,32 +12,107 @@ from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
 
 from ms_highway.choice.rule import Order
-from ms_highway.envs.configuration import LARGEST
+from ms_highway.game.dynamics import Dynamics, keep_velocity
+from ms_highway.game.scene import Scene
+from ms_highway.runtime.arrays import State
+from ms_highway.vehicle import BicycleVehicle
 
 SPEED_RANGE = (0.0, 40.0)  # m/s, the highest is highway-env's
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
 
-class CarStates(ObservationType):
-    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
+class StateObservation(ObservationType):
+    """Observe the states of all cars, [cars, columns], within finite bounds; the same of many environments at once."""
 
-    The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
-    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Nothing is clipped: who drives
-    further than 100 m still sees where it is.
-    """
+    def __init__(self, env: Any, **_: Any) -> None:
+        super().__init__(env)
+        low, high = self.bounds()
+        self.low, self.high = (np.tile(np.array(end, np.float32), (env.cars, 1)) for end in (low, high))
+
+    def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
+        """Return the lowest and the highest value of each column."""
+        raise NotImplementedError
+
+    def columns(self, states: State, time_left: Any) -> list[Any]:
+        """Return the columns, arrays [..., cars], of states [..., cars, 4] and the share of the episode's time left."""
+        raise NotImplementedError
 
     def space(self) -> spaces.Box:
         """Return the space."""
-        high = np.tile(np.array([LARGEST] * 4 + [1, 1], np.float32), (self.env.cars, 1))
-        return spaces.Box(-high, high, dtype=np.float32)
+        return spaces.Box(self.low, self.high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
         """Return what is observed now."""
-        x, y, heading, speed = self.env.car_states.T
-        cosine, sine = np.cos(heading), np.sin(heading)
-        rows = np.array([x, y, speed * cosine, speed * sine, cosine, sine]).T
-        rows[1:, :4] -= rows[0, :4]
-        return (rows / SCALES).clip(-LARGEST, LARGEST).astype(np.float32, order="C")
+        return self.of(self.env.car_states, np.array(1 - self.env.steps / self.env.episode_steps))
+
+    def of(self, states: State, time_left: Any) -> Any:
+        """Return what is observed of states [..., cars, 4], by NumPy or JAX; see `columns`."""
+        xp = states.__array_namespace__()
+        rows = xp.stack(self.columns(states, time_left), axis=-1)
+        return xp.clip(rows, self.low, self.high).astype(np.float32)
+
+
+def _scaled_states(states: State) -> list[Any]:
+    """Return ``x, y, vx, vy, cos_h, sin_h``, all but the robot's relative to it, divided by `SCALES`."""
+    xp = states.__array_namespace__()
+    x, y, heading, speed = xp.moveaxis(states, -1, 0)
+    cosine, sine = xp.cos(heading), xp.sin(heading)
+    is_other = np.arange(states.shape[-2]) > 0
+    parts = [part - is_other * part[..., :1] for part in (x, y, speed * cosine, speed * sine)]
+    return [part / scale for part, scale in zip((*parts, cosine, sine), SCALES, strict=True)]
+
+
+class CarStates(StateObservation):
+    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
+
+    The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
+    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Who drives further than 100 m still
+    sees where it is.
+    """
+
+    def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
+        """See `StateObservation`: nothing in the paper's scenes, with accelerations up to 50 m/s^2, goes beyond."""
+        high = [1000.0, 1000.0, 100.0, 100.0, 1.0, 1.0]
+        return np.negative(high).tolist(), high
+
+    def columns(self, states: State, time_left: Any) -> list[Any]:
+        """See `StateObservation`."""
+        return _scaled_states(states)
+
+
+class SceneStates(StateObservation):
+    """All that an agent needs of a scene, [cars, 9], in the order of robot, humans and scripted cars.
+
+    ``presence``, 1, or 0 for a car that is not there; ``x, y, vx, vy, cos_h, sin_h`` as in `CarStates`;
+    ``cone_distance``, from the car's front to the first cone ahead in its lane, divided by 100 m, 1 where there is none
+    so near; and ``time_left``, the share of the episode's time that is left, the same in all rows.
+    """
+
+    FASTEST = 80.0  # m/s
+    WIDEST = 100.0  # m to the side
+
+    def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
+        """See `StateObservation`: positions that are reached at 80 m/s within an episode."""
+        farthest = 100.0 + self.FASTEST * self.env.config["duration"]
+        places = np.array([farthest, self.WIDEST, self.FASTEST, self.FASTEST]) / SCALES[:4]
+        return [0.0, *-places, -1.0, -1.0, 0.0, 0.0], [1.0, *places, 1.0, 1.0, 1.0, 1.0]
+
+    def columns(self, states: State, time_left: Any) -> list[Any]:
+        """See `StateObservation`."""
+        xp = states.__array_namespace__()
+        ones = xp.ones_like(states[..., 0])
+        distances = cone_distances(self.env.game.scene, states) / SCALES[0]
+        return [ones, *_scaled_states(states), distances, ones * xp.asarray(time_left)[..., None]]
+
+
+def cone_distances(scene: Scene, states: State) -> Any:
+    """Return the distance from every car's front to the first cone ahead in its lane, infinite without one [m]."""
+    xp, cones = states.__array_namespace__(), np.asarray(scene.obstacles, dtype=float)
+    ahead = cones[:, 0] - states[..., 0, None]
+    aside = xp.abs(cones[:, 1] - states[..., 1, None])
+    counts = (ahead > 0) & (aside < float(scene.lane_width) / 2)
+    lengths = float(scene.obstacle_size[0] + scene.car_size[0])
+    return xp.min(xp.where(counts, ahead, xp.inf), axis=-1, initial=xp.inf) - lengths / 2
 
 
 class CarTracks(ObservationType):
@@ -97,12 +172,31 @@ def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | N
 def _within_speeds(kind: actions.ContinuousAction, action: np.ndarray) -> dict[str, float]:
     """Return the control of an action, less what would lead beyond the range of speeds."""
     control, vehicle = actions.ContinuousAction.get_action(kind, action), kind.controlled_vehicle
-    if kind.speed_range is not None:
-        changes = (np.array(kind.speed_range) - vehicle.speed) * kind.env.config["simulation_frequency"]
-        friction = getattr(vehicle, "friction", 0.0)
-        least, most = min(changes[0], 0.0) + friction, max(changes[1], 0.0) + friction
-        control["acceleration"] = float(np.clip(control["acceleration"], least, most))
-    return control
+    friction = getattr(vehicle, "friction", 0.0)
+    limited = within_speeds(kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction)
+    return control | {"acceleration": float(limited)}
+
+
+def within_speeds(kind: actions.ContinuousAction, acceleration: Any, speed: Any, friction: Any) -> Any:
+    """Limit accelerations that would lead beyond the range of speeds within a step [m/s^2]."""
+    if kind.speed_range is None:
+        return acceleration
+    xp, (lowest, highest) = speed.__array_namespace__(), kind.speed_range
+    frequency = kind.env.config["simulation_frequency"]
+    least = xp.minimum((lowest - speed) * frequency, 0.0) + friction
+    return xp.clip(acceleration, least, xp.maximum((highest - speed) * frequency, 0.0) + friction)
+
+
+def executed_controls(kind: actions.ContinuousAction, dynamics: Dynamics, action: Any, cars: Any) -> Any:
+    """Return the controls (omega, acceleration) [..., 2] of actions [..., 2] of cars [..., 4], as a vehicle's."""
+    xp, speed = cars.__array_namespace__(), cars[..., 3]
+    shares = ((xp.clip(action, -1, 1) if kind.clip else action) + 1) / 2
+    (slowest, fastest), (left, right) = kind.acceleration_range, kind.steering_range
+    acceleration = slowest + shares[..., 0] * (fastest - slowest)
+    acceleration = within_speeds(kind, acceleration, speed, keep_velocity(dynamics, cars)[..., 1])
+    curvature = xp.tan(left + shares[..., 1] * (right - left)) / BicycleVehicle.LENGTH
+    omega = curvature if dynamics.steering == "curvature" else curvature * speed
+    return xp.stack([omega, acceleration], axis=-1)
 
 
 class Autopilot(ActionType):

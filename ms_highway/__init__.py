@@ -77,7 +77,8 @@ _ENVIRONMENTS = {
 
 for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned
     if f"ms-highway/{_name}" not in _registry:
-        _register_environment(f"ms-highway/{_name}", entry_point=f"ms_highway.{_environment}")
+        _vector = None if _name in ("demonstration-v0", "recorded-v0") else f"ms_highway.envs.vector:{_name}"
+        _register_environment(f"ms-highway/{_name}", f"ms_highway.{_environment}", vector_entry_point=_vector)
 
 # Version 0 is the paper's physics, not an older version of the same: Gymnasium's advice to upgrade is wrong there.
 _warnings.filterwarnings("ignore", ".*ms-highway/[a-z-]*-v0 is out of date", DeprecationWarning)

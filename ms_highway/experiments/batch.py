@@ -7,23 +7,23 @@ plan is late: a budget counts planning at the seconds that are given, and decidi
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import jax
 import msgspec
 import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
-from jax import numpy as jnp
 from jax.sharding import Mesh
 
-from ms_highway.choice.rule import Order, Rule, highest_gains
+from ms_highway.choice.rule import Rule, highest_gains
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import read_own
-from ms_highway.envs.controllers import ControllerSettings, OrderSettings
+from ms_highway.envs.controllers import ControllerSettings
 from ms_highway.envs.registry import controller_settings
 from ms_highway.envs.settings import Settings
+from ms_highway.envs.simulation import draw_start, shared_loop, stack_episodes
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import (
     COUNTED,
@@ -34,25 +34,16 @@ from ms_highway.experiments.records import (
     count_column,
     per_episode,
 )
-from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import REACHED
 from ms_highway.loop.batch import simulate
-from ms_highway.loop.devices import usual_chunk
 from ms_highway.loop.fallback import STATUSES
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction
-from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
+from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import Naive, cheapest_first, human_model
+from ms_highway.planning.human_models import cheapest_first
 from ms_highway.runtime.arrays import Array
 
 Key: TypeAlias = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
-
-STEP = (
-    *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
-    *("_is_truncated", "episode_steps", "car_states", "success", "measure", "counted_seconds"),
-)
-"""Names of the methods and properties of an environment that a simulation replaces by its own code."""
 
 SEVERAL = ", of plans in which one human is predicted by it and the others by the first rung"
 
@@ -161,21 +152,13 @@ class Batch:
         Raises:
             ValueError: for a negative seed.
         """
-        columns: list[tuple[Any, ...]] = []
-        numbers = {name: PLANS + place for place, name in enumerate((None, *self.environment.settings.drivers))}
+        drawn = []
         for name, seed in keys:
             if seed < 0:
                 raise ValueError(f"the seed is {seed}; it must not be negative")
-            settings, random, shape = self.settings(name), seeding.np_random(seed)[0], (self.steps, self.humans)
-            start, weights = self.environment.draw_episode(random)
-            drivers = [numbers[name] for name in self.environment.draw_drivers(random)]
-            rungs = np.full(shape, DECIDES, np.int32)
-            if isinstance(settings, OrderSettings):
-                table = np.vectorize(self.models.index)(settings.table(*shape, random))
-                rungs[:] = table[np.minimum(np.arange(self.steps), len(table) - 1)]
-            price, own = np.float32(np.nan_to_num(settings.price)), self.loop.game.robot.weights
-            columns.append((np.float32(start), price, rungs, own, weights, drivers))
-        return Episodes(*map(np.array, zip(*columns, strict=True)))
+            random = seeding.np_random(seed)[0]
+            drawn.append(draw_start(self.environment, self.loop, self.settings(name), random))
+        return stack_episodes(drawn)
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
         """Return a row per step, with the comparison's columns except measured times."""
@@ -235,54 +218,18 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
     configs = [comparison.environment_config(scenario, name) for name in names]
     settings = [read_own(Settings, config) for config in configs]
-    for key, value in (("terminate_on_collision", True), ("beliefs", "true")):
-        if configs[0].get(key) == value:
-            reason = f"{scenario} is configured with {key} {value!r}, which a simulation does not do"
-            raise ValueError(f"{reason}; use `compare`")
-    kind, costs = ENVIRONMENTS[scenario], dict[str, float]()
-    if own := [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]:
-        reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
-        remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
-        raise ValueError(f"{reason}; {remedy}")
-    environment = kind(dict(configs[0]))
-    for one in settings:
-        if one.costs == "measured":
-            remedy = "say 'shipped', or give seconds by model" + (SEVERAL if one.humans > 1 else "")
-            raise ValueError(f"costs are {one.costs!r}, and a simulation cannot measure plans; {remedy}")
-        costs |= one.seconds
+    if configs[0]["terminate_on_collision"]:
+        reason = f"{scenario} is configured with terminate_on_collision True, which a simulation does not do"
+        raise ValueError(f"{reason}; use `compare`")
+    environment = ENVIRONMENTS[scenario](dict(configs[0]))
+    costs = {name: seconds for one in settings for name, seconds in one.seconds.items()}
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
-    used = {name for each in controllers.values() for name in each.names()}
-    used |= {Naive.name for each in controllers.values() if each.belief and not each.chooses}
-    used -= {model.name for model in settings[0].models}
-    others = tuple(map(human_model, cheapest_first(used)))
-    order = Order(np.zeros((1, 1), np.int32), settings[0].models)
-    drivers = tuple(_traced_driver(name, environment.game) for name in settings[0].drivers)
-    loop = Loop(environment.game, order, others, settings[0].way_out, drivers=drivers, chunk=usual_chunk())
+    loop = shared_loop(environment, controllers.values())
     batch = Batch(comparison, environment, controllers, costs, loop)
     for each in controllers.values():
         if each.chooses:
             batch.rule(each)
     return batch
-
-
-def _traced_driver(name: str, game: Game) -> DriverFunction:
-    """Return the function of a human driver, of which JAX can make a part of a simulation.
-
-    Raises:
-        ValueError: if it is a class of vehicles, the keyboard, or a function that JAX cannot trace.
-    """
-    driver, remedy = HUMAN_DRIVERS.get(name), "give add_driver a pure function of jax.numpy, or use `compare`"
-    if driver is None or isinstance(driver, type):
-        raise ValueError(f"config['human_driver'] is {name!r}, which cannot be simulated; {remedy}")
-    own, cars = swap_roles(game), jnp.zeros((2 + game.number, 4))
-    try:
-        control = jax.eval_shape(driver, own, cars)
-    except Exception as error:  # anything that code of the user's raises
-        reason = str(error).partition("\n")[0]
-        raise ValueError(f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}") from error
-    if jax.tree.map(jnp.shape, control) != (2,):
-        raise ValueError(f"the human driver {name!r} returns {control}; return a curvature and an acceleration")
-    return driver
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:

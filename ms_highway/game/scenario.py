@@ -14,6 +14,7 @@ import numpy as np
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
+from ms_highway.game.random import Random, namespace
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
 from ms_highway.numerics.convex_newton import EASE
@@ -294,7 +295,7 @@ def _planner(
     )
 
 
-def draw_starts(scenario: Scenario, random: np.random.Generator) -> State:
+def draw_starts(scenario: Scenario, random: Random) -> State:
     """Draw the start of every car of a scenario without streams, with the noise of the paper's experiments.
 
     Normal noise of standard deviation 1.7 cm on x and y, 1e-3 rad on heading and 3.3 cm/s on speed; another 33 cm on
@@ -302,13 +303,15 @@ def draw_starts(scenario: Scenario, random: np.random.Generator) -> State:
     """
     cars = np.array([(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars])
     noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, START_SPEED_NOISE]
-    cars += random.normal(scale=noise, size=cars.shape)
+    cars = cars + random.normal(scale=noise, size=cars.shape)
     if scenario.merging_car is not None:
-        cars[scenario.merging_car, 0] += random.normal(scale=MERGING_NOISE)
+        moved = np.zeros(cars.shape)
+        moved[scenario.merging_car, 0] = 1.0
+        cars = cars + moved * random.normal(scale=MERGING_NOISE)
     return cars
 
 
-def draw_episode(scenario: Scenario, random: np.random.Generator, humans: Reward) -> tuple[State, HumansWeights]:
+def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[State, HumansWeights]:
     """Draw the start of every car, in SI units, and the weights of every human's reward.
 
     Without streams, these are `draw_starts` and the weights given. In streams, centres are 8 to 14 m apart, most of
@@ -321,27 +324,28 @@ def draw_episode(scenario: Scenario, random: np.random.Generator, humans: Reward
         random: what is drawn from.
         humans: the rewards that theirs are drawn around, see `ms_highway.game.game.Game`.
     """
-    weights = np.array(humans.weights, np.float32)
+    xp, weights = namespace(random), np.array(humans.weights, np.float32)
     if not scenario.streams:
         return draw_starts(scenario, random), weights
     robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT])
     number, lanes = len(weights), len(scenario.streams)
     dealt = [len(range(place, number, lanes)) for place in range(lanes)]
     streams = [_stream(stream, each, random) for stream, each in zip(scenario.streams, dealt, strict=True)]
-    cars = np.concatenate([robot[None], *streams])
+    cars = xp.concatenate([robot[None], *streams])
     noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, SPEED_NOISE]
-    cars += random.normal(scale=noise, size=cars.shape)
-    factors = np.exp(random.normal(0.0, CAUTION_SPREAD, number))
-    factors = np.where(random.uniform(size=number) < CARELESS, CARELESS_FACTOR, factors)
-    weights[:, humans.names.index("collision_risk")] *= factors.astype(np.float32)
-    return cars, weights
+    cars = cars + random.normal(scale=noise, size=cars.shape)
+    factors = xp.exp(random.normal(0.0, CAUTION_SPREAD, number))
+    factors = xp.where(random.uniform(size=number) < CARELESS, CARELESS_FACTOR, factors).astype(np.float32)
+    is_caution = np.array([name == "collision_risk" for name in humans.names])
+    return cars, xp.where(is_caution, weights * factors[:, None], weights)
 
 
-def _stream(stream: Stream, humans: int, random: np.random.Generator) -> State:
+def _stream(stream: Stream, humans: int, random: Random) -> State:
     """Draw the starts of a stream, front first; the robot, at x = 0, is beside a gap in the middle, or the last one."""
     shortest, longest = SPACING
     spacings = shortest + (longest - shortest) * random.beta(1.0, SHORTNESS, humans)
     ahead = (humans + 1) // 2  # of the robot
     beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
-    x = beside + np.sum(spacings[:ahead]) - np.cumsum(spacings)
-    return np.stack([x, np.full(humans, stream.lane), np.zeros(humans), np.full(humans, stream.speed)], axis=-1)
+    xp = namespace(random)
+    x = beside + xp.sum(spacings[:ahead]) - xp.cumsum(spacings)
+    return xp.stack([x, np.full(humans, stream.lane), np.zeros(humans), np.full(humans, stream.speed)], axis=-1)

@@ -19,7 +19,7 @@ from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.loop.devices import device_mesh, share_among
-from ms_highway.loop.fallback import Followed, Rest, braking_control, follow, follow_escape, no_rest
+from ms_highway.loop.fallback import PLANNED, Followed, Rest, braking_control, follow, follow_escape, no_rest
 from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
     Carry,
@@ -36,6 +36,7 @@ from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import (
     Car,
     Control,
+    Flag,
     HumansWeights,
     Index,
     Rungs,
@@ -72,7 +73,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     return share_among(mesh, partial(_simulate, loop), episodes, loop.together)
 
 
-class _Now(NamedTuple):
+class Now(NamedTuple):
     """What an episode carries from step to step."""
 
     state: State
@@ -81,19 +82,21 @@ class _Now(NamedTuple):
     humans: Rest  # of each human's
 
 
-class _Step(NamedTuple):
+class Given(NamedTuple):
     """What is given for a step.
 
     Attributes:
         scheduled: models of the humans.
         errors: of what the robot sees of the first cars; None where there are none.
+        controls: of the robot, where an agent drives it; None where it plans.
     """
 
     scheduled: Rungs
-    errors: State | None
+    errors: State | None = None
+    controls: Control | None = None
 
 
-class _Own(NamedTuple):
+class Own(NamedTuple):
     """An episode's own numbers."""
 
     price: Scalar
@@ -117,12 +120,12 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
 
     def run(episodes: Episodes) -> Records:
         numbers = episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.drivers
-        own = _Own(*map(jnp.asarray, numbers))
-        begun = jax.vmap(partial(_begin, loop))(jnp.asarray(episodes.starts, jnp.float32))
+        own = Own(*map(jnp.asarray, numbers))
+        begun = jax.vmap(partial(begin_episode, loop))(jnp.asarray(episodes.starts, jnp.float32))
         errors = None if episodes.errors is None else jnp.asarray(episodes.errors[:, :-1], jnp.float32)
-        given = _Step(episodes.schedules, errors)
+        given = Given(episodes.schedules, errors)
         by_step = jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), given)
-        _, records = jax.lax.scan(lambda now, given: _step(loop, own, now, given), begun, by_step)
+        _, records = jax.lax.scan(lambda now, given: step_episodes(loop, own, now, given), begun, by_step)
         return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
     def run_chunk(number: Index, records: Records) -> Records:
@@ -144,23 +147,25 @@ def _for_each(loop: Loop, function: Callable[..., Any], *items: Any) -> Any:
     return jax.tree.map(lambda part: part[None], function(*jax.tree.map(lambda part: part[0], items)))
 
 
-def _begin(loop: Loop, state: State) -> _Now:
+def begin_episode(loop: Loop, state: State) -> Now:
     """Return what an episode begins with."""
     humans, horizon = loop.game.number, loop.game.planner.horizon
     drivers = jax.tree.map(lambda part: jnp.broadcast_to(part, (humans, *jnp.shape(part))), no_rest(horizon, 1))
     robot, rest = jax.tree.map(jnp.asarray, (begin(loop.rule, loop.game, state), no_rest(horizon, humans)))
-    return _Now(state, robot, rest, drivers)
+    return Now(state, robot, rest, drivers)
 
 
-def _step(loop: Loop, own: _Own, now: _Now, given: _Step) -> tuple[_Now, Records]:
+def step_episodes(loop: Loop, own: Own, now: Now, given: Given) -> tuple[Now, Records]:
     """Advance a chunk of episodes by one step: look, choose, plan, and move."""
+    if given.controls is not None:
+        return _for_each(loop, partial(_steer, loop), now, own, given.controls)
     each, decides = partial(_for_each, loop), given.scheduled == DECIDES
     seen = now.state if given.errors is None else now.state.at[:, : given.errors.shape[1]].add(given.errors)
 
-    def look_back(own: _Own, robot: Carry, seen: State) -> Carry:
+    def look_back(own: Own, robot: Carry, seen: State) -> Carry:
         return complete_outcome(own.robots(loop.game), robot, seen, loop.belief)
 
-    def decide(own: _Own, robot: Carry) -> Decision:
+    def decide(own: Own, robot: Carry) -> Decision:
         return loop.rule.at_price(own.price).decide(own.robots(loop.game), robot.memory, robot.outcome)
 
     def take(robot: Carry, decision: Decision, scheduled: Rungs) -> Decision:
@@ -177,10 +182,10 @@ def _step(loop: Loop, own: _Own, now: _Now, given: _Step) -> tuple[_Now, Records
     return each(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
 
 
-def _plan(loop: Loop, own: _Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
+def _plan(loop: Loop, own: Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
     """Plan every episode of a chunk; with one human, compute only the models that some episode uses."""
 
-    def planned(models: tuple[HumanModel, ...], own: _Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
+    def planned(models: tuple[HumanModel, ...], own: Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
         game, used = own.robots(loop.game), rungs if len(models) > 1 else jnp.zeros_like(rungs)
         start = cold_start(game, seen)
         if may_continue(models, game):
@@ -213,30 +218,55 @@ def _follow(game: Game, car: Car, plan: Plan, rungs: Rungs, before: Rest) -> Fol
     return followed.instead(Plan(jnp.where(steps == 0, braking, robot), humans))
 
 
-def _move(loop: Loop, now: _Now, own: _Own, decision: Decision, plan: Plan, seen: State) -> tuple[_Now, Records]:
+def _move(loop: Loop, now: Now, own: Own, decision: Decision, plan: Plan, seen: State) -> tuple[Now, Records]:
     """Let the robot follow its plan, the humans plan and the world move; reward the robot."""
-    game, truth, state, last = own.robots(loop.game), own.truly(loop.game), now.state, 1 + loop.game.number
-    scale, robot = game.planner.control_scale, now.robot
+    game, robot = own.robots(loop.game), now.robot
     followed = _follow(game, seen[0], plan, decision.memory.rungs, now.rest)
     if loop.way_out:
         followed = follow_escape(followed, keep_way_out(game, seen, followed.now.plan.robot[0]))
+    control = followed.now.plan.robot[0] * game.planner.control_scale
+    if game.planner.grip is not None:  # as vehicles do
+        control = within_grip(game.world, jnp.asarray(game.planner.grip), now.state[0, 3], control)
+    after, humans, reward, collision = _world(loop, now, own, control)
+    gains = jnp.asarray(decision.gains, jnp.float32)
+    records = Records(followed.now.rungs, followed.status, reward, collision, gains, after)
+    return Now(after, advance(robot, decision, followed, seen), followed.kept, humans), records
+
+
+def _steer(loop: Loop, now: Now, own: Own, control: Control) -> tuple[Now, Records]:
+    """Let the robot execute a control, the humans plan and the world move; reward the robot."""
+    after, humans, reward, collision = _world(loop, now, own, control)
+    number, rungs = loop.game.number, len(loop.rule.ladder)
+    gains = jnp.full((number, rungs), jnp.nan, jnp.float32)
+    records = Records(jnp.zeros(number, jnp.int32), jnp.int32(PLANNED), reward, collision, gains, after)
+    return now._replace(state=after, humans=humans), records
+
+
+def _world(loop: Loop, now: Now, own: Own, robot: Control) -> tuple[State, Rest, Scalar, Flag]:
+    """Let the humans plan and the world move; return the state, what is left of the humans' plans, reward, collision.
+
+    Args:
+        loop: what all episodes share.
+        now: of an episode.
+        own: the episode's own numbers.
+        robot: its control, not scaled.
+    """
+    game, truth, state, last = own.robots(loop.game), own.truly(loop.game), now.state, 1 + loop.game.number
+    scale = game.planner.control_scale
 
     def drive(human: Index) -> tuple[Control, Rest]:
         view, turned = swap_players(truth, state, human)
         rest = jax.tree.map(lambda part: part[human], now.humans)
         driving = _follow(view, turned[0], Naive().plan(view, turned), rest.rungs, rest)
-        control = driving.now.plan.robot[0]
+        control = driving.now.plan.robot[0] * scale
         for number, driver in enumerate(loop.drivers, PLANS + 1):
-            control = jnp.where(own.drivers[human] == number, driver(view, turned) / scale, control)
+            control = jnp.where(own.drivers[human] == number, driver(view, turned), control)
         return control, driving.kept
 
-    controls, human_rests = each_human(game, drive)
-    driven = jnp.concatenate([followed.now.plan.robot[:1], controls]) * scale
+    controls, rests = each_human(game, drive)
     if game.planner.grip is not None:  # as vehicles do
-        driven = within_grip(game.world, jnp.asarray(game.planner.grip), state[:last, 3], driven)
-    after = step(game.world, state, jnp.concatenate([driven, keep_velocity(game.world, state[last:])]))
+        controls = within_grip(game.world, jnp.asarray(game.planner.grip), state[1:last, 3], controls)
+    driven = jnp.concatenate([robot[None], controls, keep_velocity(game.world, state[last:])])
+    after = step(game.world, state, driven)
     phi = features(game.scene, game.robot, after)
-    reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
-    gains = jnp.asarray(decision.gains, jnp.float32)
-    records = Records(followed.now.rungs, followed.status, reward, collision, gains, after)
-    return _Now(after, advance(robot, decision, followed, seen), followed.kept, human_rests), records
+    return after, rests, phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0

@@ -3,12 +3,14 @@
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
+import jax
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
+from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.game.game import Game
+from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.controller import ControlStep
 from ms_highway.runtime.arrays import Control, SameArray, State
 
@@ -88,6 +90,26 @@ def always_yields(game: Game, state: State) -> Control:
 
 HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yields, "always": always_yields}
 """What drives humans who do not plan, by name: functions, and classes of highway-env vehicles."""
+
+
+def traceable(name: str, game: Game) -> DriverFunction:
+    """Return the function of a human driver, of which JAX can make a part of a simulation.
+
+    Raises:
+        ValueError: if it is a class of vehicles, the keyboard, or a function that JAX cannot trace.
+    """
+    driver, remedy = HUMAN_DRIVERS.get(name), "give add_driver a pure function of jax.numpy, or use `compare`"
+    if driver is None or isinstance(driver, type):
+        raise ValueError(f"config['human_driver'] is {name!r}, which cannot be simulated; {remedy}")
+    try:
+        control = jax.eval_shape(driver, swap_roles(game), jnp.zeros((2 + game.number, 4)))
+    except Exception as error:  # anything that code of the user's raises
+        reason = str(error).partition("\n")[0]
+        raise ValueError(f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}") from error
+    if jax.tree.map(jnp.shape, control) != (2,):
+        raise ValueError(f"the human driver {name!r} returns {control}; return a curvature and an acceleration")
+    return driver
+
 
 RESERVED = (*HUMAN_DRIVERS, "keyboard", "usual", "mixed")
 

@@ -74,7 +74,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             "ContinuousAction": RANGES | {"dynamical": Any},
             "DiscreteAction": RANGES | {"dynamical": Any, "actions_per_axis": Any},
         },
-        "observation": {name: keys for name, keys in TYPES["observation"].items() if name != "CarStates"},
+        "observation": {name: keys for name, keys in TYPES["observation"].items() if not name.endswith("States")},
     }
 
     @classmethod

@@ -16,7 +16,7 @@ from ms_highway.choice.learned_value import LearnedValue
 from ms_highway.choice.situation import describe
 from ms_highway.game.game import Game
 from ms_highway.loop.batch import simulate
-from ms_highway.loop.records import DECIDES, USUAL, Episodes, Loop, Records
+from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.runtime.arrays import Array, HumansWeights, State
 
 Random: TypeAlias = np.random.Generator
@@ -133,7 +133,7 @@ class Driving:
         game, (count, steps, _) = self.course.game, schedules.shape
         lambdas = np.full(count, prices, np.float32)
         robot = np.tile(np.asarray(game.robot.weights, np.float32), (count, 1))
-        usual, loop, parts = np.full((count, game.number), USUAL), replace(self.course.loop, rule=self.rule), []
+        usual, loop, parts = np.full((count, game.number), PLANS), replace(self.course.loop, rule=self.rule), []
         padding = (0, 0), (0, -steps % self.horizon), (0, 0)
         for part in np.split(
             np.pad(schedules.astype(np.int32), padding, mode="edge"), -(-steps // self.horizon), axis=1

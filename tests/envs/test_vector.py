@@ -1,0 +1,128 @@
+"""Many environments at once in JAX do what as many single environments do."""
+
+import gymnasium as gym
+import jax
+import numpy as np
+import pytest
+from episodes import TWO
+from gymnasium.vector import AutoresetMode
+
+from ms_highway.envs.vector import FunctionalEnv
+
+CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}}
+DRIVING = {"action": {"type": "ContinuousAction"}}
+NAME = "ms_highway:ms-highway/"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "config"),
+    [
+        ("merger-v1", CHOOSING),
+        ("merger-v1", DRIVING),
+        ("give-way-v1", {"controller": "learned:1"}),
+        ("dense-merge-v0", CHOOSING | TWO),
+    ],
+)
+def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
+    ours = gym.make_vec(NAME + scenario, num_envs=3, config=config | {"duration": 2.0})
+    ours.action_space.seed(0)
+    singles = gym.make_vec(NAME + scenario, num_envs=3, vectorization_mode="sync", config=config | {"duration": 2.0})
+    np.testing.assert_allclose(ours.reset(seed=5)[0], singles.reset(seed=5)[0], atol=1e-5)
+    for _ in range(20):
+        actions = ours.action_space.sample()
+        mine, other = ours.step(actions), singles.step(actions)
+        hidden = {"counted_seconds"}  # compared up to rounding
+        np.testing.assert_allclose(mine[0], other[0], atol=1e-4)
+        np.testing.assert_allclose(mine[1], other[1], atol=2e-3)
+        for name in {*mine[4]} - hidden:
+            np.testing.assert_array_equal(mine[4][name], other[4][name], name)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_episodes_begin_anew_as_gymnasium_says(mode):
+    config = DRIVING | {"duration": 0.3}
+    kwargs = {"num_envs": 2, "config": config}
+    ours = gym.make_vec(NAME + "merger-v1", autoreset_mode=mode, **kwargs)
+    assert ours.metadata["autoreset_mode"] is mode
+    modes = {"autoreset_mode": mode}
+    singles = gym.make_vec(NAME + "merger-v1", vectorization_mode="sync", vector_kwargs=modes, **kwargs)
+    ours.reset(seed=0), singles.reset(seed=0)
+    actions = np.zeros((2, 2), np.float32)
+    for _ in range(8):
+        mine, other = ours.step(actions), singles.step(actions.copy())
+        for part in range(4):
+            np.testing.assert_allclose(mine[part], other[part], atol=1e-3)
+        ended = mine[2] | mine[3]
+        if mode is AutoresetMode.SAME_STEP and ended.any():
+            np.testing.assert_allclose(np.stack(mine[4]["final_obs"]), np.stack(other[4]["final_obs"]), atol=1e-4)
+        if mode is AutoresetMode.DISABLED and ended.any():
+            with pytest.raises(ValueError, match="reset before they can step"):
+                ours.step(actions)
+            options = {"reset_mask": ended}
+            np.testing.assert_allclose(
+                ours.reset(options=dict(options))[0], singles.reset(options=dict(options))[0], atol=1e-5
+            )
+
+
+def test_pure_functions_can_be_jitted_and_vmapped_and_do_what_the_environment_does():
+    env = FunctionalEnv("merger-v1", CHOOSING)
+    keys = jax.random.split(jax.random.key(0), 2)
+    state, seen = jax.jit(jax.vmap(env.reset))(keys)
+    starts = np.asarray(state.now.state)[:, 0]
+    assert np.abs(starts[0] - starts[1]).max() > 1e-4
+    step = jax.jit(jax.vmap(env.step))
+    single = gym.make(NAME + "merger-v1", config=CHOOSING)
+    observation, _ = single.reset(options={"initial_states": starts[1]})
+    for action in (2, 2, 0, 1):
+        np.testing.assert_allclose(seen[1], observation, atol=1e-4)
+        state, seen, reward, terminated, truncated, info = step(state, np.array([0, action]))
+        observation, wanted, *_ = single.step(action)
+        assert float(reward[1]) == pytest.approx(wanted, abs=2e-3)
+        assert not (terminated | truncated | info["collision"]).any()
+    assert env.observation_space.contains(np.asarray(seen[0]))
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"action": {"type": "DiscreteAction"}}, "what is simulated is Autopilot"),
+        ({"observation": {"type": "Kinematics"}}, "what is simulated is CarStates or SceneStates"),
+        ({"costs": "measured"}, "cannot measure plans"),
+        ({"human_driver": "keyboard"}, "cannot be simulated"),
+    ],
+)
+def test_what_is_not_simulated_is_refused_with_the_remedy(config, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make_vec(NAME + "merger-v1", num_envs=2, config=config)
+
+
+def test_wrong_actions_seeds_and_masks_are_refused():
+    env = gym.make_vec(NAME + "merger-v1", num_envs=2, config=CHOOSING)
+    with pytest.raises(ValueError, match="reset before they can step: all of them"):
+        env.step([0, 0])
+    with pytest.raises(ValueError, match="3 seeds for 2 environments"):
+        env.reset(seed=[0, 1, 2])
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"actions array\(\[0, 3\]\) are impossible"):
+        env.step([0, 3])
+    with pytest.raises(ValueError, match="reset_mask"):
+        env.reset(options={"reset_mask": np.array([False, False])})
+
+
+def test_all_that_an_agent_needs_is_observed_within_finite_bounds():
+    env = gym.make(NAME + "stay-back-v1", config=DRIVING)
+    observation, _ = env.reset(seed=0)
+    space = env.observation_space
+    assert np.abs([space.low, space.high]).max() < 100
+    assert observation[:, -1].tolist() == [1.0, 1.0]  # all of the time is left
+    assert (observation[:, 0] == 1.0).all()  # both cars are there
+    rescaled = gym.wrappers.RescaleObservation(env, np.float32(0), np.float32(1))
+    values, _ = rescaled.reset(seed=0)
+    assert np.ptp(values) > 0.5
+    observation, *_ = env.step(np.zeros(2, np.float32))
+    np.testing.assert_allclose(observation[:, -1], 59 / 60, rtol=1e-5)
+    cones = env.unwrapped.road.objects
+    robot = env.unwrapped.vehicle
+    ahead = min(cone.position[0] for cone in cones if abs(cone.position[1] - robot.position[1]) < 5 / 3)
+    gap = ahead - robot.position[0] - (robot.LENGTH + cones[0].LENGTH) / 2
+    assert observation[0, 7] == pytest.approx(gap / 100, abs=1e-5)
