@@ -11,6 +11,7 @@ from jaxtyping import Int
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
+from ms_highway.envs.controllers import DriverSettings
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.keyboard import keyboard_control
@@ -169,7 +170,7 @@ class InteractionEnv(GameEnv):
             config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
-        if config["action"]["type"] == "Autopilot":
+        if config["action"]["type"] == "Autopilot" and not isinstance(settings.controller, DriverSettings):
             start = settings.start(settings.seconds, 1, np.random.default_rng())
             try:
                 rule = settings.controller.rule(start)
@@ -241,6 +242,10 @@ class InteractionEnv(GameEnv):
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs if they are yet to be measured."""
         settings, controller = self.settings, controller_settings(self.config["controller"])
+        if isinstance(controller, DriverSettings):
+            function = HUMAN_DRIVERS[controller.name]
+            self.robot.drive_with(FunctionDriver(game, controller.name, function), self.road.vehicles[1:])
+            return
         start = settings.start(self.seconds, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
         rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)

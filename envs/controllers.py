@@ -14,6 +14,7 @@ from ms_highway.choice.rule import Order
 from ms_highway.choice.values import Values
 from ms_highway.envs.configuration import Config, NotNegative
 from ms_highway.game.scenario import Semantics
+from ms_highway.loop.human_drivers import function_names
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
 
@@ -105,6 +106,20 @@ class OrderSettings(ControllerSettings, frozen=True):
         table = self.table(start.steps, start.humans, start.random)
         names = list(dict.fromkeys(table.ravel().tolist()))
         return Order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
+
+
+class DriverSettings(ControllerSettings, frozen=True, tag="driver"):
+    """A function of the state drives, see `ms_highway.loop.human_drivers.add_driver`; no human is predicted."""
+
+    chooses: ClassVar[bool] = False
+    name: str
+
+    def __post_init__(self) -> None:
+        if self.name not in function_names():
+            known = ", ".join(function_names())
+            raise ValueError(
+                f"{PLACE} names the driver {self.name!r}; add it with ms_highway.add_driver: there are {known}"
+            )
 
 
 class FixedSettings(OrderSettings, frozen=True, tag="fixed"):

@@ -28,6 +28,7 @@ from ms_highway.envs.viewer import (
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
 from ms_highway.loop.controller import ControlStep
+from ms_highway.loop.driver import Driver
 from ms_highway.planning.human_models import PACKAGE_MODELS, cheapest_first
 from ms_highway.runtime.arrays import Belief, Car, Controls
 
@@ -129,8 +130,11 @@ class InteractionViewer(Viewer):
     def _thoughts(self, step: ControlStep) -> tuple[str, str]:
         """Return two lines: the times; why the only human's model plans, the way to the cones, the plan's status."""
         controller, cones, remarks = self.env.robot.controller, self.env.distance_to_cones, []
-        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": controller.budget}
-        if len(step.models) == 1 and not isinstance(controller.rule, Order):
+        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds}
+        chooses = isinstance(controller, Driver) and not isinstance(controller.rule, Order)
+        if isinstance(controller, Driver) and controller.budget:
+            times["budget"] = controller.budget
+        if len(step.models) == 1 and chooses:
             remarks.append(_reason(step))
         if self.env.scenario.streams and cones < np.inf:
             remarks.append(f"cones in {cones:.0f} m")

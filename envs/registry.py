@@ -15,6 +15,7 @@ from ms_highway.envs.configuration import Config, NotNegative, Positive, read
 from ms_highway.envs.controllers import (
     PLACE,
     ControllerSettings,
+    DriverSettings,
     FixedSettings,
     PeriodSettings,
     RandomSettings,
@@ -22,6 +23,7 @@ from ms_highway.envs.controllers import (
     Start,
 )
 from ms_highway.game.scenario import Semantics
+from ms_highway.loop.human_drivers import function_names
 from ms_highway.planning.human_models import is_model, model_names
 from ms_highway.runtime import retired
 
@@ -132,6 +134,7 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {
     "learned": LearnedSettings,
     "budget": BudgetSettings,
     "nearest": NearestSettings,
+    "driver": DriverSettings,
     "fixed": FixedSettings,
     "schedule": ScheduleSettings,
     "period": PeriodSettings,
@@ -200,7 +203,8 @@ def controller_config(text: str) -> Config:
     milliseconds of a cycle and learned gains, ``budget:20:FILE`` with those of a file, and ``budget:20:one_step`` with
     those of Algorithm 1; ``nearest:2``, theory of mind about the two nearest humans; ``schedule:tom=6,naive``, tom for
     six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
-    ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with these shares. With ``+belief`` at
+    ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with these shares; and the name of a
+    function of `ms_highway.add_driver`. With ``+belief`` at
     the end, such as ``tom+belief``, any of them counts on no response that a human does not show.
 
     Raises:
@@ -210,6 +214,8 @@ def controller_config(text: str) -> Config:
     kind, _, rest = name.partition(":")
     if is_model(name):
         kind, rest = "fixed", name
+    elif kind not in CONTROLLERS and name in function_names():
+        kind, rest = "driver", name
     if kind not in CONTROLLERS:
         gone = retired.replacement(retired.CONTROLLERS, kind)
         known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"

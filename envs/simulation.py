@@ -8,7 +8,7 @@ import numpy as np
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.controllers import ControllerSettings, OrderSettings
+from ms_highway.envs.controllers import ControllerSettings, DriverSettings, OrderSettings
 from ms_highway.game.random import Random
 from ms_highway.loop.devices import usual_chunk
 from ms_highway.loop.human_drivers import traceable
@@ -38,6 +38,8 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
         reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
         remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
         raise ValueError(f"{reason}; {remedy}")
+    if any(isinstance(each, DriverSettings) for each in controllers):
+        raise ValueError("a function that drives the robot is not simulated; use `compare`")
     if settings.beliefs == "true":
         reason = f"{environment.scenario.name} is configured with beliefs 'true', which a simulation does not do"
         raise ValueError(f"{reason}; use `compare`")

@@ -1,6 +1,7 @@
 """Drive humans by a function of the state instead of a plan: by one's own, or as who yields never or always."""
 
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any, TypeAlias
 
 import jax
@@ -25,7 +26,7 @@ DriverFunction: TypeAlias = Callable[[Game, State], Control]
 
 
 class FunctionDriver:
-    """Drive a human by a function of the state; plan nothing, and remember nothing.
+    """Drive a car by a function of the state; plan nothing, and remember nothing.
 
     Args:
         game: of which car 0 is driven.
@@ -48,12 +49,14 @@ class FunctionDriver:
         Raises:
             ValueError: if the function does not return two finite numbers.
         """
+        start = perf_counter()
         control = np.asarray(self.function(self.game, np.asarray(state, dtype=float)), dtype=float)
+        seconds = perf_counter() - start
         if control.shape != (2,) or not np.isfinite(control).all():
             remedy = "return a curvature [1/m] and an acceleration [m/s^2]"
-            raise ValueError(f"the human driver {self.name!r} returned {control.tolist()}; {remedy}")
-        kept = np.tile(control, (self.game.planner.horizon, 1))
-        return ControlStep(control, kept, np.zeros((1, *kept.shape)), (self.name,))
+            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {remedy}")
+        kept, humans = np.tile(control, (self.game.planner.horizon, 1)), self.game.number
+        return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * humans, seconds)
 
 
 def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) -> Float[SameArray, "2"]:
@@ -92,6 +95,11 @@ HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yield
 """What drives humans who do not plan, by name: functions, and classes of highway-env vehicles."""
 
 
+def function_names() -> list[str]:
+    """Return the names of the drivers that are functions."""
+    return [name for name, driver in HUMAN_DRIVERS.items() if not isinstance(driver, type)]
+
+
 def traceable(name: str, game: Game) -> DriverFunction:
     """Return the function of a human driver, of which JAX can make a part of a simulation.
 
@@ -118,7 +126,8 @@ def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
     """Make known by a name what a human really does; `ms_highway.register` adds what the robot believes that it does.
 
     It drives every human of an environment with ``config={"human_driver": name}``, in commands with
-    ``--set human_driver=NAME``; added again, it takes the place of the one of that name.
+    ``--set human_driver=NAME``; added again, it takes the place of the one of that name. A function also drives the
+    robot, as the controller ``name``: it is then told the game of the robot, where the humans come next.
 
     Args:
         name: one word in lower case.

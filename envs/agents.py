@@ -1,0 +1,195 @@
+"""Let agents and planners of one's own drive in place of a controller, beside which they are compared."""
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from os import PathLike, fspath
+from pathlib import Path
+from pickle import UnpicklingError
+from time import perf_counter
+from typing import Any, NamedTuple, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from ms_highway.envs.configuration import Config, refuse_unknown
+from ms_highway.envs.game_env import Timing
+from ms_highway.envs.registry import CONTROLLERS, controller_config
+from ms_highway.planning.human_models import is_model
+
+Policy: TypeAlias = Callable[[Any], Any]
+"""From an observation to an action."""
+
+FILE_END = ".zip"  # of agents that stable-baselines3 saves
+
+
+class Agent(NamedTuple):
+    """An agent that has been added.
+
+    Attributes:
+        source: policy, object with a method ``predict``, or file.
+        config: of environments that it drives in: its action and its observation.
+    """
+
+    source: Any
+    config: Config
+
+
+AGENTS: dict[str, Agent] = {}
+"""The agents that `add_agent` has added, by name."""
+
+
+def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
+    """Make an agent or a planner known by a name, to `compare`, `video` and `bench road` of this process.
+
+    Files that stable-baselines3 has saved need not be added: their paths stand for them in every command.
+
+    Args:
+        name: one word in lower case.
+        agent: a function from an observation to an action; an object with stable-baselines3's ``predict(observation,
+            deterministic=True)``; or the path of a file that stable-baselines3 has saved.
+        config: what the environments that it drives in are configured with: ``action`` and ``observation``. By default,
+            the action is the one of its action space, and the observation is the environment's own.
+
+    Raises:
+        ValueError: if the name is a controller's, a human model's or no such word, or for another key of ``config``.
+        TypeError: if it is no agent.
+    """
+    is_word = isinstance(name, str) and name.isidentifier() and name.islower()
+    if not is_word or name in CONTROLLERS or is_model(name):
+        remedy = "choose one word in lower case that is no human model's and no controller's"
+        raise ValueError(f"an agent cannot be called {name!r}; {remedy}")
+    if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
+        remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
+        raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
+    refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
+    AGENTS[name] = Agent(agent, dict(config or {}))
+
+
+def is_agent(name: str) -> bool:
+    """Return whether a name is that of an added agent, or of a file that stable-baselines3 has saved."""
+    return name in AGENTS or name.endswith(FILE_END)
+
+
+def robot_config(name: str) -> Config:
+    """Return the configuration of an environment in which a controller or an agent of this name drives.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    if not is_agent(name):
+        return {"controller": controller_config(name)}
+    config = AGENTS[name].config if name in AGENTS else {}
+    space = getattr(_agent(name), "action_space", None)
+    chooses = isinstance(space, (spaces.Discrete, spaces.MultiDiscrete))
+    return {"action": {"type": "HumanModelAction" if chooses else "ContinuousAction"}, **config}
+
+
+def policy_of(name: str) -> Policy:
+    """Return what chooses the actions of an agent.
+
+    Raises:
+        ModuleNotFoundError: for a file, without stable-baselines3 or another package that it needs.
+        ValueError: if the file is no agent.
+    """
+    agent = _agent(name)
+    if not hasattr(agent, "predict"):
+        return agent
+
+    def predict(observation: Any) -> Any:
+        action, _ = agent.predict(observation, deterministic=True)
+        return action if action.shape else action.item()
+
+    return predict
+
+
+def _agent(name: str) -> Any:
+    """Return an agent: what was added by this name, or what is saved in the file."""
+    source = AGENTS[name].source if name in AGENTS else name
+    return saved_policy(fspath(source)) if isinstance(source, (str, PathLike)) else source
+
+
+@cache
+def saved_policy(file: str) -> Any:
+    """Return the policy of an agent of stable-baselines3 that takes observations as they are; opening it may run code.
+
+    Raises:
+        ModuleNotFoundError: without stable-baselines3, or another package that the agent needs.
+        ValueError: if the file is no such agent.
+    """
+    if not Path(file).is_file():
+        raise ValueError(f"there is no agent {file}; notebooks/examples/train_peers.py trains some")
+    try:
+        from stable_baselines3.common.save_util import load_from_zip_file
+
+        data, parameters, _ = load_from_zip_file(file, device="cpu")
+        explores = {"use_sde": True} if data.get("use_sde") else {}
+        both = data["observation_space"], data["action_space"]
+        policy = data["policy_class"](*both, lambda _: 0.0, **explores, **data["policy_kwargs"])
+        policy.load_state_dict(parameters["policy"])
+    except ModuleNotFoundError as error:
+        package = str(error.name).replace("_", "-")
+        message = f"the agent {file} needs the package {package}: pip install {package}"
+        raise ModuleNotFoundError(message, name=error.name) from None
+    except (ValueError, KeyError, TypeError, OSError, RuntimeError, UnpicklingError) as error:
+        raise ValueError(f"{file} is no agent that stable-baselines3 has saved ({error!r})") from None
+    return policy
+
+
+def check_spaces(name: str, env: gym.Env) -> None:
+    """Make sure that an agent that says which spaces it knows drives in an environment of these.
+
+    Raises:
+        ValueError: naming the space that differs.
+    """
+    agent = _agent(name)
+    for space in ("observation_space", "action_space"):
+        known, offered = getattr(agent, space, None), getattr(env, space)
+        if known is not None and known != offered:
+            scene, what = env.spec.id if env.spec else "the environment", space.replace("_", " ")
+            raise ValueError(f"{name}: the agent's {what} is {known}, that of {scene} {offered}; train one there")
+
+
+class AgentDrives(gym.Wrapper):
+    """An environment in which an agent drives, as a controller does: the only action is 0.
+
+    ``info`` has what it has of a controller: ``model``, the agent's name or, where it chooses models, theirs;
+    ``timing``, with the agent's own seconds as those of the decision; and ``gains``, none.
+
+    Args:
+        env: the environment.
+        name: of the agent.
+
+    Raises:
+        ValueError: if the agent knows other spaces.
+    """
+
+    def __init__(self, env: gym.Env, name: str) -> None:
+        super().__init__(env)
+        check_spaces(name, env)
+        self.name, self.policy = name, policy_of(name)
+        self.action_space = spaces.Discrete(1)
+
+    def reset(self, **options: Any) -> tuple[Any, Config]:
+        """Start an episode."""
+        self._seen, info = self.env.reset(**options)
+        return self._seen, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, Config]:
+        """Let the agent choose an action, and do it.
+
+        Raises:
+            ValueError: if the agent's action is none of the environment's.
+        """
+        start = perf_counter()
+        chosen = self.policy(self._seen)
+        seconds = perf_counter() - start
+        if isinstance(self.env.action_space, spaces.Box):  # also takes lists, and numbers in double precision
+            chosen = np.asarray(chosen, self.env.action_space.dtype)
+        if not self.env.action_space.contains(chosen):
+            raise ValueError(f"the agent {self.name!r} chose {chosen!r}; the actions are {self.env.action_space}")
+        self._seen, reward, terminated, truncated, info = self.env.step(chosen)
+        timing = info.get("timing", Timing(0.0, 0.0, 0.0))
+        info["timing"] = Timing(timing.planning_seconds, timing.decision_seconds + seconds, timing.compile_seconds)
+        told = {"model": self.name, "models": (self.name,), "gains": {}, "status": "planned", "choice_failed": False}
+        return self._seen, reward, terminated, truncated, {**told, **info}
