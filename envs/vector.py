@@ -172,10 +172,13 @@ class InteractionVectorEnv(VectorEnv):
     """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed.
 
     ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type": "HumanModelAction"}})`` makes one.
-    Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision`` and, unless the agent drives,
-    ``status``, ``model``, the
-    most expensive of the humans' models, ``counted_seconds`` and, in scenarios with streams, ``success``, each with
-    its mask, such as ``_collision``. Nothing is drawn: make a single environment for films.
+    Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision``; unless the agent drives,
+    ``status``, ``model``, the most expensive of the humans' models, and ``counted_seconds``; and in scenarios with
+    streams, ``success``; each with its mask, such as ``_collision``. Nothing is drawn: make a single environment for
+    films.
+
+    Attributes:
+        episode_steps: length of an episode that nothing ends early.
 
     Args:
         environment: class of the single environment.
@@ -210,6 +213,7 @@ class InteractionVectorEnv(VectorEnv):
         self._groups = [slice(first, first + size) for first in range(0, num_envs, size)]
         self._threads = ThreadPoolExecutor(len(self._groups))
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
+        self.episode_steps = simulated.steps
         self._ended, self._began = np.zeros(num_envs, bool), False
         self._steps = np.zeros(num_envs, int)
 
