@@ -131,6 +131,14 @@ def named(name: str) -> LearnedReward:
     return shipped(name) if name in SHIPPED else load(Path(name))
 
 
+@cache
+def shipped_drivers() -> LearnedDrivers:
+    """Return what was learned of drivers on US-101."""
+    drivers = shipped("us101").drivers
+    assert drivers is not None  # the package's own file
+    return drivers
+
+
 def commuter_weights() -> dict[str, float]:
     """Return weights, by name, of who drives with the traffic: learned on US-101, in units of log-probability.
 
@@ -139,12 +147,5 @@ def commuter_weights() -> dict[str, float]:
     """
     learned = shipped("us101")
     kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
-    ahead = learned.drivers.weights if learned.drivers else {}
-    return {name: weight / learned.temperature for name, weight in {**learned.weights, **ahead, **kept}.items()}
-
-
-def commuter_traits() -> TraitPrior:
-    """Return how those who drive with the traffic differ: learned on US-101."""
-    drivers = shipped("us101").drivers
-    assert drivers is not None  # the package's own file
-    return drivers.prior
+    weights = {**learned.weights, **shipped_drivers().weights, **kept}
+    return {name: weight / learned.temperature for name, weight in weights.items()}

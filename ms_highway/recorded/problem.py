@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from highway_env.road.road import RoadNetwork
 from highway_env.utils import rect_corners
 from matplotlib.path import Path
 
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.geometry.road_map import Spot
-from ms_highway.recorded.network import Axes
 from ms_highway.recorded.scenario import GoalRegion, Points, Problem, RecordedTrack, TrafficRecording
+from ms_highway.recorded.straight_road import StraightRoad
 from ms_highway.road.timed_goal import TimedGoal
 
 CAR_SIZE = 4.508, 1.610
@@ -72,8 +71,9 @@ class Task:
         """Return whether one of the goals is reached, by the middle of the ego, in the map's axes."""
         return any(_is_in(goal, step, point, orientation, speed) for goal in self.problem.goals)
 
-    def timed_goal(self, network: RoadNetwork, axes: Axes) -> TimedGoal | None:
+    def timed_goal(self, road: StraightRoad) -> TimedGoal | None:
         """Return where to be and when, since the start, for the first goal that has a place; None without one."""
+        axes, network = road.axes, road.network
         for goal in self.problem.goals:
             if goal.area is None:
                 continue

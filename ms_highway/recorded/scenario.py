@@ -167,7 +167,6 @@ def open_recording(recording: str) -> TrafficRecording:
 
     Raises:
         ValueError: naming the file and what is wrong with it.
-        ImportError: for a file with traffic signs, without the packages of the extra ``commonroad``.
     """
     if recording == SHIPPED:
         return shipped()
