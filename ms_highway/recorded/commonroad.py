@@ -19,7 +19,6 @@ from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import (
     GoalRegion,
     Lanelet,
-    Obstacle,
     Points,
     Problem,
     RecordedTrack,
@@ -102,17 +101,18 @@ def _recording(root: Element, source: str) -> TrafficRecording:
     lanes = tuple(lane for lane, drivable in lanelets.values() if drivable)
     if lanes and np.ptp(np.concatenate([lane.centre for lane in lanes]), axis=0).max() > MOST_METRES:
         raise ValueError(f"lanelets are more than {MOST_METRES:g} m apart")
+    problems = tuple(_each(root, "planningProblem", partial(_problem, areas=areas)).values())
     tracks = tuple(_each(root, "dynamicObstacle", _track).values())
     if not any(len(track.samples) > 1 for track in tracks):
         raise ValueError("there is no dynamic obstacle with two samples, and so no driving")
+    last = max(item.last for item in (*tracks, *problems))
     return TrafficRecording(
         name=name,
         group=name.split("_")[min(1, name.count("_"))],  # USA_US101-17_1_T-1 is cut from US101-17
         source=source,
         lanelets=lanes,
-        tracks=tracks,
-        obstacles=tuple(chain(*_each(root, "staticObstacle", _obstacles).values())),
-        problems=tuple(_each(root, "planningProblem", partial(_problem, areas=areas)).values()),
+        tracks=(*tracks, *_each(root, "staticObstacle", partial(_standing, last=last)).values()),
+        problems=problems,
     )
 
 
@@ -207,9 +207,23 @@ def _track(identity: int, element: Element) -> RecordedTrack:
     samples = np.array([_sample(_initial(element)), *map(_sample, states)])
     if not (np.diff(samples[:, 0]) >= 1).all():
         raise ValueError("its times do not follow each other")
-    size, centre = _box(np.concatenate(_outlines(element, "shape")))
-    samples[:, 1:3] += _turned(np.tile(centre, (len(samples), 1)), samples[:, 3])
-    return RecordedTrack(identity, size, samples, element.findtext("type") in DRIVERS)
+    return _whole(identity, element, samples, element.findtext("type") in DRIVERS)
+
+
+def _standing(identity: int, element: Element, last: int) -> RecordedTrack:
+    """Return the track of a static obstacle until the last step."""
+    steps = np.arange(last + 1)
+    samples = np.column_stack([steps, np.tile([*_pose(_initial(element)), 0.0], (len(steps), 1))])
+    return _whole(identity, element, samples, False)
+
+
+def _whole(identity: int, element: Element, samples: np.ndarray, drives: bool) -> RecordedTrack:
+    """Return the track of the box around the shapes of an obstacle."""
+    corners = np.concatenate(_outlines(element))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    length, width = (high - low).tolist()
+    samples[:, 1:3] += _turned(np.tile((low + high) / 2, (len(samples), 1)), samples[:, 3])
+    return RecordedTrack(identity, (length, width), samples, drives)
 
 
 def _initial(element: Element) -> Element:
@@ -231,19 +245,6 @@ def _sample(state: Element) -> list[float]:
     if time < 0:
         raise ValueError(f"<time> of <{state.tag}> is {time}; it must not be negative")
     return [time, *_pose(state), _number(state, "velocity/exact", MOST_SPEED)]
-
-
-def _obstacles(identity: int, element: Element) -> list[Obstacle]:
-    """Return a box along the longest edge of each shape of a static obstacle."""
-    x, y, orientation = _pose(_initial(element))
-    found = []
-    for outline in _outlines(element, "shape"):
-        edges = np.diff(outline, axis=0, append=outline[:1])
-        turn = float(np.arctan2(*edges[np.hypot(*edges.T).argmax(), ::-1]))
-        size, centre = _box(outline, turn)
-        aside = _turned(centre, orientation)
-        found.append(Obstacle(identity, size, (x + aside[0], y + aside[1], orientation + turn)))
-    return found
 
 
 def _problem(identity: int, element: Element, areas: dict[int, Points]) -> Problem:
@@ -269,7 +270,7 @@ def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
         numbers = _references(state, "position/lanelet")
         if missing := set(numbers) - areas.keys():
             raise ValueError(f"there is no lanelet {min(missing)}, which a goal refers to")
-        places = [areas[number] for number in numbers] or [*_outlines(state, "position")]
+        places = [areas[number] for number in numbers] or [*_outlines(state, "position/*")]
     for place in places:
         yield GoalRegion((round(first), round(last)), place, speeds, headings)
 
@@ -283,9 +284,9 @@ def _interval(state: Element, tag: str, most: float) -> tuple[float, float]:
     return first, last
 
 
-def _outlines(element: Element, tag: str) -> list[Points]:
-    """Return the corners of each shape of an element."""
-    found = [_outline(piece) for piece in element.iterfind(f"{tag}/*")]
+def _outlines(element: Element, path: str = "shape/*") -> list[Points]:
+    """Return the corners of each shape at a path below an element."""
+    found = [_outline(piece) for piece in element.iterfind(path)]
     if not found:
         raise ValueError(f"<{element.tag}> lacks a shape")
     return found
@@ -305,14 +306,6 @@ def _outline(piece: Element) -> Points:
     if len(corners) < 3 or not np.ptp(corners, axis=0).all():
         raise ValueError(f"<{piece.tag}> has no area")
     return corners + [_number(piece, f"center/{axis}", default=0.0) for axis in "xy"]
-
-
-def _box(corners: Points, turn: float = 0.0) -> tuple[tuple[float, float], Points]:
-    """Return length, width and centre of the box around points, its length along a direction [rad]."""
-    along = _turned(corners, -turn)
-    low, high = along.min(axis=0), along.max(axis=0)
-    length, width = (high - low).tolist()
-    return (length, width), _turned((low + high) / 2, turn)
 
 
 def _turned(vectors: Points, angle: Any) -> Points:

@@ -9,7 +9,7 @@ from msgspec import Meta, Struct
 from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.recorded.learned_traffic import LearnedRoad
-from ms_highway.recorded.problem import Task
+from ms_highway.recorded.problem import problem_of, timed_goal
 from ms_highway.recorded.scenario import SHIPPED, Points, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import IdmRoad, RecordedRoad, sized
@@ -60,7 +60,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     Attributes:
         scenario: the recording.
         axes: of the road in the map.
-        task: of the ego.
+        task: the planning problem of the ego.
         goal: where and when the ego has to be, None if its goal is only a time.
         success, off_road: whether the goal has been reached, and the road left.
     """
@@ -104,25 +104,25 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             raise ValueError(f"{scenario.source}: {error}") from error
 
     def _build(self, scenario: TrafficRecording) -> None:
-        task, straight = Task.of(scenario, self.settings.ego), straight_road(scenario)
-        x, y, orientation, speed = task.problem.start
+        task, straight = problem_of(scenario, self.settings.ego), straight_road(scenario)
+        x, y, orientation, speed = task.start
         position, heading = straight.axes.pose(x, y, orientation)
         lane = straight.network.get_lane(straight.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
-        road = TRAFFIC[self.settings.traffic](scenario, task.problem.time, task.track, self.np_random)
+        road = TRAFFIC[self.settings.traffic](scenario, task.time, task.track, self.np_random)
         vehicle = sized(self.action_type.vehicle_class(road, position, heading=heading, speed=speed), task.size)
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
         self.scenario, self.task, self.road, self.axes = scenario, task, road, straight.axes
-        self.goal, self.desired_speed = task.timed_goal(straight), max(speed, SLOWEST)
+        self.goal, self.desired_speed = timed_goal(task, straight), max(speed, SLOWEST)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
         self._along = straight.along(vehicle)
 
     @property
     def goal_areas(self) -> list[Points]:
         """Corners of the areas of all goals that have a place."""
-        return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
+        return [self.axes.positions(goal.area) for goal in self.task.goals if goal.area is not None]
 
     def _simulate(self, action: Any = None) -> None:
         """Let everybody act and move for a step, and judge where that has led the ego."""

@@ -47,6 +47,7 @@ class StraightRoad:
         lanes: all lanes of the network.
         numbers: of each lane, from the left; a lane that follows another one has its number [lanes].
         starts: place along the road at which each lane begins [lanes].
+        scales: of distances along each lane [lanes].
         lane_width: median width of the lanes [m].
 
     Raises:
@@ -71,6 +72,7 @@ class StraightRoad:
                     queue += [(other, number, start - _length(other)) for other in before]
         numbers, starts = zip(*map(found.__getitem__, self.lanes), strict=True)
         self.numbers, self.starts = np.array(numbers) - min(numbers), np.array(starts)
+        self.scales = np.array([_length(lane) / lane.length for lane in self.lanes])
         self.lane_width = float(np.median([lane.shape.width_at(lane.length / 2) for lane in self.lanes]))
 
     def poses(self, positions: Points, headings: Values) -> LanePoses:
@@ -88,13 +90,10 @@ class StraightRoad:
 
     def states(self, poses: LanePoses, speeds: Values) -> States:
         """Return states x, y, heading and speed on the straight road."""
-        states = []
-        for lane, along, aside, heading, speed in zip(*poses, speeds, strict=True):
-            own = self.lanes[lane]
-            x = self.starts[lane] + along * _length(own) / own.length
-            y = self.lane_width * (self.numbers[lane] + aside / own.shape.width_at(along))
-            states.append((x, y, heading, speed))
-        return np.array(states)
+        lane, along, aside, heading = poses
+        widths = [self.lanes[number].shape.width_at(place) for number, place in zip(lane, along, strict=True)]
+        y = self.lane_width * (self.numbers[lane] + aside / widths)
+        return np.stack([self.starts[lane] + along * self.scales[lane], y, heading, speeds], axis=-1)
 
     def along(self, vehicle: Vehicle) -> float:
         """Return the place of a vehicle along the road [m]."""

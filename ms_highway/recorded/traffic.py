@@ -6,7 +6,7 @@ import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from highway_env.vehicle.objects import Obstacle, RoadObject
+from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import rotated
@@ -66,8 +66,6 @@ class RecordedRoad(Road):
         self.axes = road.axes
         self.recording, self.begin, self.now = recording, begin, begin
         self.coming = [track for track in recording.tracks if track.number != left_out and track.last >= begin]
-        for item in recording.obstacles:
-            self.objects.append(sized(Obstacle(self, *self.axes.pose(*item.pose)), item.size))
         self._let_enter()
 
     @property
@@ -95,7 +93,7 @@ class RecordedRoad(Road):
         self.vehicles = [vehicle for vehicle in self.vehicles if not self._has_left(vehicle)]
         self._let_enter()
         for ego in [vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")]:
-            for other in (*self.vehicles, *self.objects):
+            for other in self.vehicles:
                 if other is not ego and overlap(ego, other):
                     ego.crashed = other.crashed = True
 

@@ -29,7 +29,7 @@ import ms_highway
 from ms_highway.benchmarks.road.recorded import starts_of
 from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.commonroad import read_xml
-from ms_highway.recorded.problem import Task
+from ms_highway.recorded.problem import problem_of
 from ms_highway.recorded.scenario import GoalRegion, Problem, open_recording
 from ms_highway.recorded.traffic import overlap
 
@@ -102,7 +102,7 @@ def overlapping(env):
 def poses(env, vehicle):
     """Position in the map, orientation there, and speed of a vehicle."""
     axes = env.axes
-    return *axes.points(vehicle.position), float(axes.orientations(vehicle.heading)), vehicle.speed
+    return *axes.points(vehicle.position), float(axes.headings(vehicle.heading)), vehicle.speed
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def test_a_car_whose_place_is_taken_waits_and_enters_there_later(traffic, tmp_pa
 @pytest.mark.parametrize("low", [-0.8, 2 * np.pi - 0.1])
 def test_a_goal_counts_from_its_first_heading_to_the_left_to_its_last_whatever_the_number_of_turns(low, turns):
     for last in (low + 0.3, low + 0.3 - 2 * np.pi):
-        task = Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, (GoalRegion((10, 20), headings=(low, last)),)), (4.5, 1.8))
+        task = Problem(1, (0.0, 0.0, 0.0, 0.0), 0, (GoalRegion((10, 20), headings=(low, last)),))
         for more, right in ((-0.001, False), (0.001, True), (0.299, True), (0.301, False), (np.pi, False)):
             assert task.is_reached(15, (5.0, 2.0), low + turns * 2 * np.pi + more, 10.0) == right
 
@@ -213,8 +213,8 @@ def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     from commonroad.scenario.state import CustomState
 
     (theirs,) = XMLFileReader(BytesIO(read_xml(us("29_1")))).open()[1].planning_problem_dict.values()
-    task = Task.of(open_recording(str(us("29_1"))), "problem")
-    (goal,) = task.problem.goals
+    task = problem_of(open_recording(str(us("29_1"))), "problem")
+    (goal,) = task.goals
     rng, found = np.random.default_rng(0), []
     middle = [*goal.area.mean(axis=0), np.mean(goal.headings), np.mean(goal.speeds), 43.0]
     reach = [2.0, 2.0, np.ptp(goal.headings) / 2, np.ptp(goal.speeds) / 2, 6.0]
@@ -400,7 +400,7 @@ def test_the_robot_keeps_appointments_on_us101(name, traffic, us):
     driven.reset(seed=0)
     *_, (*_, info) = steps(driven, lambda _: None)
     env, told = driven.unwrapped, info["recorded"]
-    (goal,) = env.task.problem.goals
+    (goal,) = env.task.goals
     assert env.task.size == (env.vehicle.LENGTH, env.vehicle.WIDTH)
     assert (told["success"], told["collision"], told["off_road"]) == (True, False, False)
     assert info["road"]["success"]

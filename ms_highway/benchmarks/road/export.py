@@ -78,7 +78,7 @@ class Drive:
             for (step, x, y, orientation, speed), angle in zip(self._ego, self._steering(), strict=True)
         ]
         own = PlanningProblemSolution(
-            planning_problem_id=self._env.task.problem.number,
+            planning_problem_id=self._env.task.number,
             vehicle_model=VehicleModel.KS,
             vehicle_type=VehicleType.BMW_320i,
             cost_function=CostFunction.JB1,
