@@ -2,12 +2,12 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import count_episodes, print_tables, say, telling
 from ms_highway.cli.options import FORMAT
-from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE, Others
+from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 
 if TYPE_CHECKING:
     from ms_highway.game.reward import RewardModel
@@ -34,12 +34,6 @@ SEGMENTS = (
     number("--horizon", None, f"length of segments, in steps (default: {HORIZON})", most=MOST_STEPS, metavar="K"),
 )
 """What is learned from, see `read_recordings` and `chosen_model`."""
-
-OTHERS = (
-    "what predicted drivers meet: the others as they are predicted, all together, so that nothing of the future is "
-    "known; the others where they were recorded to be, a leak of the future; or the others at constant velocity"
-)
-
 
 def read_recordings(data: str) -> "list[Recording]":
     """Read the recordings that ``--data`` names."""
@@ -75,7 +69,6 @@ def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "Rew
         "--theta", "a reward learned from real recordings: a file of `ms-highway irl fit`, or us101", metavar="FILE"
     ),
     number("--folds", None, "cross-validate by recording, in N folds", 2, metavar="N"),
-    option("--others", OTHERS, "predicted", choices=get_args(Others)),
     output("--figures", "a directory for figures", directory=True),
     FORMAT,
     option("--json", "print JSON instead of a table", action="store_true"),
@@ -102,7 +95,6 @@ def evaluate(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import save_figures
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
-    from ms_highway.irl.prediction import check_drivers
     from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
 
     if bool(options.theta) == bool(options.folds):
@@ -110,15 +102,16 @@ def evaluate(options: argparse.Namespace) -> None:
     learned = named(options.theta) if options.theta else None
     if learned and (options.learn or options.horizon):
         raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
-    drivers = check_drivers(learned.drivers, f"--theta {options.theta}") if learned else None
+    if learned and not learned.drivers:
+        raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
     with telling() as tell:
         recordings = read_recordings(options.data)
         reward, steps = learned or chosen_model(options.learn, recordings), options.horizon or HORIZON
-        found = evaluate(recordings, reward, options.others, horizon=steps, parts=options.folds, progress=tell)
+        found = evaluate(recordings, reward, horizon=steps, parts=options.folds, progress=tell)
         if options.figures:
             figures = evaluation_figures(found)
-            if drivers:
-                figures["paths"] = paths_figure(recordings, drivers)
+            if learned:
+                figures["paths"] = paths_figure(recordings, learned.drivers)
             save_figures(figures, options.figures, options.format)
     if options.json:
         say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())

@@ -174,7 +174,7 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
         for name, label in PREDICTORS.items()
         if horizon in (row := evaluation.predictors[name])["fde"]
     ]
-    title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers, others {evaluation.others}"
+    title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers"
     tables = [grid(title, rows)]
     for kind, label in (("distance", "mean error, m"), ("log_p", "mean log density")):
         for horizon in ("3", "5"):
@@ -185,6 +185,5 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
                 rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
             tables += [grid(f"{label}, after {horizon} s", rows)] if rows else []
     likely = evaluation.likelihood
-    names = {"model": "learned reward", "constant_velocity": PREDICTORS["constant_velocity"]}
-    rows = [{"predicted by": label, "log p per segment": f"{likely[name]:.2f}"} for name, label in names.items()]
+    rows = [{"predicted by": "learned reward", "log p per segment": f"{likely['model']:.2f}"}]
     return [*tables, grid(f"controls of {likely['windows']:g} segments", rows)]
