@@ -79,18 +79,24 @@ def record(
     yield done
     if done >= episodes:
         return
-    import minari
-
-    with closing(minari.DataCollector(gym.make(DEMONSTRATION_ID, **person))) as env:
+    with closing(gym.make(DEMONSTRATION_ID, **person)) as env:
         for number in range(done, episodes):
-            config = {"density": densities[number % len(densities)]}
-            env.reset(seed=seed + number, options={"config": config})
-            for action in actions(driver, env.unwrapped, seed + number, temperature):
-                *_, terminated, truncated, _ = env.step(action)
-                if terminated or truncated:
-                    break
-            _store(env, data, dataset, settings)
+            options = {"config": {"density": densities[number % len(densities)]}}
+            _store(_episode_of(env, driver, seed + number, options, temperature), env, data, dataset, settings)
             yield number + 1
+
+
+def _episode_of(env: gym.Env, driver: Driver, seed: int, options: dict[str, Any], temperature: float) -> Any:
+    """Return an episode, as Minari's ``EpisodeBuffer``."""
+    from minari.data_collector import EpisodeBuffer
+
+    first, steps = env.reset(seed=seed, options=options)[0], []
+    for action in actions(driver, env.unwrapped, seed, temperature):  # type: ignore[arg-type]
+        steps.append((action, *env.step(action)))
+        if any(steps[-1][3:5]):
+            break
+    taken, observations, *outcomes, _ = map(list, zip(*steps, strict=True))
+    return EpisodeBuffer(None, seed, options, [first, *observations], taken, *outcomes)
 
 
 def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
@@ -191,8 +197,8 @@ def _recorded_episodes(data: Path, settings: dict[str, Any]) -> int:
         return int(stored.total_episodes)
 
 
-def _store(env: Any, data: Path, dataset: str, settings: dict[str, Any]) -> None:
-    """Add the episode that Minari's ``DataCollector`` has seen to a data set.
+def _store(episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[str, Any]) -> None:
+    """Add an episode of an environment, Minari's ``EpisodeBuffer``, to a data set.
 
     HDF5 files are unreadable if a process is stopped while it writes them; so episodes are added to a copy, which then
     takes the place of the original.
@@ -205,14 +211,16 @@ def _store(env: Any, data: Path, dataset: str, settings: dict[str, Any]) -> None
             copy = data.with_name(".part")
             shutil.rmtree(copy, ignore_errors=True)
             shutil.copytree(data, copy)
-            env.add_to_dataset(minari.MinariDataset(copy))
+            minari.MinariDataset(copy).update_dataset_from_buffer([episode])
             for file in sorted(copy.iterdir()):  # main_data.hdf5 before metadata.json, which counts its episodes
                 file.replace(data / file.name)
             copy.rmdir()
             return
         package = version("ms-highway")
-        stored = env.create_dataset(
+        stored = minari.create_dataset_from_buffers(
             dataset,
+            [episode],
+            env=env,
             algorithm_name=settings["driver"],
             description="Driving on a highway, recorded by `ms-highway irl record`.",
             requirements=[f"ms-highway=={package}"],

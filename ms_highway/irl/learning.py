@@ -82,8 +82,7 @@ def learn_reward(
         rest = fit_weights(derivatives.of(~chosen), model, found)
         held_out.append(segment_log_likelihoods(derivatives.of(chosen), rest))
     if real:
-        snapshots = cut_snapshots(recordings)
-        drivers = learn_drivers(snapshots, np.ones(len(snapshots), dtype=bool), progress=progress)
+        drivers = learn_drivers(cut_snapshots(recordings), progress=progress)
     progress("counting features")
     counts = {"human": derivatives.features.mean(axis=0), "model": expected_features(segments, found)}
     return LearnedReward(

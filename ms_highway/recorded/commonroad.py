@@ -164,14 +164,10 @@ def _points(element: Element, path: str) -> Points:
 def _speed_limits(identity: int, element: Element) -> list[float]:
     """Return the speed limits that a traffic sign shows."""
     shown = element.iterfind("trafficSignElement")
-    return [_limit(one, "additionalValue") for one in shown if one.findtext("trafficSignID") in SPEED_SIGNS]
-
-
-def _limit(element: Element, tag: str) -> float:
-    limit = _number(element, tag, MOST_SPEED)
-    if limit < 1:
-        raise ValueError(f"<{tag}> is {limit} m/s; it must be at least 1 m/s")
-    return limit
+    limits = [_number(one, "additionalValue") for one in shown if one.findtext("trafficSignID") in SPEED_SIGNS]
+    if not all(1 <= limit <= MOST_SPEED for limit in limits):
+        raise ValueError(f"it shows <additionalValue> {limits} m/s; limits are from 1 to {MOST_SPEED:g} m/s")
+    return limits
 
 
 def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) -> tuple[Lanelet, bool]:
@@ -183,7 +179,6 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
     signs = _references(element, "trafficSignRef")
     if missing := set(signs) - limits.keys():
         raise ValueError(f"there is no trafficSign {min(missing)}, which it refers to")
-    shown = [_limit(element, "speedLimit")] if element.find("speedLimit") is not None else []
     beside = [(*_references(element, side), None)[0] for side in ("adjacentLeft", "adjacentRight")]
     opposite = [side for side in element if side.tag.startswith("adjacent") and side.get("drivingDir") != "same"]
     lanelet = Lanelet(
@@ -194,7 +189,7 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
         after=_references(element, "successor"),
         beside=(beside[0], beside[1]),
         opposite=tuple(_attribute(side, "ref") for side in opposite),
-        limit=min(chain(shown, *map(limits.get, signs)), default=None),
+        limit=min(chain(*(limits[sign] for sign in signs)), default=None),
     )
     return lanelet, not NO_LANES & {kind.text for kind in element.iterfind("laneletType")}
 

@@ -138,11 +138,6 @@ class LaneletNetwork(RoadNetwork):
         centres = [lane.centres for lane in self.lanes_list()]
         return np.concatenate(centres), [0, *np.cumsum([len(lane) for lane in centres[:-1]]).tolist()]
 
-    def add_lane(self, *arguments: Any) -> None:
-        """Add a lane, see highway-env; it is looked for from then on."""
-        self.__dict__.pop("_samples", None)
-        super().add_lane(*arguments)
-
     def get_closest_lane_index(self, position: np.ndarray, heading: float | None = None) -> LaneIndex:
         """Return the index of the lane that is nearest in position and heading."""
         samples, firsts = self._samples

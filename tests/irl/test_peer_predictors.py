@@ -11,7 +11,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from msgspec import structs
 
 from ms_highway.irl.mixture import expected_path
-from ms_highway.irl.peers import FIRST_IDM, HIGHWAY_ENV_IDM, fit_idm, predict_constant_velocity, predict_idm
+from ms_highway.irl.prediction import FIRST_IDM, HIGHWAY_ENV_IDM, fit_idm, predict_constant_velocity, predict_idm
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import cut_snapshots
 
