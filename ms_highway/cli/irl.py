@@ -35,6 +35,7 @@ SEGMENTS = (
 )
 """What is learned from, see `read_recordings` and `chosen_model`."""
 
+
 def read_recordings(data: str) -> "list[Recording]":
     """Read the recordings that ``--data`` names."""
     if data.startswith(MINARI):

@@ -26,7 +26,7 @@ from ms_highway.recorded.scenario import (
 )
 from ms_highway.runtime.files import reading
 
-COMPRESSED = ".xml.gz"
+COMPRESSED, INITIAL = ".xml.gz", "initialState/"
 ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # buildings, the last, are ignored
 
 DRIVERS = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
@@ -90,8 +90,8 @@ def _recording(root: Element, source: str) -> TrafficRecording:
     version, name = root.get("commonRoadVersion"), root.get("benchmarkID", "")
     if root.tag != "commonRoad" or version != "2020a" or not name:
         raise ValueError(f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a with a benchmarkID")
-    if not np.isclose(step := _attribute(root, "timeStepSize", float), TIME_STEP):
-        raise ValueError(f"the time step is {step} s; it must be {TIME_STEP} s")
+    if not np.isclose(float(step := root.get("timeStepSize", "nan")), TIME_STEP):
+        raise ValueError(f"timeStepSize of <commonRoad> is {step:.40} s; it must be {TIME_STEP} s")
     for element in root:
         if element.tag.endswith("Obstacle") and element.tag not in ROLES:
             raise ValueError(f"{element.tag} {element.get('id')!r:.40} cannot be read; only {', '.join(ROLES)} can")
@@ -120,27 +120,19 @@ def _each(root: Element, tag: str, read: Callable[[int, Element], Read]) -> dict
     """Read all elements with a tag, by their ids; an error names the element."""
     found: dict[int, Read] = {}
     for element in root.iterfind(tag):
-        identity = _attribute(element, "id")
         try:
+            identity = int(element.get("id", ""))
             if identity in found:
                 raise ValueError("it has the id of another one")
             found[identity] = read(identity, element)
         except ValueError as error:
-            raise ValueError(f"{tag} {identity}: {error}") from error
+            raise ValueError(f"{tag} {element.get('id', '')[:40]}: {error}") from error
     return found
-
-
-def _attribute(element: Element, name: str, kind: Callable[[str], Any] = int) -> Any:
-    text = element.get(name, "")
-    try:
-        return kind(text)
-    except ValueError as error:
-        raise ValueError(f"{name} of <{element.tag}> is {text!r:.40}; it must be a number") from error
 
 
 def _references(element: Element, tag: str) -> tuple[int, ...]:
     """Return the ids that the elements with a tag refer to."""
-    return tuple(_attribute(one, "ref") for one in element.iterfind(tag))
+    return tuple(int(one.get("ref", "")) for one in element.iterfind(tag))
 
 
 def _number(element: Element, path: str, most: float = FARTHEST, default: float | None = None) -> float:
@@ -188,7 +180,7 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
         before=_references(element, "predecessor"),
         after=_references(element, "successor"),
         beside=(beside[0], beside[1]),
-        opposite=tuple(_attribute(side, "ref") for side in opposite),
+        opposite=tuple(int(side.get("ref", "")) for side in opposite),
         limit=min(chain(*(limits[sign] for sign in signs)), default=None),
     )
     return lanelet, not NO_LANES & {kind.text for kind in element.iterfind("laneletType")}
@@ -199,7 +191,7 @@ def _track(identity: int, element: Element) -> RecordedTrack:
     if element.find("occupancySet") is not None:
         raise ValueError("<occupancySet> does not say where it goes; only a <trajectory> can be read")
     states = element.iterfind("trajectory/state")
-    samples = np.array([_sample(_initial(element)), *map(_sample, states)])
+    samples = np.array([_sample(element, INITIAL), *map(_sample, states)])
     if not (np.diff(samples[:, 0]) >= 1).all():
         raise ValueError("its times do not follow each other")
     return _whole(identity, element, samples, element.findtext("type") in DRIVERS)
@@ -208,7 +200,7 @@ def _track(identity: int, element: Element) -> RecordedTrack:
 def _standing(identity: int, element: Element, last: int) -> RecordedTrack:
     """Return the track of a static obstacle until the last step."""
     steps = np.arange(last + 1)
-    samples = np.column_stack([steps, np.tile([*_pose(_initial(element)), 0.0], (len(steps), 1))])
+    samples = np.column_stack([steps, np.tile([*_pose(element, INITIAL), 0.0], (len(steps), 1))])
     return _whole(identity, element, samples, False)
 
 
@@ -221,29 +213,25 @@ def _whole(identity: int, element: Element, samples: np.ndarray, drives: bool) -
     return RecordedTrack(identity, (length, width), samples, drives)
 
 
-def _initial(element: Element) -> Element:
-    found = element.find("initialState")
-    if found is None:
-        raise ValueError(f"<{element.tag}> lacks <initialState>")
-    return found
+def _pose(element: Element, path: str = "") -> tuple[float, float, float]:
+    """Return x, y and orientation of a state at a path below an element; intervals are refused."""
+    x, y = (_number(element, f"{path}position/point/{axis}") for axis in "xy")
+    return x, y, _number(element, f"{path}orientation/exact", MOST_RADIANS)
 
 
-def _pose(state: Element) -> tuple[float, float, float]:
-    """Return x, y and orientation of a state; intervals are refused."""
-    x, y = (_number(state, f"position/point/{axis}") for axis in "xy")
-    return x, y, _number(state, "orientation/exact", MOST_RADIANS)
-
-
-def _sample(state: Element) -> list[float]:
-    """Return the time step, x, y, orientation and speed of a state."""
-    time = round(_number(state, "time/exact", MOST_STEPS))
+def _sample(element: Element, path: str = "") -> list[float]:
+    """Return the time step, x, y, orientation and speed of a state at a path below an element."""
+    time, speed = (
+        _number(element, f"{path}time/exact", MOST_STEPS),
+        _number(element, f"{path}velocity/exact", MOST_SPEED),
+    )
     if time < 0:
-        raise ValueError(f"<time> of <{state.tag}> is {time}; it must not be negative")
-    return [time, *_pose(state), _number(state, "velocity/exact", MOST_SPEED)]
+        raise ValueError(f"<{path}time> is {time}; it must not be negative")
+    return [round(time), *_pose(element, path), speed]
 
 
 def _problem(identity: int, element: Element, areas: dict[int, Points]) -> Problem:
-    time, x, y, orientation, speed = _sample(_initial(element))
+    time, x, y, orientation, speed = _sample(element, INITIAL)
     goals = tuple(goal for state in element.iterfind("goalState") for goal in _goals(state, areas))
     if speed < 0 or not goals or max(goal.times[1] for goal in goals) <= time:
         raise ValueError("it starts backwards, or has no goal after its start")

@@ -91,14 +91,8 @@ def test_lanes_have_the_limits_of_their_signs(tmp_path):
     assert [lane.limit for lane in read(tmp_path, lanelets=signed(["13.9"])).lanelets] == [13.9, None, None, None]
 
 
-def test_a_sign_without_a_speed_that_can_be_driven_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"small\.xml .*trafficSign 50: .*<additionalValue>"):
-        read(tmp_path, lanelets=signed(["nan"]))
-
-
-@pytest.mark.parametrize("kind", ["sidewalk", "crosswalk"])
-def test_where_pedestrians_walk_is_no_lane(kind, tmp_path):
-    walk = lanelet(9, -7.0, straight(0, 200)).replace("highway", kind)
+def test_where_pedestrians_walk_is_no_lane(tmp_path):
+    walk = lanelet(9, -7.0, straight(0, 200)).replace("highway", "sidewalk")
     lanelets = linked_lanes().replace("<laneletType>", '<adjacentRight ref="9" drivingDir="opposite"/><laneletType>')
     assert [lane.number for lane in read(tmp_path, lanelets=lanelets + walk).lanelets] == [1, 2, 3, 4]
 
@@ -110,7 +104,11 @@ STATE = "<velocity><exact>12.0</exact></velocity>"
     ("changes", "message"),
     [
         ({"cars": CARS + '<phantomObstacle id="5"/>'}, "phantomObstacle '5' cannot be"),
-        ({"cars": CARS.replace(STATE, "", 1)}, "dynamicObstacle 100: <velocity/exact> of <initialState> is None"),
+        (
+            {"cars": CARS.replace(STATE, "", 1)},
+            "dynamicObstacle 100: <initialState/velocity/exact> of <dynamicObstacle> is None",
+        ),
+        ({"lanelets": signed(["nan"])}, "trafficSign 50: <additionalValue>"),
         ({"problems": problem().replace("</goalS", "<yawRate/></goalS")}, "planningProblem 7: a goal has <yawRate>"),
         ({"lanelets": signed(["9"]).replace('Sign id="50"', 'Sign id="51"')}, "lanelet 1: there is no trafficSign 50"),
     ],
