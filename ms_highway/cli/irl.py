@@ -111,7 +111,7 @@ def evaluate(options: argparse.Namespace) -> None:
         found = evaluate(recordings, reward, horizon=steps, parts=options.folds, progress=tell)
         if options.figures:
             figures = evaluation_figures(found)
-            if learned:
+            if learned and learned.drivers:
                 figures["paths"] = paths_figure(recordings, learned.drivers)
             save_figures(figures, options.figures, options.format)
     if options.json:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.runtime.files import read_json, replacing
+from ms_highway.runtime.files import read_json, reading, replacing
 from ms_highway.runtime.structures import Positive, Structure, read
 
 VERSION = 3
@@ -101,17 +101,12 @@ def load(path: Path) -> LearnedReward:
     Raises:
         ValueError: if the file cannot be read, is damaged, or is of another version.
     """
-    try:
+    with reading(path, REMEDY, " as a learned reward"):
         content = read_json(path)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} cannot be read as a learned reward: {error}") from error
-    version = content.pop("version", None) if isinstance(content, dict) else None
-    if version != VERSION:
-        raise ValueError(f"{path} holds a learned reward of version {version}, not {VERSION}; {REMEDY}")
-    try:
+        version = content.pop("version", None) if isinstance(content, dict) else None
+        if version != VERSION:
+            raise ValueError(f"it is of version {version}, not {VERSION}")
         return read(content, LearnedReward)
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged: {error}; {REMEDY}") from error
 
 
 @cache

@@ -159,6 +159,7 @@ def _data_directory(dataset: str) -> Path:
     """
     with needing("demonstrations"):
         import h5py  # noqa: F401
+        import minari  # noqa: F401
         from minari.dataset.minari_dataset import parse_dataset_id
         from minari.namespace import validate_namespace
         from minari.storage import get_dataset_path

@@ -7,6 +7,7 @@ import jax
 import msgspec
 import numpy as np
 
+from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.neighbours import leaders
 from ms_highway.game.reward import RewardModel
@@ -126,27 +127,32 @@ def evaluate(
         ValueError: if a learned reward has no drivers, a cross-validation has one fold only, no driver was seen for
             long enough, or a fit does not converge.
     """
-    known = reward if isinstance(reward, LearnedReward) else None
-    model, horizon = (known.model, known.horizon) if known else (reward, horizon)
+    if isinstance(reward, LearnedReward):
+        model, horizon, parts = reward.model, reward.horizon, 1
+    else:
+        model = reward
     progress("cutting segments")
     snapshots, segments = cut_snapshots(recordings), cut_segments(recordings, horizon)
-    held_out = folds(snapshots.group, 1 if known else parts)
-    if not known and len(held_out) < 2:
+    held_out = folds(snapshots.group, parts)
+    if isinstance(reward, RewardModel) and len(held_out) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
     progress(f"differentiating {len(segments)} segments")
     derivatives = differentiate(segments, model.names)
-    learned: LearnedReward | Fit | None = known
-    drivers = known.drivers if known else None
+    learned: LearnedReward | Fit
+    drivers: LearnedDrivers | None
+    fit: Fit | None = None
     results, weights = [], []
     for number, names in enumerate(held_out, 1):
         tested, chosen = np.isin(segments.group, names), np.isin(snapshots.group, names)
-        if not known:
+        if isinstance(reward, LearnedReward):
+            learned, drivers = reward, reward.drivers
+        else:
             progress(f"learning, fold {number} of {len(held_out)}")
-            learned = fit_weights(derivatives.of(~tested), model, learned)
+            learned = fit = fit_weights(derivatives.of(~tested), reward, fit)
             drivers = learn_drivers(snapshots.only(~chosen), intervals=False)
-            weights.append({"weights": learned.weights, "temperature": learned.temperature, "drivers": drivers.weights})
+            weights.append({"weights": fit.weights, "temperature": fit.temperature, "drivers": drivers.weights})
         some = snapshots.of(chosen)
         progress(f"predicting {len(some.which)} drivers")
         errors = {name: prediction_errors(predict_with(name, some, drivers), some.recorded) for name in PREDICTORS}

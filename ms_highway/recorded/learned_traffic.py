@@ -85,7 +85,8 @@ class LearnedRoad(RecordedRoad):
         road, ways, cars = straight_road(self.recording), ways_of(self.recording), self.vehicles
         around = _surroundings(self.recording)
         count = len(around.sizes)
-        states, wishes = np.full((count, 4), np.nan, np.float32), Wishes(*np.zeros((3, count)), np.zeros((count, 3)))
+        lane, side, usual = np.zeros((3, count))
+        states, wishes = np.full((count, 4), np.nan, np.float32), Wishes(lane, side, usual, np.zeros((count, 3)))
         poses = road.poses_of(cars)
         states[: len(cars)] = road.states(poses, np.array([car.speed for car in cars]))
         wishes.lane[: len(cars)] = road.numbers[poses.lane]
