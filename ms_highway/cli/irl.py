@@ -28,12 +28,8 @@ LEARNED = (
     f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; of those, from a Minari data set, "
     f"{', '.join(SIMULATED_WEIGHTS)}); comfort weights that are not learned are 0.1 and set the scale"
 )
-SEGMENTS = (
-    option("--data", DATA, required=True, metavar="DIR|minari:NAME"),
-    option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
-    number("--horizon", None, f"length of segments, in steps (default: {HORIZON})", most=MOST_STEPS, metavar="K"),
-)
-"""What is learned from, see `read_recordings` and `chosen_model`."""
+RECORDINGS = option("--data", DATA, required=True, metavar="DIR|minari:NAME")
+"""What is learned from, see `read_recordings`."""
 
 
 def read_recordings(data: str) -> "list[Recording]":
@@ -65,7 +61,7 @@ def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "Rew
 @command(
     "irl evaluate",
     "predict recorded drivers",
-    *SEGMENTS,
+    RECORDINGS,
     option(
         "--theta", "a reward learned from real recordings: a file of `ms-highway irl fit`, or us101", metavar="FILE"
     ),
@@ -78,10 +74,9 @@ def evaluate(options: argparse.Namespace) -> None:
     """Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, highway-env's
     IDM and a fitted IDM. All predict every driver from the same snapshots, one a second.
 
-    With --folds instead of --theta, everything is learned from the other recordings, fold after fold. FDE, the distance
+    With --folds instead of --theta, drivers are learned from the other recordings, fold after fold. FDE, the distance
     at the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded
     position in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability.
-    Segments are --horizon steps of controls, see irl fit.
 
     With --figures, errors, likelihood and calibration are drawn and written to a directory; with --theta also paths,
     predicted and recorded paths of all drivers at one moment.
@@ -100,19 +95,16 @@ def evaluate(options: argparse.Namespace) -> None:
 
     if bool(options.theta) == bool(options.folds):
         raise ValueError("predictions are by --theta FILE, or learned in --folds N; give one of them")
-    learned = named(options.theta) if options.theta else None
-    if learned and (options.learn or options.horizon):
-        raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
-    if learned and not learned.drivers:
+    learned = named(options.theta).drivers if options.theta else None
+    if options.theta and not learned:
         raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
     with telling() as tell:
         recordings = read_recordings(options.data)
-        reward, steps = learned or chosen_model(options.learn, recordings), options.horizon or HORIZON
-        found = evaluate(recordings, reward, horizon=steps, parts=options.folds, progress=tell)
+        found = evaluate(recordings, learned, parts=options.folds, progress=tell)
         if options.figures:
             figures = evaluation_figures(found)
-            if learned and learned.drivers:
-                figures["paths"] = paths_figure(recordings, learned.drivers)
+            if learned:
+                figures["paths"] = paths_figure(recordings, learned)
             save_figures(figures, options.figures, options.format)
     if options.json:
         say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
@@ -120,7 +112,14 @@ def evaluate(options: argparse.Namespace) -> None:
         print_tables(*evaluation_tables(found))
 
 
-@command("irl fit", "learn a reward", *SEGMENTS, output("--out", "a .json file for the learned reward", required=True))
+@command(
+    "irl fit",
+    "learn a reward",
+    RECORDINGS,
+    option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
+    number("--horizon", HORIZON, "length of segments, in steps", most=MOST_STEPS, metavar="K"),
+    output("--out", "a .json file for the learned reward", required=True),
+)
 def fit(options: argparse.Namespace) -> None:
     """Learn the weights of a reward by maximum entropy: maximise the likelihood of the recorded controls in segments of
     --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts
@@ -142,8 +141,8 @@ def fit(options: argparse.Namespace) -> None:
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
         recordings = read_recordings(options.data)
-        model, steps = chosen_model(options.learn, recordings), options.horizon or HORIZON
-        learned = learn_reward(recordings, model, steps, source, progress=tell)
+        model = chosen_model(options.learn, recordings)
+        learned = learn_reward(recordings, model, options.horizon, source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
     told = [f"{part} {value:.3f}" for part, value in learned.log_likelihood.items() if value is not None]

@@ -8,16 +8,11 @@ import msgspec
 import numpy as np
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.neighbours import leaders
-from ms_highway.game.reward import RewardModel
-from ms_highway.irl.learning import folds
-from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, segment_log_likelihoods
 from ms_highway.irl.mixture import Mixture, Steps, density_level, expected_path, log_density
 from ms_highway.irl.prediction import PREDICTORS, predict_with
-from ms_highway.irl.recording import Flags, Recording
+from ms_highway.irl.recording import Flags, Recording, folds
 from ms_highway.irl.seconds_ahead import learn_drivers
-from ms_highway.irl.segments import cut_segments
 from ms_highway.irl.snapshots import AT, HORIZONS, Paths, Snapshots, cut_snapshots
 from ms_highway.runtime.progress import Progress, silent
 
@@ -41,17 +36,13 @@ class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
         predictors: what `metrics` returns, by predictor.
         situations: mean ``distance`` [m] and ``log_p`` of each predictor, by driving regime, see `driving_regimes`; and
             ``windows``, the number of drivers.
-        likelihood: mean log p of the scaled controls in segments of half a second (see
-            `ms_highway.irl.maximum_entropy`) under the learned reward (``model``), and the number of segments,
-            ``windows``.
         windows: number of predictions.
         tracks: number of drivers.
-        folds: weights of each fold of a cross-validation.
+        folds: weights of the drivers of each fold of a cross-validation.
     """
 
     predictors: dict[str, dict[str, ByHorizon]]
     situations: dict[str, dict[str, dict[str, ByHorizon]]]
-    likelihood: dict[str, float]
     windows: int
     tracks: int
     folds: Sequence[dict[str, Any]] = ()
@@ -108,60 +99,41 @@ def metrics(errors: Errors) -> dict[str, ByHorizon]:
 
 def evaluate(
     recordings: Sequence[Recording],
-    reward: LearnedReward | RewardModel,
+    learned: LearnedDrivers | None = None,
     *,
-    horizon: int = 5,
     parts: int = 4,
     progress: Progress = silent,
 ) -> Evaluation:
-    """Evaluate a learned reward on recordings; or cross-validate: predict each fold by what the other folds teach.
+    """Evaluate learned drivers on recordings; or cross-validate: predict each fold by what the other folds teach.
 
     Args:
         recordings: all recordings; for a cross-validation, they are split by group, and so by driver.
-        reward: that was learned; for a cross-validation, the weights to learn and those given.
-        horizon: K, the length of segments in steps; a learned reward has its own.
+        learned: the drivers; None for a cross-validation.
         parts: the number of folds of a cross-validation.
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if a learned reward has no drivers, a cross-validation has one fold only, no driver was seen for
-            long enough, or a fit does not converge.
+        ValueError: if a peer is missing, a cross-validation has one fold only, or no driver was seen for long enough.
     """
-    if isinstance(reward, LearnedReward):
-        model, horizon, parts = reward.model, reward.horizon, 1
-    else:
-        model = reward
-    progress("cutting segments")
-    snapshots, segments = cut_snapshots(recordings), cut_segments(recordings, horizon)
-    held_out = folds(snapshots.group, parts)
-    if isinstance(reward, RewardModel) and len(held_out) < 2:
+    snapshots = cut_snapshots(recordings)
+    held_out = folds(snapshots.group, 1 if learned else parts)
+    if not learned and len(held_out) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
-    progress(f"differentiating {len(segments)} segments")
-    derivatives = differentiate(segments, model.names)
-    learned: LearnedReward | Fit
-    drivers: LearnedDrivers | None
-    fit: Fit | None = None
     results, weights = [], []
     for number, names in enumerate(held_out, 1):
-        tested, chosen = np.isin(segments.group, names), np.isin(snapshots.group, names)
-        if isinstance(reward, LearnedReward):
-            learned, drivers = reward, reward.drivers
-        else:
-            progress(f"learning, fold {number} of {len(held_out)}")
-            learned = fit = fit_weights(derivatives.of(~tested), reward, fit)
-            drivers = learn_drivers(snapshots.only(~chosen), intervals=False)
-            weights.append({"weights": fit.weights, "temperature": fit.temperature, "drivers": drivers.weights})
+        chosen = np.isin(snapshots.group, names)
+        progress(f"fold {number} of {len(held_out)}, with {snapshots.predicted[chosen].sum()} drivers to predict")
+        drivers = learned or learn_drivers(snapshots.only(~chosen), intervals=False)
+        weights += [] if learned else [{"drivers": drivers.weights}]
         some = snapshots.of(chosen)
-        progress(f"predicting {len(some.which)} drivers")
         errors = {name: prediction_errors(predict_with(name, some, drivers), some.recorded) for name in PREDICTORS}
-        results.append((errors, driving_regimes(some), segment_log_likelihoods(derivatives.of(tested), learned)))
-    errors, regimes, likelihoods = jax.tree.map(lambda *rows: np.concatenate(rows), *results)
+        results.append((errors, driving_regimes(some)))
+    errors, regimes = jax.tree.map(lambda *rows: np.concatenate(rows), *results)
     return Evaluation(
         predictors={name: metrics(each) for name, each in errors.items()},
         situations=metrics_by_regime(errors, regimes),
-        likelihood={"model": float(likelihoods.mean()), "windows": len(likelihoods)},
         windows=len(snapshots.which),
         tracks=len(np.unique(snapshots.drivers(snapshots.track))),
         folds=tuple(weights),

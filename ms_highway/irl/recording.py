@@ -106,6 +106,12 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, 
         tracks += len(item.drivers)
 
 
+def folds(groups: Numbers, number: int) -> list[Numbers]:
+    """Split group numbers into folds, so that each group is held out once."""
+    names = np.unique(groups)
+    return np.array_split(names, min(number, len(names)))
+
+
 class Rows:
     """Rows that are cut from recordings: arrays with a leading axis [n]; each is from the recordings of a group."""
 

@@ -105,7 +105,7 @@ def _recording(root: Element, source: str) -> TrafficRecording:
     tracks = tuple(_each(root, "dynamicObstacle", _track).values())
     if not any(len(track.samples) > 1 for track in tracks):
         raise ValueError("there is no dynamic obstacle with two samples, and so no driving")
-    last = max(*(track.last for track in tracks), *(problem.last for problem in problems))
+    last = max([track.last for track in tracks] + [problem.last for problem in problems])
     return TrafficRecording(
         name=name,
         group=name.split("_")[min(1, name.count("_"))],  # USA_US101-17_1_T-1 is cut from US101-17

@@ -166,7 +166,7 @@ def _drivers_table(drivers: LearnedDrivers) -> Table:
 
 
 def evaluation_tables(evaluation: Evaluation) -> list[Table]:
-    """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime, and controls."""
+    """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime."""
     rows = [
         {"predicted by": label, "after": f"{horizon} s"}
         | {heading: form.format(row[kind][horizon]) for kind, (heading, form) in COLUMNS.items()}
@@ -184,6 +184,4 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
                 texts = {label: "" if value is None else f"{value:.2f}" for label, value in values.items()}
                 rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
             tables += [grid(f"{label}, after {horizon} s", rows)] if rows else []
-    likely = evaluation.likelihood
-    rows = [{"predicted by": "learned reward", "log p per segment": f"{likely['model']:.2f}"}]
-    return [*tables, grid(f"controls of {likely['windows']:g} segments", rows)]
+    return tables
