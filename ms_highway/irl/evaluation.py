@@ -130,10 +130,11 @@ def evaluate(
         some = snapshots.of(chosen)
         errors = {name: prediction_errors(predict_with(name, some, drivers), some.recorded) for name in PREDICTORS}
         results.append((errors, driving_regimes(some)))
-    errors, regimes = jax.tree.map(lambda *rows: np.concatenate(rows), *results)
+    whole, regimes = jax.tree.map(lambda *rows: np.concatenate(rows), *results)  # in the order of the alphabet
+    errors = {name: whole[name] for name in PREDICTORS}
     return Evaluation(
         predictors={name: metrics(each) for name, each in errors.items()},
-        situations=metrics_by_regime(errors, regimes),
+        situations=metrics_by_regime(errors, {name: regimes[name] for name in results[0][1]}),
         windows=len(snapshots.which),
         tracks=len(np.unique(snapshots.drivers(snapshots.track))),
         folds=tuple(weights),

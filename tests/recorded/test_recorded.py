@@ -1,6 +1,5 @@
 """Recorded traffic: of US-101, and of small scenarios written by hand, as an environment."""
 
-import json
 import warnings
 from io import BytesIO
 from itertools import combinations
@@ -9,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from highway_env.road.road import RoadNetwork
 from recordings import (
     SPEED,
     TURN,
@@ -330,14 +328,6 @@ def test_lanes_go_on_smoothly_over_joints_and_within_themselves(roads):
             assert np.linalg.norm(one.position(one.length, 0) - other.position(0, 0)) < 0.05
             assert abs(one.heading_at(one.length) - other.heading_at(0)) < 0.02
         assert max(np.abs(np.diff(lane.curve.heading)).max() for lane in network.lanes_list()) < 0.02
-
-
-def test_networks_are_the_same_after_json(roads):
-    network = roads[1].road.network
-    again = RoadNetwork.from_config(json.loads(json.dumps(network.to_config())))
-    assert again.to_config() == network.to_config()
-    for lane, copy in zip(network.lanes_list(), again.lanes_list(), strict=True):
-        np.testing.assert_array_equal(copy.position(17.3, 0.4), lane.position(17.3, 0.4))
 
 
 @pytest.mark.parametrize("radius", [5, 30, 100])
