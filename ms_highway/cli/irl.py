@@ -53,9 +53,10 @@ def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "Rew
     from ms_highway.irl.learning import COMFORT_GIVEN, REAL, SIMULATED
 
     usual = REAL if recordings[0].measured else SIMULATED
+    if not learn:
+        return usual
     given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
-    rest = {name: value for name, value in given.items() if name not in (learn or [])}
-    return RewardModel(tuple(learn), rest, usual.tails) if learn else usual
+    return RewardModel(tuple(learn), {name: given[name] for name in given if name not in learn}, usual.tails)
 
 
 @command(

@@ -44,14 +44,12 @@ SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # of the largest slip angle, th
 SINE = np.sin(np.pi / 4)  # of the largest heading
 EVALUATIONS = 50  # of the error of IDM, in a fit
 
-PEERS = {
+PREDICTORS = {
+    "model": "learned drivers",
     "constant_velocity": "constant velocity",
     "idm": "IDM of highway-env",
     "fitted_idm": "IDM, fitted",
 }
-"""Names and labels of the predictors of the literature."""
-
-PREDICTORS = {"model": "learned drivers", **PEERS}
 """Names and labels of all predictors, the learned one first."""
 
 Traits = Float[jax.Array, "cars 3"]  # logarithms, as deviations from those of the medians
@@ -123,7 +121,7 @@ def _predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float])
 def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
     """Fit the parameters and the spread of every peer, by name, to be kept with learned drivers."""
     peers = {}
-    for name in PEERS:
+    for name in [*PREDICTORS][1:]:
         parameters = structs.asdict(fit_idm(snapshots)) if name == "fitted_idm" else {}
         spread = fit_spread(_predict_peer(name, snapshots, parameters), snapshots.recorded)
         peers[name] = FittedPeer(parameters, spread)

@@ -72,19 +72,6 @@ def test_who_does_not_drive_is_a_neighbour_but_no_driver(tmp_path):
     assert recording.seen.all()
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        (scenario()[:3000], "cannot be read as a CommonRoad scenario .*; fetch it again"),
-        (scenario(lanelets=two_lanes() + lanelet(9, 2e5, straight(0, 9))), "lanelets are more than 100000 m apart"),
-        (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "100: its times do not follow each other"),
-    ],
-)
-def test_bad_files_are_refused_by_name(tmp_path, text, problem):
-    with pytest.raises(ValueError, match=re.escape(str(tmp_path / "scenario_0.xml")) + ".*" + problem):
-        read(tmp_path, text)
-
-
 def test_a_directory_without_scenarios_is_refused_by_name(tmp_path):
     with pytest.raises(ValueError, match=f"{re.escape(str(tmp_path))} holds no CommonRoad scenarios"):
         read_directory(tmp_path)

@@ -104,6 +104,8 @@ STATE = "<velocity><exact>12.0</exact></velocity>"
             {"cars": CARS.replace(STATE, "", 1)},
             "dynamicObstacle 100: <initialState/velocity/exact> of <dynamicObstacle> is None",
         ),
+        ({"lanelets": linked_lanes() + lanelet(9, 2e5, straight(0, 9))}, "lanelets are more than 100000 m apart"),
+        ({"cars": CARS.replace("<exact>3<", "<exact>9<")}, "dynamicObstacle 100: its times do not follow each other"),
         ({"lanelets": signed(["nan"])}, "trafficSign 50: <additionalValue>"),
         ({"problems": problem().replace("</goalS", "<yawRate/></goalS")}, "planningProblem 7: a goal has <yawRate>"),
         ({"lanelets": signed(["9"]).replace('Sign id="50"', 'Sign id="51"')}, "lanelet 1: there is no trafficSign 50"),
