@@ -70,7 +70,12 @@ def record(
         settings |= {"temperature": float(temperature), "weights": weights, "horizon": horizon}
     data = _data_directory(dataset)
     check_writable(data.parent, directory=True)
-    done = _recorded_episodes(data, settings) if data.exists() else 0
+    done = 0
+    if data.exists():
+        with _opened(data) as (stored, made):
+            if differences := {key: made.get(key) for key, value in settings.items() if made.get(key) != value}:
+                raise ValueError(f"it holds recordings of other settings, {differences}")
+            done = int(stored.total_episodes)
     person: dict[str, Any] = {}
     if driver == "keyboard":
         check_display()
@@ -188,14 +193,6 @@ def _opened(data: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
     except BROKEN as error:
         remedy = "choose another, or delete it and record it again with `ms-highway irl record`"
         raise ValueError(f"data set {data.parent} cannot be used ({error}); {remedy}") from error
-
-
-def _recorded_episodes(data: Path, settings: dict[str, Any]) -> int:
-    """Return the number of episodes that an existing data set has, if it was recorded with the same settings."""
-    with _opened(data) as (stored, made):
-        if differences := {key: made.get(key) for key, value in settings.items() if made.get(key) != value}:
-            raise ValueError(f"it holds recordings of other settings, {differences}")
-        return int(stored.total_episodes)
 
 
 def _store(episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[str, Any]) -> None:
