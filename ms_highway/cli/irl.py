@@ -2,12 +2,12 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import count_episodes, print_tables, say, telling
 from ms_highway.cli.options import FORMAT
-from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE, Others
+from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 
 if TYPE_CHECKING:
     from ms_highway.game.reward import RewardModel
@@ -28,17 +28,8 @@ LEARNED = (
     f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; of those, from a Minari data set, "
     f"{', '.join(SIMULATED_WEIGHTS)}); comfort weights that are not learned are 0.1 and set the scale"
 )
-SEGMENTS = (
-    option("--data", DATA, required=True, metavar="DIR|minari:NAME"),
-    option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
-    number("--horizon", None, f"length of segments, in steps (default: {HORIZON})", most=MOST_STEPS, metavar="K"),
-)
-"""What is learned from, see `read_recordings` and `chosen_model`."""
-
-OTHERS = (
-    "what predicted drivers meet: the others as they are predicted, all together, so that nothing of the future is "
-    "known; the others where they were recorded to be, a leak of the future; or the others at constant velocity"
-)
+RECORDINGS = option("--data", DATA, required=True, metavar="DIR|minari:NAME")
+"""What is learned from, see `read_recordings`."""
 
 
 def read_recordings(data: str) -> "list[Recording]":
@@ -62,20 +53,20 @@ def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "Rew
     from ms_highway.irl.learning import COMFORT_GIVEN, REAL, SIMULATED
 
     usual = REAL if recordings[0].measured else SIMULATED
+    if not learn:
+        return usual
     given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
-    rest = {name: value for name, value in given.items() if name not in (learn or [])}
-    return RewardModel(tuple(learn), rest, usual.tails) if learn else usual
+    return RewardModel(tuple(learn), {name: given[name] for name in given if name not in learn}, usual.tails)
 
 
 @command(
     "irl evaluate",
     "predict recorded drivers",
-    *SEGMENTS,
+    RECORDINGS,
     option(
         "--theta", "a reward learned from real recordings: a file of `ms-highway irl fit`, or us101", metavar="FILE"
     ),
     number("--folds", None, "cross-validate by recording, in N folds", 2, metavar="N"),
-    option("--others", OTHERS, "predicted", choices=get_args(Others)),
     output("--figures", "a directory for figures", directory=True),
     FORMAT,
     option("--json", "print JSON instead of a table", action="store_true"),
@@ -84,10 +75,9 @@ def evaluate(options: argparse.Namespace) -> None:
     """Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, highway-env's
     IDM and a fitted IDM. All predict every driver from the same snapshots, one a second.
 
-    With --folds instead of --theta, everything is learned from the other recordings, fold after fold. FDE, the distance
+    With --folds instead of --theta, drivers are learned from the other recordings, fold after fold. FDE, the distance
     at the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded
     position in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability.
-    Segments are --horizon steps of controls, see irl fit.
 
     With --figures, errors, likelihood and calibration are drawn and written to a directory; with --theta also paths,
     predicted and recorded paths of all drivers at one moment.
@@ -102,23 +92,20 @@ def evaluate(options: argparse.Namespace) -> None:
     from ms_highway.cli.results_directory import save_figures
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
-    from ms_highway.irl.prediction import check_drivers
     from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
 
     if bool(options.theta) == bool(options.folds):
         raise ValueError("predictions are by --theta FILE, or learned in --folds N; give one of them")
-    learned = named(options.theta) if options.theta else None
-    if learned and (options.learn or options.horizon):
-        raise ValueError("--learn and --horizon are those of the learned reward --theta; leave them out")
-    drivers = check_drivers(learned.drivers, f"--theta {options.theta}") if learned else None
+    learned = named(options.theta).drivers if options.theta else None
+    if options.theta and not learned:
+        raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
     with telling() as tell:
         recordings = read_recordings(options.data)
-        reward, steps = learned or chosen_model(options.learn, recordings), options.horizon or HORIZON
-        found = evaluate(recordings, reward, options.others, horizon=steps, parts=options.folds, progress=tell)
+        found = evaluate(recordings, learned, parts=options.folds, progress=tell)
         if options.figures:
             figures = evaluation_figures(found)
-            if drivers:
-                figures["paths"] = paths_figure(recordings, drivers)
+            if learned:
+                figures["paths"] = paths_figure(recordings, learned)
             save_figures(figures, options.figures, options.format)
     if options.json:
         say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
@@ -126,7 +113,14 @@ def evaluate(options: argparse.Namespace) -> None:
         print_tables(*evaluation_tables(found))
 
 
-@command("irl fit", "learn a reward", *SEGMENTS, output("--out", "a .json file for the learned reward", required=True))
+@command(
+    "irl fit",
+    "learn a reward",
+    RECORDINGS,
+    option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
+    number("--horizon", HORIZON, "length of segments, in steps", most=MOST_STEPS, metavar="K"),
+    output("--out", "a .json file for the learned reward", required=True),
+)
 def fit(options: argparse.Namespace) -> None:
     """Learn the weights of a reward by maximum entropy: maximise the likelihood of the recorded controls in segments of
     --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts
@@ -148,8 +142,8 @@ def fit(options: argparse.Namespace) -> None:
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
     with telling() as tell:
         recordings = read_recordings(options.data)
-        model, steps = chosen_model(options.learn, recordings), options.horizon or HORIZON
-        learned = learn_reward(recordings, model, steps, source, progress=tell)
+        model = chosen_model(options.learn, recordings)
+        learned = learn_reward(recordings, model, options.horizon, source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
     told = [f"{part} {value:.3f}" for part, value in learned.log_likelihood.items() if value is not None]

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.game.learned_drivers import LearnedDrivers, TraitPrior
+from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.runtime.files import read_json, replacing
+from ms_highway.runtime.files import read_json, reading, replacing
 from ms_highway.runtime.structures import Positive, Structure, read
 
 VERSION = 3
@@ -101,17 +101,12 @@ def load(path: Path) -> LearnedReward:
     Raises:
         ValueError: if the file cannot be read, is damaged, or is of another version.
     """
-    try:
+    with reading(path, REMEDY, " as a learned reward"):
         content = read_json(path)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} cannot be read as a learned reward: {error}") from error
-    version = content.pop("version", None) if isinstance(content, dict) else None
-    if version != VERSION:
-        raise ValueError(f"{path} holds a learned reward of version {version}, not {VERSION}; {REMEDY}")
-    try:
+        version = content.pop("version", None) if isinstance(content, dict) else None
+        if version != VERSION:
+            raise ValueError(f"it is of version {version}, not {VERSION}")
         return read(content, LearnedReward)
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged: {error}; {REMEDY}") from error
 
 
 @cache
@@ -131,6 +126,14 @@ def named(name: str) -> LearnedReward:
     return shipped(name) if name in SHIPPED else load(Path(name))
 
 
+@cache
+def shipped_drivers() -> LearnedDrivers:
+    """Return what was learned of drivers on US-101."""
+    drivers = shipped("us101").drivers
+    assert drivers is not None  # the package's own file
+    return drivers
+
+
 def commuter_weights() -> dict[str, float]:
     """Return weights, by name, of who drives with the traffic: learned on US-101, in units of log-probability.
 
@@ -139,12 +142,5 @@ def commuter_weights() -> dict[str, float]:
     """
     learned = shipped("us101")
     kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
-    ahead = learned.drivers.weights if learned.drivers else {}
-    return {name: weight / learned.temperature for name, weight in {**learned.weights, **ahead, **kept}.items()}
-
-
-def commuter_traits() -> TraitPrior:
-    """Return how those who drive with the traffic differ: learned on US-101."""
-    drivers = shipped("us101").drivers
-    assert drivers is not None  # the package's own file
-    return drivers.prior
+    weights = {**learned.weights, **shipped_drivers().weights, **kept}
+    return {name: weight / learned.temperature for name, weight in weights.items()}

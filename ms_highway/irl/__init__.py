@@ -5,10 +5,6 @@ Imports `ms_highway.recorded` and what stands below it.
 
 from typing import Literal, TypeAlias
 
-Others: TypeAlias = Literal["predicted", "recorded", "coasting"]
-"""Motion of the other cars: predicted together with the driver; as recorded, which leaks the future; at constant
-velocity."""
-
 Driver: TypeAlias = Literal["keyboard", "maxent"]
 
 DRIVERS = {

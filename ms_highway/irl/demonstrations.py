@@ -57,10 +57,25 @@ def record(
         OSError: if the driver is ``keyboard`` and there is no display.
         KeyboardInterrupt: if the person closes the window; the current episode is discarded.
     """
-    provenance = _provenance(driver, densities, seed, temperature)
-    if episodes < 1:
-        raise ValueError(f"{episodes} episodes are to be recorded; there must be at least one")
-    done = _recorded_episodes(dataset, provenance)
+    if driver not in DRIVERS or not set(densities) <= set(DENSITIES) or not densities:
+        known = f"{', '.join(DRIVERS)}, and of the densities {', '.join(DENSITIES)}"
+        raise ValueError(f"driver {driver!r} or densities {list(densities)} are unknown; choose of {known}")
+    if episodes < 1 or seed < 0 or not 0 < temperature < np.inf:
+        asked = f"{episodes} episodes, the seed {seed} and the temperature {temperature}"
+        raise ValueError(f"{asked} are asked for; there must be an episode, no negative seed, and some temperature")
+    settings: dict[str, Any] = {"driver": driver, "densities": list(densities), "first_seed": seed}
+    if driver == "maxent":
+        weights = {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()}
+        horizon = demonstration_game().planner.horizon
+        settings |= {"temperature": float(temperature), "weights": weights, "horizon": horizon}
+    data = _data_directory(dataset)
+    check_writable(data.parent, directory=True)
+    done = 0
+    if data.exists():
+        with _opened(data) as (stored, made):
+            if differences := {key: made.get(key) for key, value in settings.items() if made.get(key) != value}:
+                raise ValueError(f"it holds recordings of other settings, {differences}")
+            done = int(stored.total_episodes)
     person: dict[str, Any] = {}
     if driver == "keyboard":
         check_display()
@@ -71,10 +86,22 @@ def record(
         return
     with closing(gym.make(DEMONSTRATION_ID, **person)) as env:
         for number in range(done, episodes):
-            density = densities[number % len(densities)]
-            episode = _record_episode(env, driver, seed + number, {"config": {"density": density}}, temperature)
-            _add_episode(episode, dataset, env, provenance)
+            options = {"config": {"density": densities[number % len(densities)]}}
+            _store(_episode_of(env, driver, seed + number, options, temperature), env, data, dataset, settings)
             yield number + 1
+
+
+def _episode_of(env: gym.Env, driver: Driver, seed: int, options: dict[str, Any], temperature: float) -> Any:
+    """Return an episode, as Minari's ``EpisodeBuffer``."""
+    from minari.data_collector import EpisodeBuffer
+
+    first, steps = env.reset(seed=seed, options=options)[0], []
+    for action in actions(driver, env.unwrapped, seed, temperature):  # type: ignore[arg-type]
+        steps.append((action, *env.step(action)))
+        if any(steps[-1][3:5]):
+            break
+    taken, observations, *outcomes, _ = map(list, zip(*steps, strict=True))
+    return EpisodeBuffer(None, seed, options, [first, *observations], taken, *outcomes)
 
 
 def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
@@ -99,50 +126,6 @@ def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float
             yield env.action_for(control)
 
 
-def _provenance(driver: Driver, densities: Sequence[str], seed: int, temperature: float) -> dict[str, Any]:
-    """Return the metadata of a data set, in types of JSON.
-
-    Raises:
-        ValueError: for settings out of range.
-    """
-    if driver not in DRIVERS:
-        raise ValueError(f"unknown driver {driver!r}; the drivers are {', '.join(DRIVERS)}")
-    if not densities or set(densities) - set(DENSITIES):
-        raise ValueError(f"densities {list(densities)} of traffic are impossible; choose from {', '.join(DENSITIES)}")
-    if seed < 0:
-        raise ValueError(f"the seed is {seed}; it must not be negative")
-    if not 0 < temperature < np.inf:
-        raise ValueError(f"the temperature is {temperature}; it must be positive")
-    found = {
-        "format": FORMAT,
-        "version": version("ms-highway"),
-        "driver": driver,
-        "time_step": TIME_STEP,
-        "densities": list(densities),
-        "first_seed": seed,
-    }
-    if driver == "maxent":
-        found["temperature"] = float(temperature)
-        found["weights"] = {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()}
-        found["horizon"] = demonstration_game().planner.horizon
-    return found
-
-
-def _record_episode(env: gym.Env, driver: Driver, seed: int, options: dict[str, Any], temperature: float) -> Any:
-    """Return an episode, as Minari's ``EpisodeBuffer``."""
-    from minari.data_collector import EpisodeBuffer
-
-    world, first = env.unwrapped, env.reset(seed=seed, options=options)[0]
-    assert isinstance(world, DemonstrationEnv)
-    steps = []
-    for action in actions(driver, world, seed, temperature):
-        steps.append((action, *env.step(action)))
-        if any(steps[-1][3:5]):
-            break
-    taken, observations, *outcomes, _ = map(list, zip(*steps, strict=True))
-    return EpisodeBuffer(None, seed, options, [first, *observations], taken, *outcomes)
-
-
 def load_demonstrations(dataset: str) -> list[Recording]:
     """Read the episodes of a recorded data set; car 0 is the driver, and each episode a group.
 
@@ -154,26 +137,16 @@ def load_demonstrations(dataset: str) -> list[Recording]:
     data = _data_directory(dataset)
     if not data.is_dir():
         raise ValueError(f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`")
-    with _opened(dataset) as (stored, provenance):
-        known = (provenance.get("format"), provenance.get("time_step")) == (FORMAT, TIME_STEP)
-        episodes = enumerate(stored.iterate_episodes() if known else ())
-        recordings = [_episode_recording(f"episode {number}", each.observations) for number, each in episodes]
-    if not recordings:
-        raise ValueError(
-            f"data set {dataset} was not recorded by this version of the package, or is empty; choose another, or "
-            "record one with `ms-highway irl record`"
-        )
-    return recordings
+    with _opened(data) as (stored, made):
+        if (made.get("format"), made.get("time_step")) != (FORMAT, TIME_STEP):
+            raise ValueError("it was not recorded by this version of the package")
+        return [_episode(f"episode {number}", each.observations) for number, each in enumerate(stored)]
 
 
-def _episode_recording(name: str, tracks: np.ndarray) -> Recording:
-    """Return an episode's observations [times, cars, presence and state] as a recording.
-
-    Raises:
-        ValueError: if they are not finite: cars would seem to be out of sight.
-    """
-    tracks = np.asarray(tracks, dtype=float)
-    if not np.isfinite(tracks).all():
+def _episode(name: str, observations: np.ndarray) -> Recording:
+    """Return an episode's observations [times, cars, presence and state] as a recording."""
+    tracks = np.asarray(observations, dtype=float)
+    if not np.isfinite(tracks).all():  # cars would seem to be out of sight
         step, car, _ = np.argwhere(~np.isfinite(tracks))[0]
         raise ValueError(f"{name} is not finite at step {step}, car {car}")
     game = demonstration_game()
@@ -206,60 +179,30 @@ def _data_directory(dataset: str) -> Path:
 
 
 @contextmanager
-def _opened(dataset: str) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield an existing data set and its provenance.
+def _opened(data: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """Yield an existing data set and how it was made; what fails with it names it.
 
     Raises:
-        ValueError: where it cannot be read.
+        ValueError: in place of all of `BROKEN`.
     """
-    data = _data_directory(dataset)
     import minari
 
     try:
         stored = minari.MinariDataset(data)
         yield stored, stored.storage.metadata.get(PROVENANCE) or {}
     except BROKEN as error:
-        remedy = "delete it and record it again with `ms-highway irl record`"
-        raise ValueError(f"data set {dataset} cannot be read ({error}); {remedy}") from error
+        remedy = "choose another, or delete it and record it again with `ms-highway irl record`"
+        raise ValueError(f"data set {data.parent} cannot be used ({error}); {remedy}") from error
 
 
-def _recorded_episodes(dataset: str, provenance: dict[str, Any]) -> int:
-    """Return the number of episodes that a data set already has.
-
-    Raises:
-        ValueError: if the data set cannot be read or has another provenance.
-        OSError: if no episode can be added to it.
-    """
-    data = _data_directory(dataset)
-    check_writable(data.parent, directory=True)
-    if not data.exists():
-        return 0
-    with _opened(dataset) as (stored, known):
-        number = int(stored.total_episodes)
-    differences = {key: known.get(key) for key, value in provenance.items() if known.get(key) != value}
-    if differences:
-        raise ValueError(
-            f"data set {dataset} holds recordings of other settings, {differences}; choose another name or the same "
-            "settings"
-        )
-    return number
-
-
-def _add_episode(episode: Any, dataset: str, env: gym.Env, provenance: dict[str, Any]) -> None:
-    """Add an episode to a data set.
+def _store(episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[str, Any]) -> None:
+    """Add an episode of an environment, Minari's ``EpisodeBuffer``, to a data set.
 
     HDF5 files are unreadable if a process is stopped while it writes them; so episodes are added to a copy, which then
     takes the place of the original.
-
-    Args:
-        episode: Minari's ``EpisodeBuffer``.
-        dataset: the data set's id.
-        env: the environment that is recorded.
-        provenance: metadata of a new data set.
     """
     import minari
 
-    data = _data_directory(dataset)
     with naming(data), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about authors who are not named
         if data.exists():
@@ -271,12 +214,14 @@ def _add_episode(episode: Any, dataset: str, env: gym.Env, provenance: dict[str,
                 file.replace(data / file.name)
             copy.rmdir()
             return
+        package = version("ms-highway")
         stored = minari.create_dataset_from_buffers(
             dataset,
             [episode],
             env=env,
-            algorithm_name=provenance["driver"],
+            algorithm_name=settings["driver"],
             description="Driving on a highway, recorded by `ms-highway irl record`.",
-            requirements=[f"ms-highway=={version('ms-highway')}"],
+            requirements=[f"ms-highway=={package}"],
         )
-        stored.storage.update_metadata({PROVENANCE: provenance})
+        made = {"format": FORMAT, "version": package, "time_step": TIME_STEP, **settings}
+        stored.storage.update_metadata({PROVENANCE: made})

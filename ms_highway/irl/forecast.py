@@ -2,19 +2,21 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward, shipped
+from ms_highway.game.learned_reward import LearnedReward, shipped_drivers
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.mixture import expected_path
-from ms_highway.irl.prediction import check_drivers, predict_with
-from ms_highway.irl.snapshots import STEPS, Snapshots
+from ms_highway.irl.prediction import predict_with
+from ms_highway.irl.recording import Recording
+from ms_highway.irl.snapshots import STEPS, snapshots_at
 from ms_highway.planning.learned_driving import PAST
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
-WITHIN = 0.5  # probability of the region by which covariances are chosen
+WITHIN = -2 * np.log1p(-0.5)  # square of the distance in deviations from a normal mean within which half of all are
 
 
 class Forecast(NamedTuple):
@@ -72,45 +74,35 @@ def predict(
         ValueError: for arrays of other shapes, cars that are not seen now, an unknown predictor or a number out of
             range.
     """
-    past = np.array(states, dtype=float)
+    past, centres, bodies = (np.array(values, dtype=float) for values in (states, lanes, sizes))
     past = past[None] if past.ndim == 2 else past
     shaped = past.ndim == 3 and past.size and past.shape[-1] == 4 and len(past) <= PAST + 1
     if not (shaped and np.isfinite(past[-1]).all()):
         message = f"finite numbers [cars, 4], or up to {PAST + 1} times of them, finite at the last"
         raise ValueError(f"states are of shape {np.shape(states)}, or not all seen now; give {message}")
-    cars, centres, bodies = past.shape[1], np.array(lanes, dtype=float), np.array(sizes, dtype=float)
-    if centres.ndim != 1 or not centres.size or not np.isfinite(centres).all():
-        raise ValueError(f"lanes are {lanes!r}; give the lateral position of each lane's centre in m")
-    if bodies.shape not in ((2,), (cars, 2)) or not (bodies > 0).all():
-        raise ValueError(f"sizes are {sizes!r}; give length and width of all cars, or of each, in m")
-    for name, value in (("speed_limit", speed_limit), ("lane_width", lane_width)):
-        if not 0 < value < np.inf:
-            raise ValueError(f"{name} is {value!r}; give a positive number")
-    if not TIME_STEP <= seconds <= STEPS * TIME_STEP:
-        raise ValueError(f"seconds are {seconds!r}; give a number from {TIME_STEP:g} to {STEPS * TIME_STEP:g}")
-    snapshot = _snapshot(past, np.sort(centres), np.broadcast_to(bodies, (cars, 2)), lane_width, speed_limit)
-    learned = learned or shipped("us101")
-    drivers = check_drivers(learned.drivers if isinstance(learned, LearnedReward) else learned)
-    modes, spread = predict_with(predictor, snapshot, drivers)
-    steps = round(seconds / TIME_STEP)
+    cars, steps = past.shape[1], round(seconds / TIME_STEP)
+    for name, value, right in (
+        ("lanes", lanes, centres.ndim == 1 and centres.size and np.isfinite(centres).all()),
+        ("sizes", sizes, bodies.shape in ((2,), (cars, 2)) and (bodies > 0).all()),
+        ("speed_limit", speed_limit, 0 < speed_limit < np.inf),
+        ("lane_width", lane_width, 0 < lane_width < np.inf),
+        ("seconds", seconds, 1 <= steps <= STEPS),
+    ):
+        if not right:
+            raise ValueError(f"{name} cannot be {value!r}; give positive finite numbers as `help(predict)` says")
+    centres, numbers = np.sort(centres), np.arange(cars + -cars % ROOM)
+    road = centres, lane_width, speed_limit
+    recording = Recording("now", "now", past, np.array([], int), np.broadcast_to(bodies, (cars, 2)), *road)
+    wanted = np.arange(len(past))[:, None] + 0 * numbers == len(past) - 1
+    (snapshot,) = snapshots_at(recording, wanted, centres, numbers, 0)
+    drivers = learned.drivers if isinstance(learned, LearnedReward) else learned or shipped_drivers()
+    modes, spread = predict_with(predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers)
     weights, means = np.asarray(modes.probability)[:cars], np.asarray(modes.path)[:cars, :, :steps]
     freedom, scales = np.asarray(spread.freedom(steps)), np.asarray(spread.scales(means.shape[1], steps))
-    wider = freedom * np.expm1(-2 / freedom * np.log1p(-WITHIN)) / (-2 * np.log1p(-WITHIN))  # squares at the edge
+    wider = freedom * np.expm1(WITHIN / freedom) / WITHIN  # of Student's region that holds half
     covariances = (wider[:, None] * scales**2)[..., None] * np.eye(2)
     mean = expected_path(modes)[:cars, :steps]
     off = means - mean[:, None]
     apart = covariances + off[..., :, None] * off[..., None, :]
     covariance = np.einsum("cm,cmtij->ctij", weights, apart)
     return Forecast(TIME_STEP * np.arange(1, steps + 1), weights, means, covariances, mean, covariance)
-
-
-def _snapshot(
-    past: np.ndarray, lanes: np.ndarray, sizes: np.ndarray, lane_width: float, speed_limit: float
-) -> Snapshots:
-    """Return the snapshot of these cars, and of unseen ones that fill the arrays, all of them to be predicted."""
-    more, before = -past.shape[1] % ROOM, PAST + 1 - len(past)
-    seen = np.pad(past, ((before, 0), (0, more), (0, 0)), constant_values=np.nan)
-    whole, numbers = np.pad(sizes, ((0, more), (0, 0)), constant_values=1.0), np.arange(seen.shape[1])
-    future = np.full((STEPS, *seen.shape[1:]), np.nan)
-    parts = seen, future, whole, lanes, lane_width, speed_limit, np.ones(len(numbers), bool), numbers, 0
-    return Snapshots(*(np.asarray(part)[None] for part in parts))

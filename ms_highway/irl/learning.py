@@ -16,7 +16,7 @@ from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS
 from ms_highway.irl.demonstrator import optimal
 from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, segment_log_likelihoods
-from ms_highway.irl.recording import Controls, Numbers, Recording
+from ms_highway.irl.recording import Controls, Recording, folds
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.segments import Segments, cut_segments, driver_game, with_segment
 from ms_highway.irl.snapshots import cut_snapshots
@@ -38,12 +38,6 @@ its edge none that derivatives contain, see `ms_highway.irl.segments.regular`.
 
 REAL = RewardModel(REAL_WEIGHTS, {"comfort_acceleration": COMFORT_GIVEN}, tails=True)
 """Learned from real drivers: also weights of interaction with traffic, and of steering relative to accelerating."""
-
-
-def folds(groups: Numbers, number: int) -> list[Numbers]:
-    """Split group numbers into folds, so that each group is held out once."""
-    names = np.unique(groups)
-    return np.array_split(names, min(number, len(names)))
 
 
 def learn_reward(
@@ -82,8 +76,7 @@ def learn_reward(
         rest = fit_weights(derivatives.of(~chosen), model, found)
         held_out.append(segment_log_likelihoods(derivatives.of(chosen), rest))
     if real:
-        snapshots = cut_snapshots(recordings)
-        drivers = learn_drivers(snapshots, np.ones(len(snapshots), dtype=bool), progress=progress)
+        drivers = learn_drivers(cut_snapshots(recordings), progress=progress)
     progress("counting features")
     counts = {"human": derivatives.features.mean(axis=0), "model": expected_features(segments, found)}
     return LearnedReward(

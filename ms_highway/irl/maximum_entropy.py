@@ -105,11 +105,10 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
     columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
     parts = in_batches(lambda batch: [part[:, columns] for part in _differentiate(game, batch)], segments)
     derivatives = FeatureDerivatives(*(part.astype(np.float64) for part in parts))
-    for part in derivatives:
-        if not np.isfinite(part).all():
-            segment = int(np.argwhere(~np.isfinite(part))[0][0])
-            start = segments.start[segment]
-            raise ValueError(f"the features of segment {segment} have no finite derivatives; it starts at {start}")
+    sums = [part.reshape(len(segments), -1).sum(axis=1) for part in derivatives]
+    for segment in np.flatnonzero(~np.isfinite(sum(sums))):
+        start = segments.start[segment]
+        raise ValueError(f"the features of segment {segment} have no finite derivatives; it starts at {start}")
     return derivatives
 
 

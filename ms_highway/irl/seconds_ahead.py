@@ -6,7 +6,6 @@ snapshot, driving on together, come closest to where they were recorded 1, 2, 3 
 """
 
 from itertools import count
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -15,9 +14,9 @@ from msgspec import structs
 from scipy import optimize, special
 
 from ms_highway.game.learned_drivers import CHANGING, LEARNED, Drivers, Intention, LearnedDrivers, TraitPrior
-from ms_highway.irl.mixture import SIDES, Modes, fit_spread
+from ms_highway.irl.mixture import SIDES, fit_spread
 from ms_highway.irl.prediction import fit_peers, lane_advantages, predict_drivers, roll_out
-from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, Flags
+from ms_highway.irl.recording import CarFlags, CarNumbers, Cars
 from ms_highway.irl.snapshots import AT, SCALES, Snapshots, lane_numbers
 from ms_highway.numerics.estimation import Parameters, grouped_covariance, minimum, slope_differences
 from ms_highway.planning.learned_driving import shown_traits
@@ -42,76 +41,55 @@ DIFFERENCE = 0.02  # of logarithms, for second derivatives in single precision
 AT_ONCE = 35  # snapshots, so that gradients fit in memory
 
 
-class _Labels(NamedTuple):
-    """What the drivers of snapshots did afterwards.
-
-    Attributes:
-        counts: which drivers are learned from: seen for 2 s, and at last, within 5 s, in their lane or one beside it.
-        side: lanes to the right by which these change lanes.
-    """
-
-    counts: CarFlags
-    side: CarNumbers
-
-    def among(self, chosen: Flags) -> "_Labels":
-        """Return the labels of the drivers of some snapshots only."""
-        return _Labels(*(part * chosen[:, None] for part in self))
-
-
-def learn_drivers(
-    snapshots: Snapshots, chosen: Flags, intervals: bool = True, progress: Progress = silent
-) -> LearnedDrivers:
+def learn_drivers(snapshots: Snapshots, intervals: bool = True, progress: Progress = silent) -> LearnedDrivers:
     """Learn drivers, with the weights `LEARNED` and that of the comfort of acceleration, 0.1, and fit all peers.
 
     Args:
-        snapshots: to learn from.
-        chosen: which of them; one compilation serves any choice.
+        snapshots: to learn from; one compilation serves all of a number, see `Snapshots.only`.
         intervals: whether to compute the drivers' ``deviations``.
         progress: called with a message when a part begins.
 
     Raises:
         ValueError: if no driver was seen for as long as 2 s.
     """
-    labels = _label(snapshots).among(chosen)
-    if not labels.counts.any():
+    if not np.any(_labels(snapshots)[0]):
         raise ValueError(f"no driver was seen for {SURE / 10:g} s on end; nothing can be learned seconds ahead")
-    found, drivers = _fit_drivers(snapshots, labels, progress)
-    modes = _predict_held_out(snapshots, labels, found, chosen, progress) or predict_drivers(snapshots, drivers)
-    spread = fit_spread(modes, np.where(chosen[snapshots.which][:, None, None], snapshots.recorded, np.nan))
-    deviations = dict(zip(NAMES, _deviations(found, snapshots, labels), strict=True)) if intervals else {}
+    found, drivers = _fit_drivers(snapshots, progress)
+    groups = np.unique(snapshots.group[snapshots.which])
+    parts = [(snapshots, drivers)]
+    if len(groups) >= FOLDS:  # the spread around predictions of drivers who were learned from is too narrow for others
+        fold = np.searchsorted(groups, snapshots.group) % FOLDS
+        rest = [_fit_drivers(snapshots.only(fold != number), progress, found, REFIT)[1] for number in range(FOLDS)]
+        parts = [(snapshots.of(fold == number), drivers) for number, drivers in enumerate(rest)]
+    predicted = [(predict_drivers(some, fitted), some.recorded) for some, fitted in parts]
+    spread = fit_spread(*jax.tree.map(lambda *rows: np.concatenate(rows), *predicted))
+    deviations = dict(zip(NAMES, _deviations(found, snapshots), strict=True)) if intervals else {}
     progress("fitting the predictors to compare with")
-    peers = fit_peers(snapshots.of(chosen))
-    return LearnedDrivers(**structs.asdict(plain(drivers)), spread=spread, deviations=deviations, peers=peers)
-
-
-def _label(snapshots: Snapshots) -> _Labels:
-    y = np.concatenate([snapshots.past[:, -1:], snapshots.future], axis=1)[..., 1]
-    seen = np.isfinite(y[:, 1:]).sum(axis=1)
-    last = np.take_along_axis(y, seen[:, None], axis=1)[:, 0]
-    side = lane_numbers(snapshots.lanes, last) - lane_numbers(snapshots.lanes, y[:, 0])
-    counts = snapshots.predicted & (seen >= SURE) & (np.abs(side) <= 1)
-    return _Labels(counts, side * counts)
+    return LearnedDrivers(
+        **structs.asdict(plain(drivers)), spread=spread, deviations=deviations, peers=fit_peers(snapshots)
+    )
 
 
 def _fit_drivers(
-    snapshots: Snapshots, labels: _Labels, progress: Progress, begin: Parameters = MEDIANS, iterations: int = MOST
+    snapshots: Snapshots, progress: Progress, begin: Parameters = MEDIANS, iterations: int = MOST
 ) -> tuple[Parameters, Drivers]:
     """Return the logarithms of `FIRST` and of the factors of `CHANGING` that bring drivers closest to the recorded.
 
     Also return the drivers, with the intentions that make their lane changes most likely.
     """
-    number, used = labels.counts.sum(), labels.counts.any(axis=1).sum()
+    learned_from, _ = _labels(snapshots)
+    number, used = learned_from.sum(), learned_from.any(axis=1).sum()
     data, evaluations = jax.device_put(snapshots), count(1)
 
     def loss(logarithms: Parameters) -> tuple[float, Parameters]:
         progress(f"fitting {used} snapshots seconds ahead, evaluation {next(evaluations)}")
-        error, slope = _mean_error(logarithms, data, labels)
+        error, slope = _mean_error(logarithms, data)
         far = (logarithms - MEDIANS) / DEVIATIONS
         prior = far @ far / (2 * number), far / DEVIATIONS / number
         return float(error) + prior[0], np.asarray(slope, dtype=float) + prior[1]
 
     found = minimum(loss, begin, maxiter=iterations, ftol=1e-6)
-    return found, structs.replace(_drivers_of(found), intention=_fit_intention(data, labels))
+    return found, structs.replace(_drivers_of(found), intention=_fit_intention(data))
 
 
 def _drivers_of(logarithms: Parameters) -> Drivers:
@@ -125,73 +103,68 @@ def _drivers_of(logarithms: Parameters) -> Drivers:
     return Drivers(weights, prior, dict(zip(CHANGING, factors, strict=True)), keeping)
 
 
+def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
+    """Return which cars of a snapshot are learned from, and how many lanes to the right these change lanes.
+
+    They are predicted, seen for 2 s, and at last, within 5 s, in their lane or one beside it.
+    """
+    y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]
+    seen = jnp.isfinite(y[1:]).sum(axis=0)
+    last = jnp.take_along_axis(y, seen[None], axis=0)[0]
+    side = lane_numbers(snapshot.lanes, last) - lane_numbers(snapshot.lanes, y[0])
+    learned_from = snapshot.predicted & (seen >= SURE) & (jnp.abs(side) <= 1)
+    return learned_from, side * learned_from
+
+
+_labels = jax.jit(jax.vmap(_label))
+
+
 @jax.jit
 @jax.value_and_grad
-def _mean_error(logarithms: Parameters, snapshots: Snapshots, labels: _Labels) -> Scalar:
+def _mean_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
     """Return the mean error, over drivers and horizons, of drivers who drive on together to where they go."""
-    errors, counts = _errors(logarithms, snapshots, labels)
-    return errors.sum() / counts.sum()
+    return _shares(logarithms, snapshots).sum()
 
 
-@jax.jit
-@jax.jacfwd
-def _scores(logarithms: Parameters, snapshots: Snapshots, labels: _Labels) -> Cars:
-    """Return the slopes of every driver's part of `_mean_error` [n, cars, parameters]."""
-    errors, counts = _errors(logarithms, snapshots, labels)
-    return errors / counts.sum()
-
-
-def _errors(logarithms: Parameters, snapshots: Snapshots, labels: _Labels) -> tuple[Cars, Cars]:
-    """Return the sum of ``sqrt(1 + (e / s)^2) - 1`` of every driver, along and across, and at how many horizons."""
+def _shares(logarithms: Parameters, snapshots: Snapshots) -> Cars:
+    """Return every driver's part [n, cars] of the mean of ``sqrt(1 + (e / s)^2) - 1``, along and across."""
     drivers = _drivers_of(logarithms)
 
-    def one(pair: tuple[Snapshots, _Labels]) -> tuple[Cars, Cars]:
-        snapshot, labels = pair
+    def one(snapshot: Snapshots) -> tuple[Cars, Cars]:
+        learned_from, side = _label(snapshot)
         traits = shown_traits(drivers, snapshot, snapshot.past)
-        path = roll_out(drivers, snapshot, traits, labels.side)[AT, :, :2]
+        path = roll_out(drivers, snapshot, traits, side)[AT, :, :2]
         recorded = snapshot.future[AT, :, :2]
-        counts = jnp.isfinite(recorded).all(axis=-1) & labels.counts
+        counts = jnp.isfinite(recorded).all(axis=-1) & learned_from
         error = jnp.where(counts[..., None], path - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]
         return jnp.sum(jnp.sqrt(1 + error**2) - 1, axis=(0, 2)), counts.sum(axis=0)
 
-    return jax.lax.map(one, (snapshots, labels), batch_size=AT_ONCE)
+    errors, counts = jax.lax.map(one, snapshots, batch_size=AT_ONCE)
+    return errors / counts.sum()
 
 
-def _predict_held_out(
-    snapshots: Snapshots, labels: _Labels, begin: Parameters, chosen: Flags, progress: Progress
-) -> Modes | None:
-    """Predict every group of recordings by what is learned from the others; None if there are too few groups.
-
-    The spread around predictions of drivers who were learned from would be too narrow for others.
-    """
-    groups = np.unique(snapshots.group[chosen])
-    if len(groups) < FOLDS:
-        return None
-    fold, modes = np.searchsorted(groups, snapshots.group) % FOLDS, []
-    for number in range(FOLDS):
-        _, drivers = _fit_drivers(snapshots, labels.among(fold != number), progress, begin, REFIT)
-        modes.append(predict_drivers(snapshots, drivers))
-    return snapshots.by_fold(fold, modes)
+_scores = jax.jit(jax.jacfwd(_shares))  # slopes of every driver's part [n, cars, parameters]
 
 
-def _deviations(found: Parameters, snapshots: Snapshots, labels: _Labels) -> list[float]:
+def _deviations(found: Parameters, snapshots: Snapshots) -> list[float]:
     """Return the standard deviations of what was found, with drivers as the independent units.
 
     They are those of least errors, with the slopes of each driver's errors in all its snapshots, and the Hessian with
     the prior, of finite differences.
     """
-    data = jax.device_put(snapshots)
-    hessian = slope_differences(lambda logarithms: _mean_error(logarithms, data, labels)[1], found, DIFFERENCE)
-    prior = np.diag(1 / DEVIATIONS**2) / labels.counts.sum()
+    data, learned_from = jax.device_put(snapshots), np.asarray(_labels(snapshots)[0])
+    hessian = slope_differences(lambda logarithms: _mean_error(logarithms, data)[1], found, DIFFERENCE)
+    prior = np.diag(1 / DEVIATIONS**2) / learned_from.sum()
     inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
-    scores = np.asarray(_scores(found, data, labels), dtype=float)[labels.counts]
-    return np.sqrt(np.diag(grouped_covariance(inverse, scores, snapshots.track[labels.counts]))).tolist()
+    scores = np.asarray(_scores(found, data), dtype=float)[learned_from]
+    return np.sqrt(np.diag(grouped_covariance(inverse, scores, snapshots.track[learned_from]))).tolist()
 
 
-def _fit_intention(snapshots: Snapshots, labels: _Labels) -> Intention:
+def _fit_intention(snapshots: Snapshots) -> Intention:
     """Return the most likely intention, of logistic regression with a weak prior."""
-    mode = -labels.side[labels.counts] % len(SIDES)
-    advantages, exist = (np.asarray(part)[labels.counts] for part in _advantages(snapshots))
+    learned_from, side = map(np.asarray, _labels(snapshots))
+    mode = -side[learned_from] % len(SIDES)
+    advantages, exist = (np.asarray(part)[learned_from] for part in _advantages(snapshots))
     advantages = advantages.astype(float)
 
     def loss(numbers: Parameters) -> float:

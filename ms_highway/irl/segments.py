@@ -14,12 +14,13 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.envs.demonstration import demonstration_game
 from ms_highway.game.dynamics import Motion, keep_velocity, observe
 from ms_highway.game.features import motion_features
 from ms_highway.game.game import Game, move
 from ms_highway.game.neighbours import far_behind, places
 from ms_highway.game.reward import FEATURES, features_for
-from ms_highway.game.scenario import PAPER_UNIT, PHYSICAL_LIMIT, TIME_STEP, driving_game
+from ms_highway.game.scenario import PHYSICAL_LIMIT, TIME_STEP, driving_game
 from ms_highway.game.scene import Scene
 from ms_highway.irl.recording import (
     CarStates,
@@ -75,20 +76,12 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     Raises:
         ValueError: if no segment is regular.
     """
-    rows = []
+    rows, empty = [], demonstration_game().scene
     for recording, group, first_track, lanes in numbered(recordings):
         states = _extrapolated(recording.states)
         for number, driver in enumerate(recording.drivers, first_track):
-            scene = Scene(
-                lanes=lanes,
-                lane_width=recording.lane_width,
-                obstacles=np.empty((0, 2)),
-                obstacle_size=np.ones(2),
-                car_size=recording.sizes[driver],
-                corner=0.5,
-                target_lane=lanes[0],
-                length_unit=PAPER_UNIT,
-            )
+            road = {"lanes": lanes, "lane_width": recording.lane_width, "target_lane": lanes[0]}
+            scene = replace(empty, **road, car_size=recording.sizes[driver])
             track, entry = track_of(recording, driver), recording.seen[:, driver].argmax()
             for first in range(0, len(track.controls) - steps + 1, steps):
                 start, now = track.states[first], entry + first

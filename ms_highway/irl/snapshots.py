@@ -3,15 +3,15 @@
 Predictors start from snapshots, and drivers are learned from them, see `ms_highway.irl.seconds_ahead`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Numbers, Recording, Rows, numbered
+from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Recording, Rows, numbered
 from ms_highway.planning.learned_driving import PAST
 from ms_highway.runtime.arrays import Vector
 
@@ -80,10 +80,9 @@ class Snapshots(Rows):
         """Return the rows of the predicted drivers of values [n, cars, ...], snapshot after snapshot."""
         return values[self.predicted]
 
-    def by_fold(self, fold: Numbers, parts: Sequence[Any]) -> Any:
-        """Return rows for the predicted drivers, each from the part of its snapshot's fold; parts are array tuples."""
-        own = fold[self.which], np.arange(len(self.which))
-        return jax.tree.map(lambda *values: np.stack(values)[own], *parts)
+    def only(self, chosen: Flags) -> Self:
+        """Return as many snapshots, for one compilation, in which just the drivers of the chosen ones are predicted."""
+        return replace(self, predicted=self.predicted & chosen[:, None])
 
 
 def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
@@ -92,25 +91,31 @@ def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
     Raises:
         ValueError: if no driver was seen for a second.
     """
-    rows = []
+    rows = list[Snapshots]()
     cars = max((CARS, *(item.states.shape[1] for item in recordings)))
     for recording, group, first_track, lanes in numbered(recordings):
-        track = np.full(cars, -1)
+        track, predicted = np.full(cars, -1), np.zeros((len(recording.states), cars), dtype=bool)
         track[recording.drivers] = first_track + np.arange(len(recording.drivers))
-        missing = cars - recording.states.shape[1]
-        states = np.pad(recording.states, ((PAST, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
-        sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
-        road = lanes, recording.lane_width, recording.speed_limit
-        predicted = np.zeros((len(recording.states), cars), dtype=bool)
         for car in recording.drivers:
             seen = np.flatnonzero(recording.seen[:, car])
             predicted[seen[0] : max(seen[-1] - SHORTEST + 1, 0) : APART, car] = True
-        for time in np.flatnonzero(predicted.any(axis=1)):
-            past, future = np.split(states[time : time + PAST + 1 + STEPS], [PAST + 1])
-            rows.append(Snapshots(past, future, sizes, *road, predicted[time], track, group))
+        rows += snapshots_at(recording, predicted, lanes, track, group)
     if not rows:
         raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {SHORTEST / 10:g} s")
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)
+
+
+def snapshots_at(
+    recording: Recording, predicted: CarFlags, lanes: Vector, track: CarNumbers, group: int
+) -> Iterator[Snapshots]:
+    """Yield the snapshots of a recording in which some cars are to be predicted [times, cars, unseen ones included]."""
+    missing = predicted.shape[1] - recording.states.shape[1]
+    states = np.pad(recording.states, ((PAST, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
+    sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
+    road = lanes, recording.lane_width, recording.speed_limit
+    for time in np.flatnonzero(predicted.any(axis=1)):
+        past, future = np.split(states[time : time + PAST + 1 + STEPS], [PAST + 1])
+        yield Snapshots(past, future, sizes, *road, predicted[time], track, group)
 
 
 def lane_numbers(lanes: Cars, y: Cars) -> CarNumbers:

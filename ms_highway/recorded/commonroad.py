@@ -1,48 +1,32 @@
-"""Read CommonRoad scenarios, such as those of the US-101 highway.
+"""Read CommonRoad scenarios of format 2020a, such as those of the US-101 highway.
 
 This package parses the XML elements itself. Versions of commonroad-io drop different parts of shapes, replace missing
 numbers by zeros, and raise errors that do not name the element.
 """
 
 import gzip
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any, TypeVar
 from xml.etree.ElementTree import Element, fromstring
 
 import numpy as np
 
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.recorded.elements import (
-    MOST_RADIANS,
-    attribute,
-    box,
-    child,
-    each,
-    interval,
-    number,
-    outlines,
-    points,
-    pose,
-    references,
-    turned,
-)
+from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import (
     GoalRegion,
     Lanelet,
-    Obstacle,
     Points,
     Problem,
     RecordedTrack,
     TrafficRecording,
 )
-from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import reading
 
-COMPRESSED = ".xml.gz"
-VERSIONS = "2018b", "2020a"
-
+COMPRESSED, INITIAL = ".xml.gz", "initialState/"
 ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # buildings, the last, are ignored
 
 DRIVERS = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
@@ -51,11 +35,16 @@ DRIVERS = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
 NO_LANES = {"bicycleLane", "border", "crosswalk", "restricted_area", "sidewalk"}
 """Types of lanelets on which cars do not drive."""
 
+SPEED_SIGNS = {"274", "3.24", "B14", "B31", "C43", "R15", "R2-1", "r301", "Ρ-32"}  # noqa: RUF001
+"""Ids of the signs of a maximum speed in all countries; that of Greece begins with a Greek letter."""
+
 MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
 MOST_METRES = 100_000.0  # from one end of a scenario to the other
-MOST_STEPS = 1e5
-MOST_SPEED = 200.0  # m/s
-LIMITS = 1.0, 100.0  # m/s, least and most of a speed limit
+MOST_STEPS, MOST_SPEED, MOST_RADIANS, FARTHEST = 1e5, 200.0, 1e3, 1e8  # of a time, m/s, of an angle, m
+SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
+ANGLES = 2 * np.pi / 64 * np.arange(64)  # rad, of the corners of the polygon that a circle is read as
+
+Read = TypeVar("Read")
 
 
 def scenario_files(directory: Path) -> list[Path]:
@@ -72,19 +61,14 @@ def scenario_files(directory: Path) -> list[Path]:
     return paths
 
 
-def read_scenario(path: Path, with_problems: bool = True) -> TrafficRecording:
+def read_scenario(path: Path) -> TrafficRecording:
     """Read a CommonRoad scenario whose vehicles were recorded every 0.1 s.
-
-    Args:
-        path: of the file.
-        with_problems: whether its planning problems are read, too.
 
     Raises:
         ValueError: naming the file and the element, if it is damaged, or holds something else.
-        ImportError: for a file with traffic signs, without the packages of the extra ``commonroad``.
     """
     with reading(path, "fetch it again, mend it or leave it out", " as a CommonRoad scenario"):
-        return _recording(fromstring(read_xml(path)), path.name, with_problems)
+        return _recording(fromstring(read_xml(path)), path.name)
 
 
 def read_xml(path: Path) -> bytes:
@@ -102,120 +86,152 @@ def read_xml(path: Path) -> bytes:
     return xml
 
 
-def _recording(root: Element, source: str, with_problems: bool) -> TrafficRecording:
-    _check(root)
-    limits = dict(each(root, "trafficSign", _speed_limits))
-    lanelets = each(root, "lanelet", partial(_lanelet, limits=limits))
-    areas = {lanelet.number: np.vstack([lanelet.left, lanelet.right[::-1]]) for lanelet, _ in lanelets}
-    lanes = tuple(lanelet for lanelet, kinds in lanelets if not kinds & NO_LANES)
+def _recording(root: Element, source: str) -> TrafficRecording:
+    version, name = root.get("commonRoadVersion"), root.get("benchmarkID", "")
+    if root.tag != "commonRoad" or version != "2020a" or not name:
+        raise ValueError(f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a with a benchmarkID")
+    if not np.isclose(float(step := root.get("timeStepSize", "nan")), TIME_STEP):
+        raise ValueError(f"timeStepSize of <commonRoad> is {step:.40} s; it must be {TIME_STEP} s")
+    for element in root:
+        if element.tag.endswith("Obstacle") and element.tag not in ROLES:
+            raise ValueError(f"{element.tag} {element.get('id')!r:.40} cannot be read; only {', '.join(ROLES)} can")
+    limits = _each(root, "trafficSign", _speed_limits)
+    lanelets = _each(root, "lanelet", partial(_lanelet, limits=limits))
+    areas = {number: np.concatenate([lane.left, lane.right[::-1]]) for number, (lane, _) in lanelets.items()}
+    lanes = tuple(lane for lane, drivable in lanelets.values() if drivable)
     if lanes and np.ptp(np.concatenate([lane.centre for lane in lanes]), axis=0).max() > MOST_METRES:
         raise ValueError(f"lanelets are more than {MOST_METRES:g} m apart")
-    tracks = each(root, "dynamicObstacle", _track)
+    problems = tuple(_each(root, "planningProblem", partial(_problem, areas=areas)).values())
+    tracks = tuple(_each(root, "dynamicObstacle", _track).values())
     if not any(len(track.samples) > 1 for track in tracks):
         raise ValueError("there is no dynamic obstacle with two samples, and so no driving")
-    name = root.attrib["benchmarkID"]
+    last = max([track.last for track in tracks] + [problem.last for problem in problems])
     return TrafficRecording(
         name=name,
         group=name.split("_")[min(1, name.count("_"))],  # USA_US101-17_1_T-1 is cut from US101-17
         source=source,
         lanelets=lanes,
-        tracks=tuple(tracks),
-        obstacles=tuple(chain(*each(root, "staticObstacle", _obstacles))),
-        problems=tuple(each(root, "planningProblem", partial(_problem, areas=areas)) if with_problems else ()),
+        tracks=(*tracks, *_each(root, "staticObstacle", partial(_standing, last=last)).values()),
+        problems=problems,
     )
 
 
-def _check(root: Element) -> None:
-    """Refuse what is no scenario of a known version and time step, and obstacles that cannot be read."""
-    version, name = root.get("commonRoadVersion"), root.get("benchmarkID")
-    if root.tag != "commonRoad" or version not in VERSIONS or not name:
-        raise ValueError(
-            f"<{root.tag}> of version {version!r} and benchmarkID {name!r}; it must be a <commonRoad> of version "
-            f"{' or '.join(VERSIONS)} with a benchmarkID"
-        )
-    if not np.isclose(step := attribute(root, "timeStepSize", float), TIME_STEP):
-        raise ValueError(f"the time step is {step} s; it must be {TIME_STEP} s")
-    for obstacle in root.iterfind("obstacle"):  # of version 2018b
-        obstacle.tag = f"{obstacle.findtext('role')}Obstacle"
-    for element in root:
-        if element.tag.endswith("Obstacle") and element.tag not in ROLES:
-            raise ValueError(f"{element.tag} {element.get('id')!r:.40} cannot be read; only {', '.join(ROLES)} can")
+def _each(root: Element, tag: str, read: Callable[[int, Element], Read]) -> dict[int, Read]:
+    """Read all elements with a tag, by their ids; an error names the element."""
+    found: dict[int, Read] = {}
+    for element in root.iterfind(tag):
+        try:
+            identity = int(element.get("id", ""))
+            if identity in found:
+                raise ValueError("it has the id of another one")
+            found[identity] = read(identity, element)
+        except ValueError as error:
+            raise ValueError(f"{tag} {element.get('id', '')[:40]}: {error}") from error
+    return found
 
 
-def _text(element: Element, tag: str) -> str:
-    return (element.findtext(tag) or "").strip()
+def _references(element: Element, tag: str) -> tuple[int, ...]:
+    """Return the ids that the elements with a tag refer to."""
+    return tuple(int(one.get("ref", "")) for one in element.iterfind(tag))
 
 
-def _speed_limits(identity: int, element: Element) -> tuple[int, list[float]]:
-    """Return the id of a traffic sign and the speed limits that it shows."""
-    with needing("commonroad"):
-        from commonroad.scenario.traffic_sign import TrafficSignIDCountries
-    known = {sign.value for signs in TrafficSignIDCountries.values() for sign in signs if sign.name == "MAX_SPEED"}
-    shown = [one for one in element.iterfind("trafficSignElement") if _text(one, "trafficSignID") in known]
-    return identity, [number(one, "additionalValue", *LIMITS) for one in shown]
+def _number(element: Element, path: str, most: float = FARTHEST, default: float | None = None) -> float:
+    """Return the number at a path of tags below an element, from ``-most`` to ``most``, or else the default."""
+    text = element.findtext(path)
+    if text is None and default is not None:
+        return default
+    try:
+        found = float(text or "")
+    except ValueError:
+        found = np.nan
+    if not abs(found) <= most:
+        raise ValueError(f"<{path}> of <{element.tag}> is {text!r:.40}; it must be from {-most:g} to {most:g}")
+    return found
 
 
-def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) -> tuple[Lanelet, set[str]]:
-    """Return a lanelet and its types."""
-    left, right = (points(child(element, side)) for side in ("leftBound", "rightBound"))
+def _points(element: Element, path: str) -> Points:
+    return np.array([[_number(point, axis) for axis in "xy"] for point in element.iterfind(path)]).reshape(-1, 2)
+
+
+def _speed_limits(identity: int, element: Element) -> list[float]:
+    """Return the speed limits that a traffic sign shows."""
+    shown = element.iterfind("trafficSignElement")
+    limits = [_number(one, "additionalValue") for one in shown if one.findtext("trafficSignID") in SPEED_SIGNS]
+    if not all(1 <= limit <= MOST_SPEED for limit in limits):
+        raise ValueError(f"it shows <additionalValue> {limits} m/s; limits are from 1 to {MOST_SPEED:g} m/s")
+    return limits
+
+
+def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) -> tuple[Lanelet, bool]:
+    """Return a lanelet, and whether cars drive on it."""
+    left, right = _points(element, "leftBound/point"), _points(element, "rightBound/point")
     if len(left) != len(right) or len(left) < 2 or not np.ptp(left + right, axis=0).any():
         counts = f"its bounds have {len(left)} and {len(right)} points"
         raise ValueError(f"{counts}; they need the same number, two or more, around a middle line")
-    shown = [number(element, "speedLimit", *LIMITS)] if element.find("speedLimit") is not None else []
-    for sign in references(element, "trafficSignRef"):
-        if sign not in limits:
-            raise ValueError(f"there is no trafficSign {sign}, which it refers to")
-        shown += limits[sign]
-    sides = [element.find(tag) for tag in ("adjacentLeft", "adjacentRight")]
-    beside = [None if side is None else attribute(side, "ref") for side in sides]
-    opposite = [side for side in sides if side is not None and side.get("drivingDir") != "same"]
+    signs = _references(element, "trafficSignRef")
+    if missing := set(signs) - limits.keys():
+        raise ValueError(f"there is no trafficSign {min(missing)}, which it refers to")
+    beside = [(*_references(element, side), None)[0] for side in ("adjacentLeft", "adjacentRight")]
+    opposite = [side for side in element if side.tag.startswith("adjacent") and side.get("drivingDir") != "same"]
     lanelet = Lanelet(
         number=identity,
         left=left,
         right=right,
-        before=references(element, "predecessor"),
-        after=references(element, "successor"),
+        before=_references(element, "predecessor"),
+        after=_references(element, "successor"),
         beside=(beside[0], beside[1]),
-        opposite=tuple(attribute(side, "ref") for side in opposite),
-        limit=min(shown, default=None),
+        opposite=tuple(int(side.get("ref", "")) for side in opposite),
+        limit=min(chain(*(limits[sign] for sign in signs)), default=None),
     )
-    return lanelet, {(kind.text or "").strip() for kind in element.iterfind("laneletType")}
+    return lanelet, not NO_LANES & {kind.text for kind in element.iterfind("laneletType")}
 
 
 def _track(identity: int, element: Element) -> RecordedTrack:
     """Return the track of a moving obstacle; x and y are those of its centre."""
     if element.find("occupancySet") is not None:
         raise ValueError("<occupancySet> does not say where it goes; only a <trajectory> can be read")
-    states = [child(element, "initialState"), *element.iterfind("trajectory/state")]
-    samples = np.array([_sample(state) for state in states])
+    states = element.iterfind("trajectory/state")
+    samples = np.array([_sample(element, INITIAL), *map(_sample, states)])
     if not (np.diff(samples[:, 0]) >= 1).all():
         raise ValueError("its times do not follow each other")
-    size, centre = box(np.concatenate(outlines(child(element, "shape"))))
-    samples[:, 1:3] += turned(np.tile(centre, (len(samples), 1)), samples[:, 3])
-    return RecordedTrack(identity, size, samples, _text(element, "type") in DRIVERS)
+    return _whole(identity, element, samples, element.findtext("type") in DRIVERS)
 
 
-def _sample(state: Element) -> list[float]:
-    """Return the time step, x, y, orientation and speed of a state; intervals are refused."""
-    time = round(number(state, "time/exact", 0, MOST_STEPS))
-    return [time, *pose(state), number(state, "velocity/exact", -MOST_SPEED, MOST_SPEED)]
+def _standing(identity: int, element: Element, last: int) -> RecordedTrack:
+    """Return the track of a static obstacle until the last step."""
+    steps = np.arange(last + 1)
+    samples = np.column_stack([steps, np.tile([*_pose(element, INITIAL), 0.0], (len(steps), 1))])
+    return _whole(identity, element, samples, False)
 
 
-def _obstacles(identity: int, element: Element) -> list[Obstacle]:
-    """Return a box along the longest edge of each shape of a static obstacle."""
-    x, y, orientation = pose(child(element, "initialState"))
-    found = []
-    for outline in outlines(child(element, "shape")):
-        edges = np.diff(outline, axis=0, append=outline[:1])
-        turn = float(np.arctan2(*edges[np.hypot(*edges.T).argmax(), ::-1]))
-        size, centre = box(outline, turn)
-        aside = turned(centre, orientation)
-        found.append(Obstacle(identity, size, (x + aside[0], y + aside[1], orientation + turn)))
-    return found
+def _whole(identity: int, element: Element, samples: np.ndarray, drives: bool) -> RecordedTrack:
+    """Return the track of the box around the shapes of an obstacle."""
+    corners = np.concatenate(_outlines(element))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    length, width = (high - low).tolist()
+    samples[:, 1:3] += _turned(np.tile((low + high) / 2, (len(samples), 1)), samples[:, 3])
+    return RecordedTrack(identity, (length, width), samples, drives)
+
+
+def _pose(element: Element, path: str = "") -> tuple[float, float, float]:
+    """Return x, y and orientation of a state at a path below an element; intervals are refused."""
+    x, y = (_number(element, f"{path}position/point/{axis}") for axis in "xy")
+    return x, y, _number(element, f"{path}orientation/exact", MOST_RADIANS)
+
+
+def _sample(element: Element, path: str = "") -> list[float]:
+    """Return the time step, x, y, orientation and speed of a state at a path below an element."""
+    time, speed = (
+        _number(element, f"{path}time/exact", MOST_STEPS),
+        _number(element, f"{path}velocity/exact", MOST_SPEED),
+    )
+    if time < 0:
+        raise ValueError(f"<{path}time> is {time}; it must not be negative")
+    return [round(time), *_pose(element, path), speed]
 
 
 def _problem(identity: int, element: Element, areas: dict[int, Points]) -> Problem:
-    time, x, y, orientation, speed = _sample(child(element, "initialState"))
+    time, x, y, orientation, speed = _sample(element, INITIAL)
     goals = tuple(goal for state in element.iterfind("goalState") for goal in _goals(state, areas))
     if speed < 0 or not goals or max(goal.times[1] for goal in goals) <= time:
         raise ValueError("it starts backwards, or has no goal after its start")
@@ -224,20 +240,57 @@ def _problem(identity: int, element: Element, areas: dict[int, Points]) -> Probl
 
 def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
     """Yield a goal for each shape or lanelet of a goal's position."""
-    if unknown := {part.tag for part in state} - {"position", "time", "velocity", "orientation"}:
+    parts = {part.tag for part in state}
+    if unknown := parts - {"position", "time", "velocity", "orientation"}:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
-    times = interval(state, "time", 0, MOST_STEPS)
-    if times is None:
-        raise ValueError("a goal has no <time>")
-    speeds = interval(state, "velocity", -MOST_SPEED, MOST_SPEED)
-    headings = interval(state, "orientation", -MOST_RADIANS, MOST_RADIANS)
+    first, last = _interval(state, "time", MOST_STEPS)
+    speeds = _interval(state, "velocity", MOST_SPEED) if "velocity" in parts else None
+    headings = _interval(state, "orientation", MOST_RADIANS) if "orientation" in parts else None
     if headings and headings[1] - headings[0] >= 2 * np.pi:
         headings = None
     places: list[Points | None] = [None]
-    if (position := state.find("position")) is not None:
-        numbers = references(position, "lanelet")
+    if "position" in parts:
+        numbers = _references(state, "position/lanelet")
         if missing := set(numbers) - areas.keys():
             raise ValueError(f"there is no lanelet {min(missing)}, which a goal refers to")
-        places = [areas[lanelet] for lanelet in numbers] or [*outlines(position)]
+        places = [areas[number] for number in numbers] or [*_outlines(state, "position/*")]
     for place in places:
-        yield GoalRegion((round(times[0]), round(times[1])), place, speeds, headings)
+        yield GoalRegion((round(first), round(last)), place, speeds, headings)
+
+
+def _interval(state: Element, tag: str, most: float) -> tuple[float, float]:
+    """Return both ends of an interval, an exact value twice."""
+    ends = ("intervalStart", "intervalEnd") if state.find(f"{tag}/exact") is None else ("exact", "exact")
+    first, last = (_number(state, f"{tag}/{end}", most) for end in ends)
+    if first > last:
+        raise ValueError(f"<{tag}> of a goal ends before it begins")
+    return first, last
+
+
+def _outlines(element: Element, path: str = "shape/*") -> list[Points]:
+    """Return the corners of each shape at a path below an element."""
+    found = [_outline(piece) for piece in element.iterfind(path)]
+    if not found:
+        raise ValueError(f"<{element.tag}> lacks a shape")
+    return found
+
+
+def _outline(piece: Element) -> Points:
+    if piece.tag == "polygon":
+        corners = _points(piece, "point")
+    elif piece.tag == "circle":
+        corners = _number(piece, "radius") * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=-1)
+    elif piece.tag == "rectangle":
+        corners = SQUARE * [_number(piece, "length"), _number(piece, "width")]
+        corners[:, 0] -= _number(piece, "originXShift", default=0.0)
+        corners = _turned(corners, _number(piece, "orientation", MOST_RADIANS, 0.0))
+    else:
+        raise ValueError(f"<{piece.tag}> is no shape that can be read: rectangle, circle or polygon")
+    if len(corners) < 3 or not np.ptp(corners, axis=0).all():
+        raise ValueError(f"<{piece.tag}> has no area")
+    return corners + [_number(piece, f"center/{axis}", default=0.0) for axis in "xy"]
+
+
+def _turned(vectors: Points, angle: Any) -> Points:
+    """Return vectors turned to the left."""
+    return np.stack(rotated(vectors[..., 0], vectors[..., 1], -angle), axis=-1)

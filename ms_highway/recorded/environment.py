@@ -9,9 +9,9 @@ from msgspec import Meta, Struct
 from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.recorded.learned_traffic import LearnedRoad
-from ms_highway.recorded.problem import Task
+from ms_highway.recorded.problem import problem_of, timed_goal
 from ms_highway.recorded.scenario import SHIPPED, Points, TrafficRecording, open_recording
-from ms_highway.recorded.straight_road import map_of
+from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import IdmRoad, RecordedRoad, sized
 from ms_highway.road.stock import GoalEnv
 
@@ -40,8 +40,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
 
     Configuration, beside highway-env's own, of which changes act from the next reset on:
 
-    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz`` (with traffic signs: extra ``commonroad``), or
-      ``"us101"``, which comes with the package.
+    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz``, or ``"us101"``, which comes with the package.
     * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
       first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
       Road users outside lanes, such as pedestrians and trains, are always replayed.
@@ -61,7 +60,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     Attributes:
         scenario: the recording.
         axes: of the road in the map.
-        task: of the ego.
+        task: the planning problem of the ego.
         goal: where and when the ego has to be, None if its goal is only a time.
         success, off_road: whether the goal has been reached, and the road left.
     """
@@ -105,34 +104,34 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             raise ValueError(f"{scenario.source}: {error}") from error
 
     def _build(self, scenario: TrafficRecording) -> None:
-        task, (axes, network, straight) = Task.of(scenario, self.settings.ego), map_of(scenario)
-        x, y, orientation, speed = task.problem.start
-        position, heading = axes.pose(x, y, orientation)
-        lane = network.get_lane(network.get_closest_lane_index(position, heading))
+        task, straight = problem_of(scenario, self.settings.ego), straight_road(scenario)
+        x, y, orientation, speed = task.start
+        position, heading = straight.axes.pose(x, y, orientation)
+        lane = straight.network.get_lane(straight.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
-        road = TRAFFIC[self.settings.traffic](scenario, task.problem.time, task.track, self.np_random)
+        road = TRAFFIC[self.settings.traffic](scenario, task.time, task.track, self.np_random)
         vehicle = sized(self.action_type.vehicle_class(road, position, heading=heading, speed=speed), task.size)
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
-        self.scenario, self.task, self.road, self.axes = scenario, task, road, axes
-        self.goal, self.desired_speed = task.timed_goal(network, axes), max(speed, SLOWEST)
+        self.scenario, self.task, self.road, self.axes = scenario, task, road, straight.axes
+        self.goal, self.desired_speed = timed_goal(task, straight), max(speed, SLOWEST)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
         self._along = straight.along(vehicle)
 
     @property
     def goal_areas(self) -> list[Points]:
         """Corners of the areas of all goals that have a place."""
-        return [self.axes.positions(goal.area) for goal in self.task.problem.goals if goal.area is not None]
+        return [self.axes.positions(goal.area) for goal in self.task.goals if goal.area is not None]
 
     def _simulate(self, action: Any = None) -> None:
         """Let everybody act and move for a step, and judge where that has led the ego."""
         super()._simulate(action)
-        ego, straight = self.vehicle, map_of(self.scenario).straight
+        ego, straight = self.vehicle, straight_road(self.scenario)
         along = straight.along(ego)
         self.progress, self._along = along - self._along, along
         self.off_road |= not straight.covers(ego.polygon()[:-1])
-        orientation, point = float(self.axes.orientations(ego.heading)), self.axes.points(ego.position)
+        orientation, point = float(self.axes.headings(ego.heading)), self.axes.points(ego.position)
         reached = self.task.is_reached(self.road.now, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
 

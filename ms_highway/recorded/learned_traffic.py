@@ -1,6 +1,6 @@
 """Drive the vehicles of a recording as learned drivers, who react to the ego and to each other."""
 
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +9,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.learned_drivers import Drivers
-from ms_highway.game.learned_reward import shipped
+from ms_highway.game.learned_reward import shipped_drivers
 from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.planning.learned_driving import (
@@ -18,13 +18,14 @@ from ms_highway.planning.learned_driving import (
     Cars,
     States,
     Surroundings,
+    TraitLogarithms,
     moved,
     seen_states,
     shown_traits,
 )
-from ms_highway.recorded.scenario import KEPT, SPEED_LIMIT, RecordedTrack, TrafficRecording
-from ms_highway.recorded.straight_road import map_of
-from ms_highway.recorded.traffic import CLEAR, DrivenRoad, GuidedVehicle
+from ms_highway.recorded.scenario import KEPT, SPEED_LIMIT, TrafficRecording
+from ms_highway.recorded.straight_road import straight_road
+from ms_highway.recorded.traffic import CLEAR, GuidedVehicle, RecordedRoad
 from ms_highway.runtime.compilation import jit_quickly
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
@@ -37,135 +38,105 @@ BEGUN = 0.3  # m, lateral progress after which a lane change is not given up
 
 
 class RecordedWay(NamedTuple):
-    """A track on the straight road.
+    """A driver of a recording.
 
     Attributes:
-        x: places at which it was recorded, ascending [times, m].
+        x: places along the straight road at which it was recorded, ascending [times, m].
         lanes: numbers of the lanes that it was in there [times].
-        states: x, y, heading and speed [times, 4].
+        speeds: there [times, m/s].
+        traits: logarithms of those that it shows in its first second, see `shown_traits` [3].
     """
 
     x: Float[np.ndarray, "times"]
     lanes: Int[np.ndarray, "times"]
-    states: Float[np.ndarray, "times 4"]
-
-
-class LearnedVehicle(GuidedVehicle):
-    """A learned driver who follows a way. Its road computes the steps of all of them at once."""
-
-    way: RecordedWay
-
-    def wishes(self, x: float, lane: int, speed: float) -> tuple[float, float]:
-        """Return the lane change that it wants (-1 left, 0 none, 1 right), and its speed without a leader [m/s]."""
-        later = min(int(np.searchsorted(self.way.x, x + LOOK_AHEAD * speed)), len(self.way.x) - 1)
-        return np.sign(self.way.lanes[later] - lane), np.interp(x, self.way.x, self.way.states[:, 3])
+    speeds: Float[np.ndarray, "times"]
+    traits: Float[np.ndarray, "3"]
 
 
 class Wishes(NamedTuple):
-    """What drivers want besides what was learned of them.
+    """What drivers want besides what was learned of all.
 
     Attributes:
         lane: number of the lane that each is in.
         side: lanes to the right that it wants to change to, -1, 0 or 1.
         usual: speed without a leader [m/s].
+        traits: logarithms, see `shown_traits`.
     """
 
     lane: Cars
     side: Cars
     usual: Cars
+    traits: TraitLogarithms
 
 
-class LearnedRoad(DrivenRoad):
+class LearnedRoad(RecordedRoad):
     """A road on which learned drivers drive, by the traits that each shows in its first second.
 
     They change lanes where they were recorded to, as soon as there is room. A car that has nobody ahead in sight goes
-    as fast as it was recorded at that place: those ahead of it were not recorded.
+    as fast as it was recorded at that place: those ahead of it were not recorded. The road computes the steps of all of
+    them at once.
     """
 
-    vehicle_type = LearnedVehicle
-
-    def make(self, track: RecordedTrack) -> Any:
-        """Return the vehicle of a track where it enters."""
-        vehicle = super().make(track)
-        vehicle.way = ways_of(self.recording)[track.number]
-        return vehicle
+    vehicle_type = GuidedVehicle
 
     def act(self) -> None:
         """Let all vehicles decide what to do in the next step."""
         super().act()
-        straight, traits, cars = map_of(self.recording).straight, traits_of(self.recording), self.vehicles
+        road, ways, cars = straight_road(self.recording), ways_of(self.recording), self.vehicles
         around = _surroundings(self.recording)
         count = len(around.sizes)
-        states, logarithms = np.full((count, 4), np.nan, np.float32), np.zeros((count, 3))
-        wishes = Wishes(*np.zeros((3, count)))
-        poses = straight.poses_of(cars)
-        states[: len(cars)] = straight.states(poses, np.array([car.speed for car in cars]))
-        wishes.lane[: len(cars)] = straight.numbers[poses.lane]
+        lane, side, usual = np.zeros((3, count))
+        states, wishes = np.full((count, 4), np.nan, np.float32), Wishes(lane, side, usual, np.zeros((count, 3)))
+        poses = road.poses_of(cars)
+        states[: len(cars)] = road.states(poses, np.array([car.speed for car in cars]))
+        wishes.lane[: len(cars)] = road.numbers[poses.lane]
+        driven = [place for place, car in enumerate(cars) if not getattr(car, "replayed", True)]
         for place, car in enumerate(cars):
             around.sizes[place] = car.LENGTH, car.WIDTH
-            x, _, heading, speed = states[place]
-            if isinstance(car, LearnedVehicle):
-                wishes.side[place], wishes.usual[place] = car.wishes(x, wishes.lane[place], speed)
-                logarithms[place] = traits[car.track.number]
-            elif not getattr(car, "follows_lanes", True):  # such as a pedestrian, who crosses
-                states[place, 3] *= max(np.cos(heading), 0.0)
-        after = np.asarray(_driven(learned_drivers(), around, logarithms, wishes, states), float)
-        for place, car in enumerate(cars):
-            if isinstance(car, LearnedVehicle):
-                _, _, heading, speed = after[place]
-                pose = straight.moved(poses, place, after[place, :2] - states[place, :2], heading)
-                car.coming = *pose, float(speed)
+            if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who crosses
+                states[place, 3] *= max(np.cos(states[place, 2]), 0.0)
+        for place in driven:
+            (x, _, _, speed), way = states[place], ways[cars[place].track.number]
+            later = min(int(np.searchsorted(way.x, x + LOOK_AHEAD * speed)), len(way.x) - 1)
+            wishes.side[place] = np.sign(way.lanes[later] - wishes.lane[place])
+            wishes.usual[place], wishes.traits[place] = np.interp(x, way.x, way.speeds), way.traits
+        after = np.asarray(_driven(shipped_drivers().bare, around, wishes, states), float)
+        for place in driven:
+            _, _, heading, speed = after[place]
+            pose = road.moved(poses, place, after[place, :2] - states[place, :2], heading)
+            cars[place].coming = *pose, float(speed)
 
 
 @lru_cache(KEPT)
 def ways_of(recording: TrafficRecording) -> dict[int, RecordedWay]:
-    """Return the ways of all tracks of a recording, by number."""
-    axes, _, straight = map_of(recording)
-    ways = {}
-    for track in recording.tracks:
-        _, x, y, orientations, speeds = track.samples.T
-        poses = straight.poses(axes.positions(np.stack([x, y], axis=-1)), axes.headings(orientations))
-        states = straight.states(poses, speeds)
-        ascending = np.maximum.accumulate(states[:, 0]) + 1e-6 * np.arange(len(states))
-        ways[track.number] = RecordedWay(ascending, straight.numbers[poses.lane], states)
-    return ways
+    """Return the ways of all tracks of a recording, by number.
 
-
-@lru_cache(KEPT)
-def traits_of(recording: TrafficRecording) -> dict[int, Float[np.ndarray, "3"]]:
-    """Return the logarithms of the traits of all who were recorded, by number, see `shown_traits`.
-
-    They are estimated from the first second of each track, among all that were recorded then.
+    Traits are estimated from the first second of each track, among all that were recorded then.
     """
-    tracks, around, traits = recording.tracks, _surroundings(recording), dict[int, np.ndarray]()
-    last = max(track.last for track in tracks)
+    road, tracks, around = straight_road(recording), recording.tracks, _surroundings(recording)
+    last, found, shown = max(track.last for track in tracks), [road.way(track) for track in tracks], {}
     states = np.full((PAST + last + 1, len(around.sizes), 4), np.nan, np.float32)  # from 2 s before the first step on
-    for place, track in enumerate(tracks):
+    for place, (track, (own, _)) in enumerate(zip(tracks, found, strict=True)):
         around.sizes[place] = track.size
-        states[PAST - SECOND + track.samples[:, 0].astype(int), place] = ways_of(recording)[track.number].states
+        states[PAST - SECOND + track.samples[:, 0].astype(int), place] = own
     for first in {track.first for track in tracks}:
         past = states[first : first + PAST + 1].copy()
         past[: PAST - SECOND] = np.nan
-        shown = np.asarray(_shown(learned_drivers(), around, past))
-        traits |= {track.number: shown[place] for place, track in enumerate(tracks) if track.first == first}
-    return traits
-
-
-@cache
-def learned_drivers() -> Drivers:
-    """Return what was learned of drivers on US-101."""
-    drivers = shipped("us101").drivers
-    assert drivers is not None  # the package's own file
-    return drivers.bare
+        shown[first] = np.asarray(_shown(shipped_drivers().bare, around, past))
+    ways = {}
+    for place, (track, (own, lanes)) in enumerate(zip(tracks, found, strict=True)):
+        ascending = np.maximum.accumulate(own[:, 0]) + 1e-6 * np.arange(len(own))
+        ways[track.number] = RecordedWay(ascending, lanes, own[:, 3], shown[track.first][place])
+    return ways
 
 
 def _surroundings(recording: TrafficRecording) -> Surroundings:
     """Return surroundings for all tracks and an ego, who have no sizes yet."""
     cars = len(recording.tracks) + 1
-    return Surroundings(np.ones((cars + -cars % ROOM, 2)), map_of(recording).straight.lane_width, SPEED_LIMIT)
+    return Surroundings(np.ones((cars + -cars % ROOM, 2)), straight_road(recording).lane_width, SPEED_LIMIT)
 
 
-def _drive(drivers: Drivers, around: Surroundings, traits: Any, wishes: Wishes, states: States) -> States:
+def _drive(drivers: Drivers, around: Surroundings, wishes: Wishes, states: States) -> States:
     """Return the states of all cars after a step.
 
     A driver begins to change lanes if there is room, and minds the leaders of both lanes then. What is learned in dense
@@ -178,7 +149,7 @@ def _drive(drivers: Drivers, around: Surroundings, traits: Any, wishes: Wishes, 
     wanted = (wishes.lane + side) * around.lane_width
 
     def driven(side: Cars) -> tuple[States, Bool[Any, "cars"]]:
-        after, leader = moved(drivers, around, traits, side, wanted, now)
+        after, leader = moved(drivers, around, wishes.traits, side, wanted, now)
         return _slowed(after, _safe_speed(speed, leader)), leader.there
 
     (after, kept), (led, led_here) = jax.vmap(driven)(jnp.stack([side, jnp.zeros_like(side)]))

@@ -1,20 +1,26 @@
 """Turn lanelets into a road network of highway-env: smooth lanes of their own widths that merge, branch and end."""
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.utils import get_class_path
+from jaxtyping import Float
+from scipy.interpolate import make_smoothing_spline
 
-from ms_highway.geometry.curve import Curve, wrapped
-from ms_highway.recorded.lane_coordinates import Values, dense, fits, side_by_side
+from ms_highway.geometry.curve import Curve, arc_lengths, resample, wrapped
 from ms_highway.recorded.scenario import SPEED_LIMIT, Lanelet, Points
 
+Values = Float[np.ndarray, "n"]
+
 STEP = 1.0  # m, between samples of a lane
+SPACING = 0.5  # m, between samples of curves
+SMOOTHED = 10.0, 5.0, 2.5, 1.25, 0.625  # m; waves shorter than 2 pi times that, at first about 60 m, are smoothed
+FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
 WITHIN = 0.1  # m, from the middle of a lanelet to that of its lane
 ASKED = 5_000  # positions in lanes that are remembered: in a step, each car's is asked for often
@@ -48,12 +54,8 @@ class Axes(NamedTuple):
         return np.asarray(positions, dtype=float) @ self._mirror.T + self.origin
 
     def headings(self, orientations: Any) -> Any:
-        """Return headings in highway-env's axes, of orientations in the map [rad]."""
+        """Return headings in highway-env's axes, of orientations in the map [rad]; or orientations, of headings."""
         return wrapped(self.turn - np.asarray(orientations, dtype=float))
-
-    def orientations(self, headings: Any) -> Any:
-        """Return orientations in the map, of headings in highway-env's axes [rad]."""
-        return self.headings(headings)  # a mirror is its own inverse
 
     def pose(self, x: float, y: float, orientation: float) -> tuple[np.ndarray, float]:
         """Return position and heading in highway-env's axes, of a point and an orientation in the map."""
@@ -136,11 +138,6 @@ class LaneletNetwork(RoadNetwork):
         centres = [lane.centres for lane in self.lanes_list()]
         return np.concatenate(centres), [0, *np.cumsum([len(lane) for lane in centres[:-1]]).tolist()]
 
-    def add_lane(self, *arguments: Any) -> None:
-        """Add a lane, see highway-env; it is looked for from then on."""
-        self.__dict__.pop("_samples", None)
-        super().add_lane(*arguments)
-
     def get_closest_lane_index(self, position: np.ndarray, heading: float | None = None) -> LaneIndex:
         """Return the index of the lane that is nearest in position and heading."""
         samples, firsts = self._samples
@@ -160,7 +157,7 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
         ValueError: for lanes of two directions, a lanelet that is beside itself, or roads that part and meet again.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
-    network, roads = LaneletNetwork(), side_by_side(lanelets)
+    network, roads = LaneletNetwork(), [*_roads(known)]
     for road, (start, end) in zip(roads, _nodes(roads), strict=True):
         if end in network.graph.get(start, {}):
             raise ValueError(
@@ -174,11 +171,32 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
     return network
 
 
+def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
+    """Yield the lanelets of each road, from the left."""
+    placed = set[int]()
+    for lanelet in known.values():
+        if known.keys() & set(lanelet.opposite):
+            raise ValueError(
+                f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
+                "driven here"
+            )
+        if lanelet.number in placed:
+            continue
+        road = [lanelet]
+        for side in (0, 1):
+            while (beside := road[-side].beside[side]) in known:
+                if beside in (other.number for other in road):
+                    raise ValueError(f"lanelet {beside} is beside itself; mend the file or leave it out")
+                road.insert(side * len(road), known[beside])
+        placed |= {other.number for other in road}
+        yield road
+
+
 def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
     """Return the names of the nodes at which each road begins and ends: one node where lanelets meet."""
     number = {lanelet.number: road for road, lanelets in enumerate(roads) for lanelet in lanelets}
     nodes = np.arange(2 * len(roads)).reshape(-1, 2)
-    for lanelet in itertools.chain(*roads):
+    for lanelet in chain(*roads):
         for after in number.keys() & set(lanelet.after):
             nodes[nodes == nodes[number[after], 0]] = nodes[number[lanelet.number], 1]
     return nodes.astype(str).tolist()
@@ -191,18 +209,16 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
         ValueError: if every smooth lane is too far from the centre.
     """
     centre = lanelet.centre
-    before = [known[number].centre for number in lanelet.before[:1] if number in known]
-    after = [known[number].centre for number in lanelet.after[:1] if number in known]
-    parts = [_last(line, BRIDGED) for line in before] + [centre] + [_last(line[::-1], BRIDGED)[::-1] for line in after]
+    before = [_last(known[number].centre) for number in lanelet.before[:1] if number in known]
+    after = [_last(known[number].centre[::-1])[::-1] for number in lanelet.after[:1] if number in known]
     limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
-    for smooth in itertools.chain(fits(np.concatenate(parts)), fits(centre)):
+    for smooth in chain(fits(np.concatenate([*before, centre, *after])), fits(centre)):
         along, _ = smooth.locate(centre)
-        first, last = along[0], along[-1]
-        places = np.linspace(first, last, max(round((last - first) / STEP), 2) + 1)
+        places = np.linspace(along[0], along[-1], max(round((along[-1] - along[0]) / STEP), 2) + 1)
         order = np.argsort(along, kind="stable")
         widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
         lane = SampledLane(axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)), widths, lines, limit)
-        along, aside = lane.curve.locate(axes.positions(dense(centre)))
+        along, aside = lane.curve.locate(axes.positions(_dense(centre)))
         off = max(np.abs(aside).max(), -along.min(), along.max() - lane.length)
         if off <= WITHIN:
             return lane
@@ -211,8 +227,32 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
     )
 
 
-def _last(line: Points, length: float) -> Points:
-    """Return the points of a line that are less than a length before its end [m]."""
-    steps = np.hypot(*np.diff(line, axis=0).T)
-    left = np.r_[np.cumsum(steps[::-1])[::-1], 0.0]
-    return line[left <= length] if (left <= length).sum() > 1 else line[-2:]
+def fits(line: Points) -> Iterator[Curve]:
+    """Yield curves along a line, first smoothed much: lines of maps have kinks that would look like steering."""
+    line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
+    distance = arc_lengths(line.T)
+    for smoothed in SMOOTHED:
+        spacing = smoothed / 2
+        even = np.linspace(0, distance[-1], max(round(distance[-1] / spacing) + 1, FEWEST_POINTS))
+        points = _at(line, distance, even)
+        smooth = make_smoothing_spline(even, points, lam=smoothed**4 / spacing)
+        step = min(SPACING, distance[-1] / FEWEST_POINTS)
+        x, y = resample(smooth(np.arange(0.0, distance[-1] + step, step / 2)).T, step)
+        yield Curve.through(x, y, spacing=step)
+
+
+def _dense(line: Points) -> Points:
+    """Return the points of a line, and more between those that are farther than a metre apart."""
+    places = arc_lengths(line.T)
+    return _at(line, places, np.union1d(places, np.arange(0.0, places[-1], 1.0)))
+
+
+def _at(line: Points, places: Values, wanted: Values) -> Points:
+    """Return points of a line, whose own are at some places along it, at other places."""
+    return np.stack([np.interp(wanted, places, part) for part in line.T], axis=-1)
+
+
+def _last(line: Points) -> Points:
+    """Return the points of a line before its end that are to be bridged, at least two."""
+    left = arc_lengths(line[::-1].T)[::-1]
+    return line[left <= BRIDGED] if (left <= BRIDGED).sum() > 1 else line[-2:]

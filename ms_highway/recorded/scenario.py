@@ -1,23 +1,29 @@
-"""What a recording holds: lanelets, the tracks of vehicles, obstacles, and planning problems, as in CommonRoad.
+"""What a recording holds: lanelets, tracks of vehicles and of what stands, and planning problems, as in CommonRoad.
 
 Everything here is in the map's own axes, y to the left of x, metres, radians and steps of time; see
 `ms_highway.recorded.network.Axes` for highway-env's.
 """
 
 import gzip
+import pathlib
 from functools import cache, lru_cache
 from importlib import resources
-from pathlib import Path
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
+from matplotlib.path import Path
 
 Points = Float[np.ndarray, "points 2"]
 
 SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
 
 KEPT = 20  # recordings that are kept in memory, as long as their files do not change
+
+FULL_TURN = 2 * np.pi
+
+CAR_SIZE = 4.508, 1.610
+"""Length and width of the car of planning problems, CommonRoad's second vehicle, a BMW 320i [m]."""
 
 SHIPPED = "us101"
 """Name of the recording that comes with the package."""
@@ -53,13 +59,13 @@ class Lanelet(msgspec.Struct, frozen=True):
 
 
 class RecordedTrack(msgspec.Struct, frozen=True):
-    """A vehicle, or a road user of another kind, as it was recorded.
+    """A vehicle, a road user of another kind, or what stands, as it was recorded.
 
     Attributes:
         number: its identifier.
         size: length and width [m].
         samples: step of time, x, y, orientation and speed [times, 5].
-        drives: whether it drives in lanes; other road users, such as pedestrians, are replayed.
+        drives: whether it drives in lanes; others, such as pedestrians, are replayed.
     """
 
     number: int
@@ -78,20 +84,6 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         return int(self.samples[-1, 0])
 
 
-class Obstacle(msgspec.Struct, frozen=True):
-    """Something that stands.
-
-    Attributes:
-        number: its identifier.
-        size: length and width [m].
-        pose: x, y and orientation.
-    """
-
-    number: int
-    size: tuple[float, float]
-    pose: tuple[float, float, float]
-
-
 class GoalRegion(msgspec.Struct, frozen=True):
     """A region to be in at one of some steps of time; None stands for any.
 
@@ -107,6 +99,15 @@ class GoalRegion(msgspec.Struct, frozen=True):
     speeds: tuple[float, float] | None = None
     headings: tuple[float, float] | None = None
 
+    def is_reached(self, step: int, point: Points, orientation: float, speed: float) -> bool:
+        """Return whether the middle of the ego has reached it."""
+        low, high = self.headings or (orientation, orientation)
+        slowest, fastest = self.speeds or (speed, speed)
+        in_time, as_fast = self.times[0] <= step <= self.times[1], slowest <= speed <= fastest
+        heads = (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
+        there = self.area is None or bool(Path(self.area).contains_points([point])[0])
+        return in_time and as_fast and heads and there
+
 
 class Problem(msgspec.Struct, frozen=True):
     """A planning problem: from a start, reach one of some goals.
@@ -116,12 +117,25 @@ class Problem(msgspec.Struct, frozen=True):
         start: x, y, orientation and speed.
         time: step of the start.
         goals: of which one is enough.
+        size: length and width of the ego [m].
+        track: number of the recorded vehicle whose place it takes, None if it is nobody's.
     """
 
     number: int
     start: tuple[float, float, float, float]
     time: int
     goals: tuple[GoalRegion, ...]
+    size: tuple[float, float] = CAR_SIZE
+    track: int | None = None
+
+    @property
+    def last(self) -> int:
+        """The last step of all goals."""
+        return max(goal.times[1] for goal in self.goals)
+
+    def is_reached(self, step: int, point: Points, orientation: float, speed: float) -> bool:
+        """Return whether one of the goals is reached, by the middle of the ego, in the map's axes."""
+        return any(goal.is_reached(step, point, orientation, speed) for goal in self.goals)
 
 
 class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
@@ -133,7 +147,6 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
         source: the file that it was read from.
         lanelets: the road.
         tracks: the vehicles.
-        obstacles: what stands.
         problems: of planning.
     """
 
@@ -142,7 +155,6 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
     source: str
     lanelets: tuple[Lanelet, ...]
     tracks: tuple[RecordedTrack, ...]
-    obstacles: tuple[Obstacle, ...] = ()
     problems: tuple[Problem, ...] = ()
 
     def __deepcopy__(self, memo: object) -> "TrafficRecording":
@@ -167,11 +179,10 @@ def open_recording(recording: str) -> TrafficRecording:
 
     Raises:
         ValueError: naming the file and what is wrong with it.
-        ImportError: for a file with traffic signs, without the packages of the extra ``commonroad``.
     """
     if recording == SHIPPED:
         return shipped()
-    path = Path(recording)
+    path = pathlib.Path(recording)
     if not path.is_file():
         raise ValueError(
             f"config['recording'] is {recording!r}, which is no file; give that of a CommonRoad scenario, *.xml or "
@@ -181,7 +192,7 @@ def open_recording(recording: str) -> TrafficRecording:
 
 
 @lru_cache(KEPT)
-def _read(path: Path, _: int) -> TrafficRecording:
+def _read(path: pathlib.Path, _: int) -> TrafficRecording:
     from ms_highway.recorded.commonroad import read_scenario
 
     return read_scenario(path)

@@ -5,15 +5,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Float, Int
 
 from ms_highway.geometry.curve import wrapped
 from ms_highway.geometry.road_map import Lane, road_map
-from ms_highway.recorded.lane_coordinates import Values
-from ms_highway.recorded.network import Axes, network_of
-from ms_highway.recorded.scenario import KEPT, Points, TrafficRecording
+from ms_highway.recorded.network import Axes, Values, network_of
+from ms_highway.recorded.scenario import KEPT, Points, RecordedTrack, TrafficRecording
 
 ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
 SEAM = 0.1  # m, by which lanes are widened to each side: their edges hardly touch
@@ -38,29 +36,43 @@ class LanePoses(NamedTuple):
 
 
 class StraightRoad:
-    """The lanes of a network as parallel lines, at 0, 1, ... widths to the right of the leftmost one.
+    """The road of a recording, and its lanes as parallel lines, at 0, 1, ... widths to the right of the leftmost one.
 
     On the straight road, x is the distance along the road, y that to the right of the leftmost lane's centre, and
     headings are relative to the lane. Where lanes side by side differ in length, x is scaled to their mean.
 
-    Args:
-        network: of highway-env.
-
     Attributes:
+        axes: of highway-env in the map of the recording.
+        network: of the lanes.
         lanes: all lanes of the network.
         numbers: of each lane, from the left; a lane that follows another one has its number [lanes].
         starts: place along the road at which each lane begins [lanes].
+        scales: of distances along each lane [lanes].
         lane_width: median width of the lanes [m].
+
+    Raises:
+        ValueError: for lanelets that cannot be driven, with the reason.
     """
 
-    def __init__(self, network: RoadNetwork) -> None:
-        self.lanes = [*road_map(network).lanes.values()]
+    def __init__(self, recording: TrafficRecording) -> None:
+        if not recording.lanelets:
+            raise ValueError("there are no lanelets on which cars drive; give a recording of a road")
+        self.axes = Axes.of(recording.lanelets)
+        self.network = network_of(recording.lanelets, self.axes)
+        self.lanes = [*road_map(self.network).lanes.values()]
         found: dict[Lane, tuple[int, float]] = {}
-        for lane in self.lanes:
-            if lane not in found:  # separate roads have no lanes in common, nor next to each other
-                _number(lane, 2 + max((number for number, _ in found.values()), default=-2), self.lanes, found)
+        for first in self.lanes:  # separate roads have no lanes in common, nor next to each other
+            queue = [(first, 2 + max((number for number, _ in found.values()), default=-2), 0.0)]
+            for lane, number, start in queue:
+                if lane not in found:
+                    found[lane] = number, start
+                    queue += [(beside, number + beside.number - lane.number, start) for beside in lane.siblings]
+                    queue += [(after, number, start + _length(lane)) for after in lane.following()]
+                    before = [other for other in self.lanes if lane in other.following()]
+                    queue += [(other, number, start - _length(other)) for other in before]
         numbers, starts = zip(*map(found.__getitem__, self.lanes), strict=True)
         self.numbers, self.starts = np.array(numbers) - min(numbers), np.array(starts)
+        self.scales = np.array([_length(lane) / lane.length for lane in self.lanes])
         self.lane_width = float(np.median([lane.shape.width_at(lane.length / 2) for lane in self.lanes]))
 
     def poses(self, positions: Points, headings: Values) -> LanePoses:
@@ -78,12 +90,10 @@ class StraightRoad:
 
     def states(self, poses: LanePoses, speeds: Values) -> States:
         """Return states x, y, heading and speed on the straight road."""
-        x, y = np.empty_like(speeds), np.empty_like(speeds)
-        for car, (lane, along, aside, _) in enumerate(zip(*poses, strict=True)):
-            own = self.lanes[lane]
-            x[car] = self.starts[lane] + along * _length(own) / own.length
-            y[car] = self.lane_width * (self.numbers[lane] + aside / own.shape.width_at(along))
-        return np.stack([x, y, poses.heading, speeds], axis=-1)
+        lane, along, aside, heading = poses
+        widths = [self.lanes[number].shape.width_at(place) for number, place in zip(lane, along, strict=True)]
+        y = self.lane_width * (self.numbers[lane] + aside / widths)
+        return np.stack([self.starts[lane] + along * self.scales[lane], y, heading, speeds], axis=-1)
 
     def along(self, vehicle: Vehicle) -> float:
         """Return the place of a vehicle along the road [m]."""
@@ -111,46 +121,17 @@ class StraightRoad:
         shape, along = self.lanes[poses.lane[car]].shape, poses.along[car] + step[0]
         return shape.position(along, poses.aside[car] + step[1]), float(wrapped(shape.heading_at(along) + heading))
 
-
-class RecordedMap(NamedTuple):
-    """What the lanelets of a recording make.
-
-    Attributes:
-        axes: of highway-env in the map of the recording.
-        network: of the lanes.
-        straight: the same lanes, straightened.
-    """
-
-    axes: Axes
-    network: RoadNetwork
-    straight: StraightRoad
+    def way(self, track: RecordedTrack) -> tuple[States, Int[np.ndarray, "times"]]:
+        """Return the states of a track on the straight road, and the numbers of the lanes that it was in."""
+        _, x, y, orientations, speeds = track.samples.T
+        poses = self.poses(self.axes.positions(np.stack([x, y], axis=-1)), self.axes.headings(orientations))
+        return self.states(poses, speeds), self.numbers[poses.lane]
 
 
-@lru_cache(KEPT)
-def map_of(recording: TrafficRecording) -> RecordedMap:
-    """Return the map of a recording.
-
-    Raises:
-        ValueError: for lanelets that cannot be driven, with the reason.
-    """
-    if not recording.lanelets:
-        raise ValueError("there are no lanelets on which cars drive; give a recording of a road")
-    axes = Axes.of(recording.lanelets)
-    network = network_of(recording.lanelets, axes)
-    return RecordedMap(axes, network, StraightRoad(network))
+straight_road = lru_cache(KEPT)(StraightRoad)
+"""Return the road of a recording, the same one as long as it is kept."""
 
 
 def _length(lane: Lane) -> float:
     """Return the mean length of a lane and those beside it [m]."""
     return float(np.mean([beside.length for beside in lane.siblings]))
-
-
-def _number(first: Lane, number: int, lanes: list[Lane], found: dict[Lane, tuple[int, float]]) -> None:
-    """Find number and start of a lane and of all lanes that are connected with it."""
-    queue = [(first, number, 0.0)]
-    for lane, number, start in queue:
-        if lane not in found:
-            found[lane] = number, start
-            queue += [(beside, number + beside.number - lane.number, start) for beside in lane.siblings]
-            queue += [(after, number, start + _length(lane)) for after in lane.following()]
-            queue += [(before, number, start - _length(before)) for before in lanes if lane in before.following()]

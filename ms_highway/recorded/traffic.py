@@ -6,12 +6,12 @@ import numpy as np
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from highway_env.vehicle.objects import Obstacle, RoadObject
+from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
-from ms_highway.recorded.straight_road import map_of
+from ms_highway.recorded.straight_road import straight_road
 
 BEYOND = 30.0  # m past the end of the road, where vehicles leave it
 CLEAR = 2.0  # m that have to be free ahead of and behind a vehicle that enters
@@ -51,20 +51,21 @@ class RecordedRoad(Road):
         np_random: for drivers that draw random numbers.
 
     Attributes:
+        vehicle_type: of those who drive by themselves; None, if everybody is replayed. Other road users, such as
+            pedestrians, always are.
         now: the present step of the recording.
         coming: tracks of the vehicles that have not entered yet.
     """
 
-    vehicle_type: ClassVar[type[Vehicle]] = GuidedVehicle
+    vehicle_type: ClassVar[type[Vehicle] | None] = None
     vehicles: list[Any]
 
     def __init__(self, recording: TrafficRecording, begin: int, left_out: int | None, np_random: Any) -> None:
-        self.axes, network, _ = map_of(recording)
-        super().__init__(network, np_random=np_random)
+        road = straight_road(recording)
+        super().__init__(road.network, np_random=np_random)
+        self.axes = road.axes
         self.recording, self.begin, self.now = recording, begin, begin
         self.coming = [track for track in recording.tracks if track.number != left_out and track.last >= begin]
-        for item in recording.obstacles:
-            self.objects.append(sized(Obstacle(self, *self.axes.pose(*item.pose)), item.size))
         self._let_enter()
 
     @property
@@ -77,15 +78,11 @@ class RecordedRoad(Road):
         """The vehicles of the recording, each with its ``track``."""
         return [vehicle for vehicle in self.vehicles if hasattr(vehicle, "track")]
 
-    def replays(self, track: RecordedTrack) -> bool:
-        """Return whether a track is replayed, whatever the ego does."""
-        return True
-
     def act(self) -> None:
         """Let all vehicles decide what to do in the next step."""
         super().act()
         for vehicle in self.others:
-            if self.replays(vehicle.track):
+            if vehicle.replayed:
                 vehicle.coming = self.recorded_state(vehicle.track, self.now + 1)
 
     def step(self, dt: float) -> None:
@@ -96,7 +93,7 @@ class RecordedRoad(Road):
         self.vehicles = [vehicle for vehicle in self.vehicles if not self._has_left(vehicle)]
         self._let_enter()
         for ego in [vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")]:
-            for other in (*self.vehicles, *self.objects):
+            for other in self.vehicles:
                 if other is not ego and overlap(ego, other):
                     ego.crashed = other.crashed = True
 
@@ -108,15 +105,16 @@ class RecordedRoad(Road):
 
     def make(self, track: RecordedTrack) -> Vehicle:
         """Return the vehicle of a track where it enters."""
-        kind = GuidedVehicle if self.replays(track) else self.vehicle_type
+        kind = (track.drives and self.vehicle_type) or GuidedVehicle
         vehicle = sized(kind(self, *self.recorded_state(track, self.begin)), track.size)
         vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = track, False, track.drives
+        vehicle.replayed = not (track.drives and self.vehicle_type)
         return vehicle
 
     def _let_enter(self) -> None:
         for track in self.waiting:
             vehicle = self.make(track)
-            if self.replays(track) or self.now == self.begin or self._is_free_for(vehicle):
+            if vehicle.replayed or self.now == self.begin or self._is_free_for(vehicle):
                 self.vehicles.append(vehicle)
                 self.coming.remove(track)
 
@@ -134,21 +132,13 @@ class RecordedRoad(Road):
         """Return whether a vehicle is past the end of its track, or of the road if it drives by itself."""
         if not hasattr(vehicle, "track"):
             return False
-        if self.replays(vehicle.track):
+        if vehicle.replayed:
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
         return place > vehicle.lane.length + BEYOND and not self.network.graph.get(vehicle.lane_index[1])
 
 
-class DrivenRoad(RecordedRoad):
-    """A road on which vehicles drive by themselves, and other road users, such as pedestrians, are replayed."""
-
-    def replays(self, track: RecordedTrack) -> bool:
-        """Return whether a track is replayed, whatever the ego does."""
-        return not track.drives
-
-
-class IdmRoad(DrivenRoad):
+class IdmRoad(RecordedRoad):
     """A road on which vehicles drive by highway-env's IDM and MOBIL, each at most as fast as it was recorded."""
 
     vehicle_type = IDMVehicle

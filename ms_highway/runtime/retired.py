@@ -24,6 +24,9 @@ OPTIONS = {
     "report --drivers": "irl evaluate prints the tables of predictions, and its --figures DIR draws them",
     "values learn --generated": "name the scenarios to learn in, your own too with --import",
     "values learn --without": "what inputs of learned values are worth is on the results page",
+    "irl evaluate --learn": "give it to irl fit, which says how likely held-out segments are",
+    "irl evaluate --horizon": "give it to irl fit, which says how likely held-out segments are",
+    "irl evaluate --others": f"leave it out, as predictions know nothing of the future; {ON_PAGE}",
     "irl record --driver optimal": MAXENT,
     "irl record --driver mpc": MAXENT,
 }

@@ -11,7 +11,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.game.learned_drivers import RewardTraits
-from ms_highway.game.learned_reward import commuter_traits, commuter_weights, shipped
+from ms_highway.game.learned_reward import commuter_weights, shipped, shipped_drivers
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
 from ms_highway.loop.controller import Controller
@@ -104,7 +104,7 @@ class CommuterVehicle(HumanVehicle):
 
     def __init__(self, *place: Any, traits: RewardTraits | None = None, **options: Any) -> None:
         super().__init__(*place, **options)
-        prior = commuter_traits()
+        prior = shipped_drivers().prior
         if traits is None:
             traits = prior.draw(self.road.np_random, 1.0) if self.road else prior.traits(np.zeros(3), 1.0)
         self.traits = traits

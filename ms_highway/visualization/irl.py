@@ -166,7 +166,7 @@ def _drivers_table(drivers: LearnedDrivers) -> Table:
 
 
 def evaluation_tables(evaluation: Evaluation) -> list[Table]:
-    """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime, and controls."""
+    """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime."""
     rows = [
         {"predicted by": label, "after": f"{horizon} s"}
         | {heading: form.format(row[kind][horizon]) for kind, (heading, form) in COLUMNS.items()}
@@ -174,7 +174,7 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
         for name, label in PREDICTORS.items()
         if horizon in (row := evaluation.predictors[name])["fde"]
     ]
-    title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers, others {evaluation.others}"
+    title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers"
     tables = [grid(title, rows)]
     for kind, label in (("distance", "mean error, m"), ("log_p", "mean log density")):
         for horizon in ("3", "5"):
@@ -184,7 +184,4 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
                 texts = {label: "" if value is None else f"{value:.2f}" for label, value in values.items()}
                 rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
             tables += [grid(f"{label}, after {horizon} s", rows)] if rows else []
-    likely = evaluation.likelihood
-    names = {"model": "learned reward", "constant_velocity": PREDICTORS["constant_velocity"]}
-    rows = [{"predicted by": label, "log p per segment": f"{likely[name]:.2f}"} for name, label in names.items()]
-    return [*tables, grid(f"controls of {likely['windows']:g} segments", rows)]
+    return tables

@@ -10,7 +10,7 @@ import pytest
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.geometry.road_map import road_map
-from ms_highway.recorded.lane_coordinates import fit_curve
+from ms_highway.recorded.network import fits
 from tests.roads import arc, winding
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
@@ -27,7 +27,7 @@ def curve(name):
     if name == "line of a map":
         along = np.arange(0.0, 200.0, 4.0)
         jagged = 0.05 * np.random.default_rng(0).normal(size=along.size)
-        return fit_curve(np.stack([along, 10 * np.sin(along / 40) + jagged], axis=-1))
+        return next(fits(np.stack([along, 10 * np.sin(along / 40) + jagged], axis=-1)))
     env = gym.make("roundabout-v0").unwrapped
     env.reset(seed=0)
     goal = road_map(env.road.network).goal("nxs")

@@ -2,7 +2,6 @@
 
 import gzip
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from recordings import (
     lanelet,
     pedestrian,
     scenario,
-    sign,
     straight,
     two_lanes,
 )
@@ -74,33 +72,9 @@ def test_who_does_not_drive_is_a_neighbour_but_no_driver(tmp_path):
     assert recording.seen.all()
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        (scenario()[:3000], "cannot be read as a CommonRoad scenario .*; fetch it again"),
-        (scenario(lanelets=two_lanes() + lanelet(9, 2e5, straight(0, 9))), "lanelets are more than 100000 m apart"),
-        (scenario(cars=ALONE.replace("<exact>3<", "<exact>9<")), "100: its times do not follow each other"),
-    ],
-)
-def test_bad_files_are_refused_by_name(tmp_path, text, problem):
-    with pytest.raises(ValueError, match=re.escape(str(tmp_path / "scenario_0.xml")) + ".*" + problem):
-        read(tmp_path, text)
-
-
 def test_a_directory_without_scenarios_is_refused_by_name(tmp_path):
     with pytest.raises(ValueError, match=f"{re.escape(str(tmp_path))} holds no CommonRoad scenarios"):
         read_directory(tmp_path)
-
-
-def test_signs_need_the_extra_which_is_named_but_no_protobuf(tmp_path, monkeypatch):
-    signed = scenario(lanelets=two_lanes() + sign(50, ["20"]))
-    for name in [name for name in sys.modules if name.startswith(("commonroad", "google.protobuf"))]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "google.protobuf", None)
-    assert len(read(tmp_path, signed)) == 1
-    monkeypatch.setitem(sys.modules, "commonroad.scenario.traffic_sign", None)
-    with pytest.raises(ImportError, match=re.escape("pip install 'ms-highway[commonroad]'")):
-        read(tmp_path, signed)
 
 
 def test_a_scenario_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):

@@ -101,5 +101,5 @@ def test_recordings_of_which_nothing_can_be_learned_are_refused():
     with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
         cut_segments([recorded(aside)], 5)
     aside[4, 0, 3] = np.nan
-    with pytest.raises(ValueError, match="car 0 at step 4 is not finite"):
+    with pytest.raises(ValueError, match="car 0 is finite at 8 steps, not at two or more on end"):
         recorded(aside)

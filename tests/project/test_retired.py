@@ -17,6 +17,7 @@ from ms_highway.runtime.retired import CONTROLLERS, DRIVERS, OPTIONS
         ("bench road merge --drivers idm priced+traits", "traits"),
         ("sweep merger --processes=2 --out out", "sweep --processes"),
         ("report results --markdown", "report --markdown"),
+        ("irl evaluate --theta us101 --data . --others recorded", "irl evaluate --others"),
         ("irl record --driver mpc --episodes 1 --dataset a/b-v0", "irl record --driver mpc"),
         ("compare merger --controllers ttc:2 --out out", "ttc"),
         ("sweep dense_merge --controllers risk:1+belief --out out", "risk"),

@@ -1,6 +1,5 @@
 """Recorded traffic: of US-101, and of small scenarios written by hand, as an environment."""
 
-import json
 import warnings
 from io import BytesIO
 from itertools import combinations
@@ -9,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from highway_env.road.road import RoadNetwork
 from recordings import (
     SPEED,
     TURN,
@@ -29,8 +27,8 @@ import ms_highway
 from ms_highway.benchmarks.road.recorded import starts_of
 from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.commonroad import read_xml
-from ms_highway.recorded.problem import Task
-from ms_highway.recorded.scenario import GoalRegion, Problem, open_recording
+from ms_highway.recorded.problem import problem_of
+from ms_highway.recorded.scenario import open_recording
 from ms_highway.recorded.traffic import overlap
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -102,27 +100,13 @@ def overlapping(env):
 def poses(env, vehicle):
     """Position in the map, orientation there, and speed of a vehicle."""
     axes = env.axes
-    return *axes.points(vehicle.position), float(axes.orientations(vehicle.heading)), vehicle.speed
+    return *axes.points(vehicle.position), float(axes.headings(vehicle.heading)), vehicle.speed
 
 
 @pytest.fixture(scope="module")
 def us(us101_directory):
     """A function from the short name of a US-101 scenario to its file."""
     return lambda name: us101_directory / f"USA_US101-{name}_T-1.xml.gz"
-
-
-@pytest.fixture(scope="module")
-def stood(us):
-    """Brake to a stop in two episodes on US-101; return the last info, the speeds of others and overlapping cars."""
-    found = {}
-    for traffic in ("replay", "learned"):
-        (env, told), speeds, pairs = begun(us("17_1"), traffic), [], set()
-        for *_, info in steps(env, braking):
-            told = info["recorded"]
-            pairs |= overlapping(env)
-            speeds.append({number: vehicle.speed for number, vehicle in others(env).items()})
-        found[traffic] = told, speeds, pairs, {n for n, one in others(env).items() if one.crashed}
-    return found
 
 
 @pytest.mark.parametrize("action", ["ContinuousAction", "DiscreteAction"])
@@ -148,17 +132,18 @@ def test_in_replay_everybody_is_where_it_was_recorded_at_each_step(us):
     assert len(rows) < len(tracks) > 30
 
 
-def test_who_is_behind_an_ego_that_stands_is_hit_in_replay_and_brakes_in_learned_traffic(stood):
-    (replayed, went, _, (follower,)), (learned, drove, _, unhurt) = stood["replay"], stood["learned"]
-    assert (replayed["collision"], learned["collision"], unhurt) == (True, False, set())
-    assert went[-1][follower] > 10.0
-    assert drove[len(went) - 1][follower] < 0.7 * went[-1][follower]
-    assert drove[-1][follower] < 3.0
-    assert learned["step"] == 80
-
-
-def test_learned_drivers_do_not_drive_through_each_other(stood):
-    assert not stood["learned"][2] - stood["replay"][2]
+@pytest.mark.parametrize("traffic", ["replay", "learned"])
+def test_who_is_behind_an_ego_that_stands_hits_it_in_replay_and_brakes_in_learned_traffic(traffic, us):
+    env, _ = begun(us("17_1"), traffic)
+    *_, (*_, info) = steps(env, braking)
+    told = info["recorded"]
+    assert told["collision"] == (traffic == "replay")
+    if traffic == "learned":
+        assert told["step"] == 80
+        along = {number: env.vehicle.lane.local_coordinates(one.position) for number, one in others(env).items()}
+        own, _ = env.vehicle.lane.local_coordinates(env.vehicle.position)
+        behind = {number: x for number, (x, y) in along.items() if abs(y) < 1.5 and x < own}
+        assert others(env)[max(behind, key=behind.get)].speed < 3.0
 
 
 @pytest.mark.parametrize("traffic", ["learned", "idm"])
@@ -199,22 +184,13 @@ def test_a_car_whose_place_is_taken_waits_and_enters_there_later(traffic, tmp_pa
     np.testing.assert_allclose(env.axes.points(others(env)[102].position), place(20, 0), atol=0.1)
 
 
-@pytest.mark.parametrize("turns", [-2, 0, 1])
-@pytest.mark.parametrize("low", [-0.8, 2 * np.pi - 0.1])
-def test_a_goal_counts_from_its_first_heading_to_the_left_to_its_last_whatever_the_number_of_turns(low, turns):
-    for last in (low + 0.3, low + 0.3 - 2 * np.pi):
-        task = Task(Problem(1, (0.0, 0.0, 0.0, 0.0), 0, (GoalRegion((10, 20), headings=(low, last)),)), (4.5, 1.8))
-        for more, right in ((-0.001, False), (0.001, True), (0.299, True), (0.301, False), (np.pi, False)):
-            assert task.is_reached(15, (5.0, 2.0), low + turns * 2 * np.pi + more, 10.0) == right
-
-
 def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     from commonroad.common.reader.file_reader_xml import XMLFileReader
     from commonroad.scenario.state import CustomState
 
     (theirs,) = XMLFileReader(BytesIO(read_xml(us("29_1")))).open()[1].planning_problem_dict.values()
-    task = Task.of(open_recording(str(us("29_1"))), "problem")
-    (goal,) = task.problem.goals
+    task = problem_of(open_recording(str(us("29_1"))), "problem")
+    (goal,) = task.goals
     rng, found = np.random.default_rng(0), []
     middle = [*goal.area.mean(axis=0), np.mean(goal.headings), np.mean(goal.speeds), 43.0]
     reach = [2.0, 2.0, np.ptp(goal.headings) / 2, np.ptp(goal.speeds) / 2, 6.0]
@@ -307,7 +283,7 @@ CORNER = {
     [
         (CORNER, {"ego": 100}, r"small.xml: lanelet 1 turns too sharply: .* 0\.\d\d m off its own"),
         ({"problems": problem(right=40.0)}, {}, r"small.xml: there is no lanelet under the start, \(39.1, -21.7\)"),
-        ({"lanelets": linked_lanes("opposite")}, {}, r"small.xml: lanelet 1 .* only roads of one direction can be dr"),
+        ({"lanelets": linked_lanes("opposite")}, {}, r"small.xml: lanelet 1 .* only roads of one direction can be"),
         (
             {"cars": CARS + car(103, 5, 0, 1)},
             {"ego": 103},
@@ -354,28 +330,6 @@ def test_lanes_go_on_smoothly_over_joints_and_within_themselves(roads):
         assert max(np.abs(np.diff(lane.curve.heading)).max() for lane in network.lanes_list()) < 0.02
 
 
-def test_lanes_are_as_wide_and_go_where_the_file_says(roads):
-    env, _ = roads
-    lanes = env.road.network.lanes_list()
-    assert len(lanes) == len(env.scenario.lanelets)
-    for piece in env.scenario.lanelets:
-        middles, off = env.axes.positions(piece.centre), []
-        for lane in lanes:
-            x, y = np.array([lane.local_coordinates(point) for point in middles]).T
-            widths = [lane.width_at(along) for along in x] - np.linalg.norm(piece.left - piece.right, axis=-1)
-            beyond = abs(y).max() + max(0, -x.min()) + max(0, x.max() - lane.length)
-            off.append((beyond, abs(widths).max()))
-        assert np.all(np.array(min(off)) <= [0.1, 0.05])
-
-
-def test_networks_are_the_same_after_json(roads):
-    network = roads[1].road.network
-    again = RoadNetwork.from_config(json.loads(json.dumps(network.to_config())))
-    assert again.to_config() == network.to_config()
-    for lane, copy in zip(network.lanes_list(), again.lanes_list(), strict=True):
-        np.testing.assert_array_equal(copy.position(17.3, 0.4), lane.position(17.3, 0.4))
-
-
 @pytest.mark.parametrize("radius", [5, 30, 100])
 @pytest.mark.parametrize("pieces", [1, 3])
 def test_lanes_do_not_cut_curves(radius, pieces, tmp_path):
@@ -400,7 +354,7 @@ def test_the_robot_keeps_appointments_on_us101(name, traffic, us):
     driven.reset(seed=0)
     *_, (*_, info) = steps(driven, lambda _: None)
     env, told = driven.unwrapped, info["recorded"]
-    (goal,) = env.task.problem.goals
+    (goal,) = env.task.goals
     assert env.task.size == (env.vehicle.LENGTH, env.vehicle.WIDTH)
     assert (told["success"], told["collision"], told["off_road"]) == (True, False, False)
     assert info["road"]["success"]

@@ -41,7 +41,7 @@ class Drive:
         env = self._env
         everyone = [env.vehicle, *env.road.others]
         points = env.axes.points([vehicle.position for vehicle in everyone])
-        orientations = env.axes.orientations([vehicle.heading for vehicle in everyone])
+        orientations = env.axes.headings([vehicle.heading for vehicle in everyone])
         for vehicle, (x, y), orientation in zip(everyone, points.tolist(), orientations.tolist(), strict=True):
             number = None if vehicle is env.vehicle else vehicle.track.number
             own = self._ego if number is None else self._others.setdefault(number, [])
@@ -78,7 +78,7 @@ class Drive:
             for (step, x, y, orientation, speed), angle in zip(self._ego, self._steering(), strict=True)
         ]
         own = PlanningProblemSolution(
-            planning_problem_id=self._env.task.problem.number,
+            planning_problem_id=self._env.task.number,
             vehicle_model=VehicleModel.KS,
             vehicle_type=VehicleType.BMW_320i,
             cost_function=CostFunction.JB1,

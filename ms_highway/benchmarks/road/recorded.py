@@ -9,9 +9,8 @@ from ms_highway.benchmarks.road.peers import Peer
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.commonroad import scenario_files
 from ms_highway.recorded.environment import RecordedEnv
-from ms_highway.recorded.learned_traffic import ways_of
 from ms_highway.recorded.scenario import SHIPPED, TrafficRecording, open_recording
-from ms_highway.recorded.straight_road import map_of
+from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import GuidedVehicle
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
@@ -47,7 +46,6 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
 
     Raises:
         ValueError: if there is no recording, or no start in any.
-        ImportError: for traffic signs, without the packages of the extra ``commonroad``.
     """
     recordings = [SHIPPED] if data is None else [str(path) for path in scenario_files(data)]
     starts, seen = [], set[tuple]()
@@ -75,7 +73,8 @@ def _changing(scenario: TrafficRecording) -> list[tuple[int, tuple[float, ...]]]
         samples = track.samples
         if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
             continue
-        places = ways_of(scenario)[track.number].states[[0, -1], 1] / map_of(scenario).straight.lane_width
+        road = straight_road(scenario)
+        places = road.way(track)[0][[0, -1], 1] / road.lane_width
         lanes = np.rint(places)
         if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED and abs(places[1] - places[0]) > CHANGED:
             found.append((track.number, tuple(samples[0, 1:3].round(2).tolist())))
