@@ -30,7 +30,7 @@ from ms_highway.experiments.records import (
     MEASURED,
     by_column,
     check_numbers,
-    count_column,
+
     per_episode,
 )
 from ms_highway.game.scenario import REACHED
@@ -120,11 +120,13 @@ class Batch:
         """
         if not keys:
             raise ValueError("there are no episodes to simulate; give one at least")
-        kinds = [self._kind(name) for name, _ in keys]
-        alike = [[place for place, other in enumerate(kinds) if other == kind] for kind in dict.fromkeys(kinds)]
+        alike: dict[Any, list[int]] = {}
+        for place, (name, _) in enumerate(keys):
+            settings = self.settings(name)
+            anyway = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
+            alike.setdefault((anyway if settings.chooses else None, settings.belief), []).append(place)
         parts = []
-        for places in alike:
-            settings, belief = kinds[places[0]]
+        for (settings, belief), places in alike.items():
             loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
             episodes = self.episodes([keys[place] for place in places])
             if shifts is not None:
@@ -132,18 +134,12 @@ class Batch:
             if errors is not None:
                 episodes = replace(episodes, errors=errors[places])
             parts.append(simulate(loop, episodes, mesh))
-        order = np.argsort(np.concatenate(alike))
+        order = np.argsort(np.concatenate(list(alike.values())))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
     def settings(self, controller: str) -> ControllerSettings:
         """Return the settings of a controller of the comparison, or of an order of its models by any short name."""
         return self.controllers.get(controller) or controller_settings(controller)
-
-    def _kind(self, controller: str) -> tuple[ControllerSettings | None, bool]:
-        """Return what controllers have in common that are simulated together: no rule, or one at any lambda."""
-        settings = self.settings(controller)
-        anyway = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
-        return anyway if settings.chooses else None, settings.belief
 
     def rule(self, settings: ControllerSettings) -> Rule:
         """Return the rule of a controller that chooses models from the ladder.
@@ -180,6 +176,8 @@ class Batch:
         costs = Costs.of([self.costs.get(name, np.nan) for name in self.models], self.humans)
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
+        states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
+        aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
         cells = {
             "scenario": self.scenario,
             "controller": np.array(names, object)[:, None],
@@ -190,15 +188,13 @@ class Batch:
             "collision": records.collision,
             COUNTED: costs.base + np.asarray(costs.each)[records.rungs].sum(axis=2),
             "status": np.array(STATUSES)[records.status],
+            **by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states),
+            **{f"humans_{name}": np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)},
+            "success": (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1),
         }
-        states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
-        cells |= by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states)
-        cells |= {count_column(name): np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)}
-        aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
-        cells["success"] = (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1)
+        columns = [name for name in self.comparison.columns() if name not in MEASURED]
         shape = records.reward.shape
-        table = pd.DataFrame({name: np.broadcast_to(part, shape).ravel() for name, part in cells.items()})
-        return table.reindex(columns=[name for name in self.comparison.columns() if name not in MEASURED])
+        return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
 
     def episodes_table(self, steps: pd.DataFrame) -> pd.DataFrame:
         """Return a row per episode of a table of steps, see `ms_highway.experiments.records.per_episode`.
@@ -232,29 +228,27 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
     configs = [comparison.environment_config(scenario, name) for name in names]
     settings = [read_own(Settings, config) for config in configs]
+    first, kind = settings[0], ENVIRONMENTS[scenario]
     for key, value in (("terminate_on_collision", True), ("beliefs", "true")):
         if configs[0].get(key) == value:
             reason = f"{scenario} is configured with {key} {value!r}, which a simulation does not do"
             raise ValueError(f"{reason}; use `compare`")
-    kind, costs = ENVIRONMENTS[scenario], dict[str, float]()
     if own := [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]:
         reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
         remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
         raise ValueError(f"{reason}; {remedy}")
+    if first.costs == "measured":
+        remedy = "say 'shipped', or give seconds by model" + (SEVERAL if first.humans > 1 else "")
+        raise ValueError(f"costs are 'measured', and a simulation cannot measure plans; {remedy}")
     environment = kind(dict(configs[0]))
-    for one in settings:
-        if one.costs == "measured":
-            remedy = "say 'shipped', or give seconds by model" + (SEVERAL if one.humans > 1 else "")
-            raise ValueError(f"costs are {one.costs!r}, and a simulation cannot measure plans; {remedy}")
-        costs |= one.seconds
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
+    costs = {name: seconds for one in settings for name, seconds in one.seconds.items()}
     used = {name for each in controllers.values() for name in each.names()}
     used |= {Naive.name for each in controllers.values() if each.belief and not each.chooses}
-    used -= {model.name for model in settings[0].models}
-    others = tuple(map(human_model, cheapest_first(used)))
-    order = Order(np.zeros((1, 1), np.int32), settings[0].models)
-    yielding = settings[0].yielding != "usual"
-    loop = Loop(environment.game, order, others, settings[0].way_out, yielding=yielding, chunk=usual_chunk())
+    others = tuple(map(human_model, cheapest_first(used - {model.name for model in first.models})))
+    order = Order(np.zeros((1, 1), np.int32), first.models)
+    yielding = first.yielding != "usual"
+    loop = Loop(environment.game, order, others, first.way_out, yielding=yielding, chunk=usual_chunk())
     batch = Batch(comparison, environment, controllers, costs, loop)
     for each in controllers.values():
         if each.chooses:
@@ -273,8 +267,8 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
         ValueError: for anything unknown or impossible, and for costs that are to be measured.
     """
     tables = []
-    for batch in [make_batch(comparison, scenario) for scenario in comparison.controllers]:
-        names = list(batch.controllers)
+    for scenario, names in comparison.controllers.items():
+        batch = make_batch(comparison, scenario)
         keys = sorted(batch.keys(), key=lambda key: names.index(key[0]))
         tables.append(batch.steps_table(keys, batch.simulate(keys, mesh)))
     return pd.concat(tables, ignore_index=True)

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
 from itertools import islice
@@ -63,9 +64,7 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
             start = f"start some with `dask worker {address}`"
             print(f"ms-highway: waiting for the first worker of {address}; {start}", file=sys.stderr)
             client.wait_for_workers(1)
-        for worker, problem in client.run(set_up, setup, on_error="return").items():
-            if problem is not None:
-                raise ValueError(f"worker {worker} of {address}: {problem}; it needs {setup.versions[0]}")
+        client.run(set_up, setup)
         yield partial(_compute, client, address, setup)
 
 
@@ -78,14 +77,16 @@ def set_up(setup: Setup) -> None:
     """Set this worker up, once.
 
     Raises:
-        ValueError: if it has other versions, JAX has begun with other flags, or a module cannot be imported.
+        ValueError: naming the worker, if it has other versions, JAX has begun with other flags, or a module cannot be
+            imported.
     """
+    worker = f"worker {distributed.get_worker().address}"
     for there, wanted in zip(_versions(), setup.versions, strict=True):
         if there != wanted:
-            raise ValueError(f"{there} is there and {wanted} here; install {wanted} there and start it again")
+            raise ValueError(f"{worker}: {there} is there and {wanted} here; install {wanted} there, start it again")
     if os.environ.get("XLA_FLAGS", "") != setup.xla_flags:
         if jax_has_begun():
-            raise ValueError("JAX has begun there with other XLA_FLAGS, which change the last digits; start it again")
+            raise ValueError(f"{worker}: JAX has begun with other XLA_FLAGS, which change last digits; start it again")
         os.environ["XLA_FLAGS"] = setup.xla_flags
     if setup.keeps_compilations:
         with suppress(OSError):
@@ -94,11 +95,8 @@ def set_up(setup: Setup) -> None:
 
 
 def compute_there(sweep: Sweep, part: int, setup: Setup) -> tuple[int, Tables]:
-    """Compute a part on this worker; return it with its rows."""
-    try:
-        set_up(setup)
-    except ValueError as error:
-        raise ValueError(f"worker {distributed.get_worker().address}: {error}") from error
+    """Compute a part on this worker, which may have come late; return it with its rows."""
+    set_up(setup)
     (done,) = compute_here(sweep, [part])
     return done
 
@@ -114,8 +112,8 @@ def _compute(
     waiting, running = iter(parts), distributed.as_completed(loop=client.loop)
     while True:
         room = max(AHEAD * sum(client.nthreads().values()), 1) - running.count()
-        for part in islice(waiting, max(room, 0)):
-            running.add(client.submit(compute_there, sweep, part, setup, pure=False))
+        for part in islice(waiting, max(room, 0)):  # the copy of the sweep has no batch yet
+            running.add(client.submit(compute_there, replace(sweep), part, setup, pure=False))
         if not running.count():
             return
         try:

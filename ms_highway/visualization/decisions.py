@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.records import gain_column, models_of
+from ms_highway.experiments.records import models_of
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of, styled
 
