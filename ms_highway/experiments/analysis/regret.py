@@ -12,13 +12,8 @@ BEST_PER_START = "best order of each start"
 """Name that `regrets` gives to the best order that was found for every start."""
 
 
-def _meta_reward(episodes: pd.DataFrame, price: float) -> pd.Series:
-    """Return the meta-MDP's reward per step, ``r_R - lambda T(M)``, of each row of a table of episodes."""
-    return episodes["reward"] - price * episodes["counted_seconds"]
-
-
 def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFrame:
-    """Return, by seed, the row of the highest meta-reward, with that in a column ``meta_reward``.
+    """Return, by seed, the row of the highest meta-reward, ``r_R - lambda T(M)`` per step, with that in a column.
 
     It may be that of any controller: its choices are an order of models, too.
 
@@ -28,7 +23,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
         price: lambda [reward per second].
     """
     rows = table.query("seed in @seeds").reset_index()
-    rows["meta_reward"] = _meta_reward(rows, price)
+    rows["meta_reward"] = rows["reward"] - price * rows["counted_seconds"]
     return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
 
 
@@ -50,29 +45,19 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
     Raises:
         KeyError: if a controller was not driven from every start.
     """
-    found = best(table, seeds, price)
-    earned = _meta_reward(table, price).unstack("seed")[list(seeds)].dropna()
-    orders = [name for name in earned.index if controller_config(name)["type"] in fixed_order_types()]
-    names = dict.fromkeys([*controllers, str(earned.loc[orders].mean(axis=1).idxmax())])
+    found, net = best(table, seeds, price), table["reward"] - price * table["counted_seconds"]
+    everywhere = net.unstack("seed")[list(seeds)].dropna().mean(axis=1)
+    kinds = everywhere.index.map(lambda name: controller_config(name)["type"])
+    names = dict.fromkeys([*controllers, str(everywhere[kinds.isin(fixed_order_types())].idxmax())])
+    driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
     rows = []
-    for name in (*names, BEST_PER_START):
-        searched = name == BEST_PER_START
-        own = found if searched else table.loc[[(name, seed) for seed in seeds]].droplevel("controller")
-        net = _meta_reward(own, price)
-        behind = found["meta_reward"] - net
-        low, high = interval(behind)
-        rows.append(
-            {
-                "controller": name,
-                "kind": "search" if searched else controller_config(name)["type"],
-                "reward": own["reward"].mean(),
-                "counted_seconds": own["counted_seconds"].mean(),
-                "meta_reward": net.mean(),
-                "regret": behind.mean(),
-                "regret_low": low,
-                "regret_high": high,
-            }
-        )
+    for name, own in {**driven, BEST_PER_START: found}.items():
+        earned = own["reward"] - price * own["counted_seconds"]
+        behind = found["meta_reward"] - earned
+        row = {"controller": name, "kind": "search" if own is found else controller_config(name)["type"]}
+        row |= own[["reward", "counted_seconds"]].mean()
+        row |= {"meta_reward": earned.mean(), "regret": behind.mean()}
+        rows.append(row | dict(zip(("regret_low", "regret_high"), interval(behind), strict=True)))
     return pd.DataFrame(rows)
 
 
