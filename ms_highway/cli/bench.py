@@ -9,7 +9,7 @@ from ms_highway.cli.console import print_tables, telling
 from ms_highway.cli.options import DEVICES, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from pandas import DataFrame
 
 NOISES = 1e-5, 10.0  # m, what single precision still tells apart, and the most
 STARTS = 24
@@ -93,7 +93,7 @@ def bench(options: argparse.Namespace) -> None:
         write_json(options.json, results)
 
 
-def _speed_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+def _speed_table(scenario: str, measured: Mapping[str, Any]) -> "DataFrame":
     from ms_highway.visualization.tables import grid
 
     rows = []
@@ -110,7 +110,7 @@ def _speed_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
     return grid(f"{scenario}: medians, on one core{batches}", rows)
 
 
-def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "Table":
+def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "DataFrame":
     from ms_highway.visualization.tables import grid
 
     first, rows = next(iter(measured.values())), []

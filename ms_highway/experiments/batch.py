@@ -30,7 +30,6 @@ from ms_highway.experiments.records import (
     MEASURED,
     by_column,
     check_numbers,
-
     per_episode,
 )
 from ms_highway.game.scenario import REACHED

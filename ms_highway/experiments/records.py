@@ -98,7 +98,10 @@ def check_records(records: pd.DataFrame) -> None:
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
     check_numbers(records)
-    for column, known in (("scenario", list(ENVIRONMENTS)), ("model", known_models(filter(is_model, records["model"])))):
+    for column, known in (
+        ("scenario", list(ENVIRONMENTS)),
+        ("model", known_models(filter(is_model, records["model"]))),
+    ):
         for name in set(records[column].dropna()) - {*known}:
             remedy = "if it is your own, --import the module that adds it"
             raise ValueError(f"it holds {column} {name!r}, not one of {', '.join(known)}; {remedy}")

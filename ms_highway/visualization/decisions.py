@@ -33,8 +33,8 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
         upper.set_title(f"{title(first['scenario'])}, {first['controller']}, seed {first['seed']}", fontsize="medium")
         upper.set_yscale("symlog", linthresh=SMALL_GAIN)
         upper.axhline(0, color="black", linewidth=0.8)
-        for name in models_of(episode, gain_column):
-            gains = episode[gain_column(name)]
+        for name in models_of(episode, "gain"):
+            gains = episode[f"gain_{name}"]
             (line,) = upper.plot(steps, gains, "o-", color=color_of(name), markersize=4, linewidth=0.8)
             if gains.notna().any():
                 legend[f"gain of switching to {name}"] = line

@@ -195,8 +195,10 @@ def run_blocks(
 
 def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[dict[str, Any]]:
     episodes = [run_episode(block, seed) for seed in seeds]
+    if films is None:
+        return episodes
     firsts = {episode["success"]: episode["seed"] for episode in reversed(episodes)}
-    for succeeds, seed in firsts.items() if films else ():
+    for succeeds, seed in firsts.items():
         outcome = "success" if succeeds else "failure"
         film(block, seed, films / file_name(f"{block.scene}_{block.driver}_{outcome}_{block.name(seed)}.gif"))
     return episodes

@@ -148,9 +148,7 @@ class Idm(Peer):
         ego: Any = replace_ego(
             self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
         )
-        ego.target_speeds = np.array(
-            self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS)
-        )
+        ego.target_speeds = np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
         ego.route, ego.decisions = route_to_goal(self.inner), self.decisions
 
     def choose(self) -> Any:
