@@ -22,8 +22,8 @@ from ms_highway.cli.options import MOST_SEEDS
 
 STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
 OTHERS = (
-    "idm, highway-env's (default); aggressive, its aggressive drivers; or commuter, learned ones; in recordings: learned "
-    "(default), replay or idm"
+    "idm, highway-env's (default); aggressive, its aggressive drivers; or commuter, learned ones; in recordings: "
+    "learned (default), replay or idm"
 )
 
 

@@ -43,8 +43,8 @@ def sweep(options: argparse.Namespace) -> None:
     there: keep it inside your own network.
 
     Memory is bounded. Every device compiles its own program, which takes about half a GB, and they compute one part at
-    a time, which takes 25 kB for each episode of --part. The summary at the end reads 0.1 kB for each episode. Needs the
-    extra "sweep".
+    a time, which takes 25 kB for each episode of --part. The summary at the end reads 0.1 kB for each episode. Needs
+    the extra "sweep".
 
     Examples:
       ms-highway sweep merger --seeds 10000 --lambdas 0.001:10:25 --out results/sweep

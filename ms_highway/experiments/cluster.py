@@ -64,7 +64,9 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
             start = f"start some with `dask worker {address}`"
             print(f"ms-highway: waiting for the first worker of {address}; {start}", file=sys.stderr)
             client.wait_for_workers(1)
-        client.run(set_up, setup)
+        for worker, problem in client.run(set_up, setup, on_error="return").items():
+            if problem is not None:
+                raise ValueError(f"worker {worker} of {address}: {problem}; it needs {setup.versions[0]}")
         yield partial(_compute, client, address, setup)
 
 
@@ -77,16 +79,14 @@ def set_up(setup: Setup) -> None:
     """Set this worker up, once.
 
     Raises:
-        ValueError: naming the worker, if it has other versions, JAX has begun with other flags, or a module cannot be
-            imported.
+        ValueError: if it has other versions, JAX has begun with other flags, or a module cannot be imported.
     """
-    worker = f"worker {distributed.get_worker().address}"
     for there, wanted in zip(_versions(), setup.versions, strict=True):
         if there != wanted:
-            raise ValueError(f"{worker}: {there} is there and {wanted} here; install {wanted} there, start it again")
+            raise ValueError(f"{there} is there and {wanted} here; install {wanted} there and start it again")
     if os.environ.get("XLA_FLAGS", "") != setup.xla_flags:
         if jax_has_begun():
-            raise ValueError(f"{worker}: JAX has begun with other XLA_FLAGS, which change last digits; start it again")
+            raise ValueError("JAX has begun there with other XLA_FLAGS, which change the last digits; start it again")
         os.environ["XLA_FLAGS"] = setup.xla_flags
     if setup.keeps_compilations:
         with suppress(OSError):

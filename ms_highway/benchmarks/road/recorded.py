@@ -90,7 +90,7 @@ class Human(Peer):
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
             raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
-        self._track = env.scenario.track(env.task.track)
+        self._track: Any = env.scenario.track(env.task.track)
         replace_ego(env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
 
     def choose(self) -> Any:

@@ -173,7 +173,8 @@ class Driving:
             later = steps if course.several else random.integers(1, steps // 2, number)
             takes_over = np.where(random.random(number) < 0.5, 0, later)
             orders[np.arange(steps) >= takes_over[:, None]] = DECIDES
-        prices = np.exp(random.uniform(*np.log(self.prices), number))  # their logarithms are uniform
+        least, most = np.log(self.prices)
+        prices = np.exp(random.uniform(least, most, number))
         after = self.drive(starts, weights, orders, prices).states
         states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
         finite = np.isfinite(states).all(axis=(1, 2, 3))
