@@ -15,7 +15,7 @@ import numpy as np
 
 from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.batch import make_batch
-from ms_highway.experiments.comparison import Comparison, episode_steps
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT
 from ms_highway.loop.devices import use_devices
 from ms_highway.runtime.jax_settings import high_throughput, own_process
@@ -52,8 +52,6 @@ def steadiness(
     Raises:
         ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
     """
-    if (steps := episode_steps(scenario, comparison.config)) < AFTER[-1]:
-        raise ValueError(f"episodes of {scenario} have {steps} steps; make their duration {AFTER[-1]} steps at least")
     seeds = [comparison.first_seed, comparison.seeds]
     with own_process(high_throughput, modules) as process:
         for controller in comparison.controllers[scenario]:
@@ -89,6 +87,9 @@ def changes(
           round; None where the scenario does not define success.
     """
     batch = make_batch(comparison, scenario)
+    if batch.steps < AFTER[-1]:
+        said = f"episodes of {scenario} have {batch.steps} steps"
+        raise ValueError(f"{said}; make their duration {AFTER[-1]} steps at least")
     seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
     shape = (*([batch.steps + 1] if seen else []), 1 + batch.humans, 4)
     # from other numbers than the starts, which are drawn by the seed alone

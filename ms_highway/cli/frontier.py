@@ -33,9 +33,8 @@ def frontier(options: argparse.Namespace) -> None:
     between it and what a controller earns is the controller's regret. The models that switching chose in an episode are
     one of the orders that are tried, and so are those of any other of --controllers.
 
-    The tables show the fixed models; the best of the orders that were tried from every start; other --controllers; and
-    switching, with the lambda that is the price, with the best of --lambdas for each scenario and with the best one for
-    all scenarios together; likewise other controllers that have a lambda. --prices are the lambdas of the meta-reward,
+    The tables show, by their regret, the fixed models; the best of the orders that were tried from every start; other
+    --controllers; and switching with the best of --lambdas, likewise other controllers that have a lambda. --prices are the lambdas of the meta-reward,
     which judges; --lambdas are those that switching decides with, and need not be a price. Whatever is best is chosen
     on the same starts that it is judged by. Everything is simulated, and nothing timed.
 

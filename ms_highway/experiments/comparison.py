@@ -82,17 +82,6 @@ class Comparison:
         return columns(rungs, above)
 
 
-def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
-    """Return the number of steps in an episode of a scenario that nothing ends early.
-
-    Raises:
-        ValueError: for an unknown scenario or an impossible configuration.
-    """
-    environment_id(scenario)
-    whole = ENVIRONMENTS[scenario].checked_config({**config, "controller": controller_config("naive")})
-    return round(whole["duration"] * whole["policy_frequency"])
-
-
 def paper_controllers(scenario: str) -> list[str]:
     """Return the controllers that are compared by default: every rung, then switching at both lambdas.
 

@@ -61,9 +61,10 @@ def run(
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
         asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-        measured = comparison.environment_config(scenario, "naive")["costs"] == "measured"
-        if measured and scenario not in settings["measured"]:
-            settings["measured"][scenario] = measured_seconds(scenario, comparison)
+        env: Any = make_environment(scenario, "naive", **comparison.config).unwrapped
+        if env.settings.costs == "measured" and scenario not in settings["measured"]:
+            env.measure()
+            settings["measured"][scenario] = env.seconds
     results.write_settings(settings)
     there, wanted = {*records[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
     missing = [key for key in wanted if key not in there]
@@ -172,13 +173,6 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
     """
     whole = {**config, "controller": controller_config(controller)}
     return gym.make(environment_id(scenario), render_mode="rgb_array" if render else None, config=whole)
-
-
-def measured_seconds(scenario: str, comparison: Comparison) -> dict[str, float]:
-    """Measure T(M) of a scenario's ladder on this machine; return it by model [s]."""
-    env: Any = make_environment(scenario, "naive", **comparison.config).unwrapped
-    env.measure()
-    return env.seconds
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:

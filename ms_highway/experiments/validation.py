@@ -39,11 +39,9 @@ def validate(directory: Path) -> dict[str, Any]:
     """Check every reference file of a directory: ``{"files": {NAME: ...}}``, see `validate_file`.
 
     Raises:
-        FileNotFoundError: if there is no such directory or no ``*.npz`` in it.
+        FileNotFoundError: if there is no ``*.npz`` there.
         ValueError: for a file that is no reference file.
     """
-    if not directory.is_dir():
-        raise FileNotFoundError(f"there is no directory {directory}; name the one that holds the reference episodes")
     files = sorted(directory.glob("*.npz"))
     if not files:
         raise FileNotFoundError(f"no reference episodes (*.npz) in {directory}; name the directory that holds them")

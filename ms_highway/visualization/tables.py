@@ -6,13 +6,12 @@ from typing import Any
 
 import pandas as pd
 
-from ms_highway.experiments.analysis.regret import remarks
+from ms_highway.envs.registry import priced_types
 
 NAME_WIDTH = 32  # characters, to which longer names are shortened in print
 
 REGRETS = {
     "controller": "{controller}",
-    "": "{remark}",
     "reward": "{reward:.2f}",
     "counted ms": "{counted_ms}",
     "meta-reward": "{meta_reward:.3f}",
@@ -68,17 +67,16 @@ def two_digits(value: float) -> str | None:
 
 
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
-    """Return regrets per step in one scenario, a table per price, of the controllers that `remarks` selects.
+    """Return regrets per step in one scenario, a table per price; of controllers with a lambda, the best of each kind.
 
     Args:
         behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
     """
     tables = []
-    for price, rows in behind.groupby("price", sort=False):
-        said = remarks(rows, scenario, price)
-        own = rows.query("scenario == @scenario and controller in @said")
-        own = own.assign(counted_ms=(1e3 * own["counted_seconds"]).map(two_digits), remark=own["controller"].map(said))
-        title = f"{scenario}, a second of planning costs {price:g}"
-        tables.append(grid(title, texts(REGRETS, own.to_dict("records")), 2))
+    for price, rows in behind.query("scenario == @scenario").groupby("price", sort=False):
+        ranked = rows.assign(counted_ms=(1e3 * rows["counted_seconds"]).map(two_digits)).sort_values("regret")
+        shown = ranked[~(ranked["kind"].isin(priced_types()) & ranked.duplicated("kind"))]
+        title = f"{scenario}, a second of planning costs {price:g}; of each kind with a lambda, the best"
+        tables.append(grid(title, texts(REGRETS, shown.to_dict("records"))))
     return tables

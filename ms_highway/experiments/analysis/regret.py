@@ -1,11 +1,10 @@
 """Compute regret: how far controllers stay behind the best order of models that is known for every start."""
 
 from collections.abc import Sequence
-from math import isclose
 
 import pandas as pd
 
-from ms_highway.envs.registry import controller_config, fixed_order_types, priced_types
+from ms_highway.envs.registry import controller_config, fixed_order_types
 from ms_highway.experiments.analysis.summary import interval
 
 BEST_PER_START = "best order of each start"
@@ -59,27 +58,3 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
         row |= {"meta_reward": earned.mean(), "regret": behind.mean()}
         rows.append(row | dict(zip(("regret_low", "regret_high"), interval(behind), strict=True)))
     return pd.DataFrame(rows)
-
-
-def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]:
-    """Select the controllers of a scenario that a table shows; return what is said of each.
-
-    Of controllers that have a lambda, these are of each kind the one whose lambda is the price, the one with the best
-    lambda for the scenario, and the one with the best lambda that all scenarios have in common.
-
-    Args:
-        behind: rows of `regrets` at one price, of all scenarios, with columns ``controller`` and ``scenario``.
-        scenario: its name.
-        price: at which they are judged.
-    """
-    own = behind.query("scenario == @scenario").set_index("controller")
-    priced, fixed = (own["kind"].isin(kinds) for kinds in (priced_types(), fixed_order_types()))
-    everywhere = behind.groupby("controller")["regret"].mean()
-    marks = [(own.loc[fixed, "regret"].idxmin(), "best for all starts")]
-    for _, rows in own[priced].groupby("kind"):
-        marks += [(name, "lambda = price") for name in rows.index if isclose(controller_config(name)["lambda"], price)]
-        marks += [(rows["regret"].idxmin(), "best lambda"), (everywhere[rows.index].idxmin(), "best common lambda")]
-    said: dict[str, list[str]] = {name: [] for name in own.index[~priced]}
-    for name, text in marks:
-        said.setdefault(name, []).append(text)
-    return {name: ", ".join(said[name]) for name in own.index if name in said}
