@@ -20,7 +20,7 @@ Lane: TypeAlias = tuple[str, str, int] | None
 
 
 def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict[str, Any]:
-    """Return how a car moved: numbers of an `ms_highway.benchmarks.road.episodes.Episode`, by name.
+    """Return how a car moved: numbers by name.
 
     The acceleration of a frame is the larger of two: the change of ``speed * (cos(heading), sin(heading))``, and
     ``hypot(change of speed, speed * change of heading)``, both per second. That of the centre is the change of the
