@@ -34,9 +34,10 @@ def frontier(options: argparse.Namespace) -> None:
     one of the orders that are tried, and so are those of any other of --controllers.
 
     The tables show, by their regret, the fixed models; the best of the orders that were tried from every start; other
-    --controllers; and switching with the best of --lambdas, likewise other controllers that have a lambda. --prices are the lambdas of the meta-reward,
-    which judges; --lambdas are those that switching decides with, and need not be a price. Whatever is best is chosen
-    on the same starts that it is judged by. Everything is simulated, and nothing timed.
+    --controllers; and switching with the best of --lambdas, likewise other controllers that have a lambda. --prices are
+    the lambdas of the meta-reward, which judges; --lambdas are those that switching decides with, and need not be a
+    price. Whatever is best is chosen on the same starts that it is judged by. Everything is simulated, and nothing
+    timed.
 
     Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
     start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all

@@ -106,6 +106,7 @@ def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
     Raises:
         ValueError: if it cannot be simulated, or what is there cannot be read.
     """
+    sweep.keys(0)  # refuses what cannot be simulated before anything is written
     number = len(sweep.read())
     yield number
     for part, tables in compute(sweep, [part for part in sweep.parts if not sweep.file(part).exists()]):
