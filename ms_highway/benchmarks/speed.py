@@ -106,8 +106,9 @@ def one_core() -> Iterator[None]:
 
 def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict[str, Any]:
     """Time batches of a comparison's episodes, after one of a chunk on every device, which may compile."""
-    batch, mesh = make_batch(comparison, scenario), use_devices(devices)
-    keys, used = batch.keys(), mesh.devices
+    mesh = use_devices(devices)  # before JAX begins to compute
+    batch, used = make_batch(comparison, scenario), mesh.devices
+    keys = batch.keys()
     first = timed(batch.simulate, keys[: batch.loop.together * used.size], mesh)[1]
     rates, memory = {}, {}
     for size in sizes:

@@ -86,6 +86,7 @@ def changes(
         * ``success_changes``: the share of the episodes that succeed with noise and not without, or the other way
           round; None where the scenario does not define success.
     """
+    mesh = use_devices(devices)  # before JAX begins to compute
     batch = make_batch(comparison, scenario)
     if batch.steps < AFTER[-1]:
         said = f"episodes of {scenario} have {batch.steps} steps"
@@ -97,7 +98,7 @@ def changes(
     sizes = [0.0, *noises]
     keys = [(controller, seed) for seed in seeds] * len(sizes)
     noise = np.concatenate([size * np.array(draws) for size in sizes])
-    records = batch.simulate(keys, use_devices(devices), **{"errors" if seen else "shifts": noise})
+    records = batch.simulate(keys, mesh, **{"errors" if seen else "shifts": noise})
     paths = np.asarray(records.states, float)[:, : AFTER[-1], 0, :2].reshape(len(sizes), len(seeds), AFTER[-1], 2)
     episodes = batch.episodes_table(batch.steps_table(keys, records))
     without = episodes[: len(seeds)]

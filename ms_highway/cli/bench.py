@@ -59,7 +59,7 @@ def bench(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.speed import speed
     from ms_highway.benchmarks.steadiness import steadiness
     from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
-    from ms_highway.experiments.comparison import Comparison, paper_controllers
+    from ms_highway.experiments.comparison import Comparison
     from ms_highway.planning.human_models import rung_names
     from ms_highway.runtime.files import write_json
 
@@ -73,8 +73,8 @@ def bench(options: argparse.Namespace) -> None:
     for scenario in options.scenarios or PAPER_SCENARIOS:
         environment_id(scenario)  # refuses unknown ones before anything is measured
         rungs = rung_names(config.get("ladder", SCENARIOS[scenario].ladder))
-        switching = [] if options.noise else paper_controllers(scenario)
-        asked[scenario] = options.controllers or list(dict.fromkeys([*rungs, *switching]))
+        switching = [] if options.noise else [f"switching:{price:g}" for price in SCENARIOS[scenario].prices]
+        asked[scenario] = options.controllers or [*rungs, *switching]
     comparison = Comparison(asked, options.seeds or STARTS, options.seed or 0, config)
     results: dict[str, dict[str, Any]] = {scenario: {} for scenario in asked}
     with telling() as tell:

@@ -135,4 +135,5 @@ def test_the_speed_of_environment_and_batches_is_measured(monkeypatch):
     assert 0 < result["step_us"] < 1e6
     assert result["environment"] > 1
     assert result["batch"]["20"] > result["batch"]["1"] > 1
+    assert result["devices"].endswith(" of kind cpu")
     assert result["memory_mib"]["20"] >= result["memory_mib"]["1"] > 100
