@@ -12,14 +12,12 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.batch import make_batch
-from ms_highway.experiments.comparison import Comparison, episode_steps
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.scenario import SPEED_LIMIT
 from ms_highway.loop.devices import use_devices
-from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.jax_settings import high_throughput, own_process
 
 AFTER = 1, 5, 10, 20
@@ -54,12 +52,11 @@ def steadiness(
     Raises:
         ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
     """
-    if (steps := episode_steps(scenario, comparison.config)) < AFTER[-1]:
-        raise ValueError(f"episodes of {scenario} have {steps} steps; make their duration {AFTER[-1]} steps at least")
+    seeds = [comparison.first_seed, comparison.seeds]
     with own_process(high_throughput, modules) as process:
         for controller in comparison.controllers[scenario]:
             noise = process.submit(changes, comparison, scenario, controller, noises, devices, seen).result()
-            yield controller, {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen, "noise": noise}
+            yield controller, {"seeds": seeds, "seen": seen, "noise": noise}
 
 
 def changes(
@@ -72,15 +69,8 @@ def changes(
 ) -> dict[str, dict[str, Any]]:
     """Drive a controller's episodes as drawn and with noise, all in one batch, and compare them start by start.
 
-    The noise of an episode is the same for all controllers, and in proportion for all standard deviations.
-
-    Args:
-        comparison: seeds and configuration.
-        scenario: one of its scenarios.
-        controller: one of its controllers there.
-        noises: standard deviations s [m], see this module.
-        devices: how many to use, see `ms_highway.loop.devices.use_devices`.
-        seen: whether the noise is in what the robot sees, rather than in the start.
+    The noise of an episode is the same for all controllers, and in proportion for all standard deviations. Arguments
+    are those of `steadiness`.
 
     Returns:
         By noise, for JSON:
@@ -96,44 +86,40 @@ def changes(
         * ``success_changes``: the share of the episodes that succeed with noise and not without, or the other way
           round; None where the scenario does not define success.
     """
+    mesh = use_devices(devices)  # before JAX begins to compute
     batch = make_batch(comparison, scenario)
+    if batch.steps < AFTER[-1]:
+        said = f"episodes of {scenario} have {batch.steps} steps"
+        raise ValueError(f"{said}; make their duration {AFTER[-1]} steps at least")
     seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
-    keys = [(controller, seed) for seed in seeds]
-    steps = (batch.steps + 1,) if seen else ()
-    noise = np.array([_noise(seed, (*steps, 1 + batch.humans)) for seed in seeds])
-    sizes = (0.0, *noises)
-    all_keys, noisy = keys * len(sizes), np.concatenate([size * noise for size in sizes])
-    records = batch.simulate(all_keys, use_devices(devices), **{"errors" if seen else "shifts": noisy})
-    paths = np.split(np.asarray(records.states, float)[:, : AFTER[-1], 0, :2], len(sizes))
-    episodes = batch.episodes_table(batch.steps_table(all_keys, records))
-    tables = episodes.groupby(np.repeat(np.arange(len(sizes)), len(keys)))
-    before, *after = [table.reset_index(drop=True) for _, table in tables]
-    return {
-        str(size): {**_of_path(np.linalg.norm(path - paths[0], axis=-1)), **_of_outcome(before, own)}
-        for size, path, own in zip(noises, paths[1:], after, strict=True)
-    }
-
-
-def _noise(seed: int, shape: tuple[int, ...]) -> Array:
-    """Draw the noise of an episode for s = 1 m, of cars or of steps and cars, from other numbers than its start."""
-    return np.random.default_rng([seed, len(shape)]).normal(scale=NOISE_OF_A_METRE, size=(*shape, 4))
-
-
-def _of_path(distances: Array) -> dict[str, Any]:
-    """Return the figures of the path from distances [starts, steps]."""
-    medians, high = np.quantile(distances, (0.5, 0.95), axis=0)
-    slope = np.polyfit(np.arange(len(medians)), np.log(np.maximum(medians, RESOLUTION)), 1)[0]
-    change = {str(step): {"p50": float(medians[step - 1]), "p95": float(high[step - 1])} for step in AFTER}
-    return {"change_m": change, "growth": float(np.exp(slope))}
-
-
-def _of_outcome(before: pd.DataFrame, after: pd.DataFrame) -> dict[str, Any]:
-    """Return the figures of reward, collisions and success from tables of the same starts."""
-    gained = after["reward"] - before["reward"]
-    low, high = map(float, interval(gained))
-    succeeds = "success" in before
-    return {
-        "reward": {"mean": float(gained.mean()), "low": low, "high": high, "absolute": float(gained.abs().mean())},
-        "collisions": [int((table["collisions"] > 0).sum()) for table in (before, after)],
-        "success_changes": float((after["success"] != before["success"]).mean()) if succeeds else None,
-    }
+    shape = (*([batch.steps + 1] if seen else []), 1 + batch.humans, 4)
+    # from other numbers than the starts, which are drawn by the seed alone
+    draws = [np.random.default_rng([seed, len(shape) - 1]).normal(scale=NOISE_OF_A_METRE, size=shape) for seed in seeds]
+    sizes = [0.0, *noises]
+    keys = [(controller, seed) for seed in seeds] * len(sizes)
+    noise = np.concatenate([size * np.array(draws) for size in sizes])
+    records = batch.simulate(keys, mesh, **{"errors" if seen else "shifts": noise})
+    paths = np.asarray(records.states, float)[:, : AFTER[-1], 0, :2].reshape(len(sizes), len(seeds), AFTER[-1], 2)
+    episodes = batch.episodes_table(batch.steps_table(keys, records))
+    without = episodes[: len(seeds)]
+    found = {}
+    for place, size in enumerate(noises, 1):
+        own = episodes[place * len(seeds) :][: len(seeds)].reset_index(drop=True)
+        medians, high = np.quantile(np.linalg.norm(paths[place] - paths[0], axis=-1), (0.5, 0.95), axis=0)
+        slope = np.polyfit(np.arange(AFTER[-1]), np.log(np.maximum(medians, RESOLUTION)), 1)[0]
+        gained = own["reward"] - without["reward"]
+        low, high_end = interval(gained)
+        changed = own["success"] != without["success"] if "success" in own else None
+        found[str(size)] = {
+            "change_m": {str(step): {"p50": float(medians[step - 1]), "p95": float(high[step - 1])} for step in AFTER},
+            "growth": float(np.exp(slope)),
+            "reward": {
+                "mean": float(gained.mean()),
+                "low": float(low),
+                "high": float(high_end),
+                "absolute": float(gained.abs().mean()),
+            },
+            "collisions": [int((table["collisions"] > 0).sum()) for table in (without, own)],
+            "success_changes": None if changed is None else float(changed.mean()),
+        }
+    return found

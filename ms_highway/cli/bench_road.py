@@ -22,8 +22,8 @@ from ms_highway.cli.options import MOST_SEEDS
 
 STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
 OTHERS = (
-    "idm, highway-env's (default); aggressive, its aggressive drivers; commuter, learned ones; or unyielding, IDM that "
-    "never yields to the ego; in recordings: learned (default), replay or idm"
+    "idm, highway-env's (default); aggressive, its aggressive drivers; or commuter, learned ones; in recordings: "
+    "learned (default), replay or idm"
 )
 
 
@@ -58,10 +58,9 @@ def bench_road(options: argparse.Namespace) -> None:
 
     Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
     +intentions (such as priced+intentions), other cars show which way they take, as by indicators: their true routes,
-    where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; idle, which keeps speed and
-    lane; random, which chooses the environment's actions by chance; or the file of an agent that stable-baselines3 has
-    saved (it has to be installed), such as notebooks/examples/train_peers.py writes: open only files that you trust, as
-    they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
+    where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; or the file of an agent that
+    stable-baselines3 has saved (it has to be installed), such as notebooks/examples/train_peers.py writes: open only
+    files that you trust, as they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
 
     The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
     with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where
@@ -83,10 +82,9 @@ def bench_road(options: argparse.Namespace) -> None:
     """
     import pandas as pd
 
-    from ms_highway.benchmarks.road.blocks import run_blocks
-    from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, summary
+    from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, run_blocks, summary
     from ms_highway.benchmarks.road.recorded import RecordedStart, starts_of
-    from ms_highway.cli.results_directory import save_figures, write_table
+    from ms_highway.cli.results_directory import save_figure, write_table
     from ms_highway.road.constants import MODELS
     from ms_highway.road.driver import SHIPPED_COSTS
     from ms_highway.runtime.files import write_json
@@ -129,7 +127,7 @@ def bench_road(options: argparse.Namespace) -> None:
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
         print_tables(driver_table(heading, figures))
     if options.figure:
-        save_figures({options.figure.stem: success_figure(results)}, options.figure.parent, options.figure.suffix[1:])
+        save_figure(success_figure(results), options.figure)
 
 
 def _check_recorded(options: argparse.Namespace, scenes: list[str], drivers: list[str]) -> None:

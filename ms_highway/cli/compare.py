@@ -57,10 +57,10 @@ def compare(options: argparse.Namespace) -> None:
       ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
       ms-highway compare merger --set yielding=never --controllers tom tom+belief --out results/never
     """
-    from ms_highway.cli.results_directory import own_results, save_figures, write_table
+    from ms_highway.cli.results_directory import own_results, save_figure, write_table
     from ms_highway.experiments.analysis.summary import summary
     from ms_highway.experiments.results import read_results
-    from ms_highway.experiments.runner import collect, drive, only
+    from ms_highway.experiments.runner import only, run
     from ms_highway.visualization.comparison import table
     from ms_highway.visualization.figures import CAPTIONS, figures
 
@@ -68,12 +68,12 @@ def compare(options: argparse.Namespace) -> None:
     if not options.controllers:
         asked = _with_learned(asked)
     with own_results(options) as record:
-        counts, wanted = drive(asked, options.out, 2, options.modules), len(list(asked.episodes()))
+        counts, wanted = run(asked, options.out, 2, options.modules), len(list(asked.episodes()))
         already = next(counts)
         if already < wanted:
             record()
         count_episodes(counts, already, wanted)
-        results = read_results(options.out, collect(options.out))  # of this command and of those before
+        results = read_results(options.out)  # of this command and of those before
         own = summary(only(asked, results.records))
         print_tables(*(table(own, scenario) for scenario in asked.controllers))
         write_table(results.summaries, options.out / "summary.csv")
@@ -83,8 +83,8 @@ def compare(options: argparse.Namespace) -> None:
                 file = options.out / f"{scenario}_{name}.{kind}"
                 if name not in found or not results.is_current(file):
                     file.unlink(missing_ok=True)
-            drawn = {f"{scenario}_{name}": draw() for name, draw in found.items()}
-            save_figures(drawn, options.out, options.format)
+            for name, draw in found.items():
+                save_figure(draw(), options.out / f"{scenario}_{name}.{options.format}")
     say(f"results are in {options.out}")
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from ms_highway.cli.command import PAGE_WIDTH
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
     from rich.progress import Progress
-    from rich.table import Table
 
 
 @contextmanager
@@ -43,16 +43,12 @@ def warn(message: object) -> None:
     print(f"ms-highway: {message}", file=sys.stderr)
 
 
-def print_tables(*tables: "Table") -> None:
+def print_tables(*tables: "DataFrame") -> None:
     """Print tables, no wider than the terminal or COLUMNS, and where there is neither, than a page."""
-    from rich.console import Console
+    from ms_highway.visualization.tables import printed
 
-    from ms_highway.visualization.tables import fitting
-
-    console = Console(width=get_terminal_size((PAGE_WIDTH, 0)).columns)
-    with console.capture() as printed:  # or else rich would end the process where nobody reads
-        console.print(*(part for table in tables for part in fitting(table, console.width)), sep="\n")
-    say(printed.get())
+    width = get_terminal_size((PAGE_WIDTH, 0)).columns
+    say("\n".join(printed(table, width) for table in tables))
 
 
 def count_episodes(counts: Iterable[int], already: int, total: int) -> int:

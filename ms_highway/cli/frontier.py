@@ -33,12 +33,11 @@ def frontier(options: argparse.Namespace) -> None:
     between it and what a controller earns is the controller's regret. The models that switching chose in an episode are
     one of the orders that are tried, and so are those of any other of --controllers.
 
-    The tables show the fixed models; the best of the orders that were tried from every start; other --controllers; and
-    switching, with the lambda that is the price, with the best of --lambdas for each scenario and with the best one for
-    all scenarios together; likewise other controllers that have a lambda. --prices are the lambdas of the meta-reward,
-    which judges; --lambdas are those that switching decides with, and need not be a price. Whatever is best is chosen
-    on the same starts that it is judged by. Everything is simulated, and nothing timed. More than three prices take
-    turns in the rounds of the search, so that they cost little more.
+    The tables show, by their regret, the fixed models; the best of the orders that were tried from every start; other
+    --controllers; and switching with the best of --lambdas, likewise other controllers that have a lambda. --prices are
+    the lambdas of the meta-reward, which judges; --lambdas are those that switching decides with, and need not be a
+    price. Whatever is best is chosen on the same starts that it is judged by. Everything is simulated, and nothing
+    timed.
 
     Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
     start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
@@ -54,7 +53,7 @@ def frontier(options: argparse.Namespace) -> None:
     """
     import pandas as pd
 
-    from ms_highway.cli.results_directory import own_results, save_figures, write_table
+    from ms_highway.cli.results_directory import own_results, save_figure, write_table
     from ms_highway.experiments.analysis.regret import best, regrets
     from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.frontier import Outcomes, search
@@ -86,7 +85,7 @@ def frontier(options: argparse.Namespace) -> None:
                 behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
             write_table(orders, out / "orders.csv")
             write_table(behind, out / "regrets.csv")
-            save_figures({f"{scenario}_frontier": frontier(behind, scenario, options.seeds)}, out, options.format)
+            save_figure(frontier(behind, scenario, options.seeds), out / f"{scenario}_frontier.{options.format}")
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")

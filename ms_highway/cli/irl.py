@@ -89,7 +89,7 @@ def evaluate(options: argparse.Namespace) -> None:
     """
     import msgspec
 
-    from ms_highway.cli.results_directory import save_figures
+    from ms_highway.cli.results_directory import save_figure
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
     from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
@@ -106,7 +106,8 @@ def evaluate(options: argparse.Namespace) -> None:
             figures = evaluation_figures(found)
             if learned:
                 figures["paths"] = paths_figure(recordings, learned)
-            save_figures(figures, options.figures, options.format)
+            for name, figure in figures.items():
+                save_figure(figure, options.figures / f"{name}.{options.format}")
     if options.json:
         say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
     else:

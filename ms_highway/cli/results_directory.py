@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import warn
 from ms_highway.experiments.directory import ResultsDirectory
-from ms_highway.runtime.files import held, replacing, tidy
+from ms_highway.runtime.files import replacing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,11 +30,9 @@ def own_results(options: argparse.Namespace, settings: Mapping[str, Any] | None 
         ValueError: if another command is writing there, or what is there has other settings or cannot be read.
     """
     results = ResultsDirectory(options.out)
-    with held(options.out):
+    with results.owned():
         if settings is not None:
             results.take_up(settings)
-        results.runs()
-        tidy(options.out)
 
         def record() -> None:
             if settings is not None:
@@ -51,10 +49,9 @@ def write_table(table: "pd.DataFrame", file: Path) -> None:
         table.to_csv(path, index=False)
 
 
-def save_figures(figures: Mapping[str, "Figure"], directory: Path, kind: str) -> None:
-    """Write figures to ``NAME.png``, or files of another kind, in a directory."""
+def save_figure(figure: "Figure", file: Path) -> None:
+    """Write a figure to a file, ``.png``, ``.pdf`` or ``.svg``."""
     from ms_highway.visualization.figures import content
 
-    for name, figure in figures.items():
-        with replacing(directory / f"{name}.{kind}") as path:
-            path.write_bytes(content(figure, kind))
+    with replacing(file) as path:
+        path.write_bytes(content(figure, file.suffix[1:]))

@@ -42,9 +42,9 @@ def sweep(options: argparse.Namespace) -> None:
     of processors may round otherwise, so do not mix them. Whoever reaches a scheduler of Dask can run any program
     there: keep it inside your own network.
 
-    Memory is bounded. Every device compiles its own program, which takes about half a GB, and computes one part at a
-    time, which takes 25 kB for each episode of --part. The summary at the end reads 0.1 kB for each episode. Needs the
-    extra "sweep".
+    Memory is bounded. Every device compiles its own program, which takes about half a GB, and they compute one part at
+    a time, which takes 25 kB for each episode of --part. The summary at the end reads 0.1 kB for each episode. Needs
+    the extra "sweep".
 
     Examples:
       ms-highway sweep merger --seeds 10000 --lambdas 0.001:10:25 --out results/sweep
@@ -67,7 +67,7 @@ def sweep(options: argparse.Namespace) -> None:
     """
     with needing("sweep"):
         from ms_highway.experiments import sweep as module
-    from ms_highway.cli.results_directory import own_results, save_figures, write_table
+    from ms_highway.cli.results_directory import own_results, save_figure, write_table
     from ms_highway.experiments.analysis.summary import summary
     from ms_highway.loop.devices import use_devices
     from ms_highway.visualization.comparison import table
@@ -96,6 +96,6 @@ def sweep(options: argparse.Namespace) -> None:
         count_episodes(counts, already, job.episodes)
         summaries = summary(job.read())
         write_table(summaries, options.out / "summary.csv")
-        save_figures({f"{job.scenario}_curve": curve(summaries, job.scenario)}, options.out, options.format)
+        save_figure(curve(summaries, job.scenario), options.out / f"{job.scenario}_curve.{options.format}")
         print_tables(table(summaries, job.scenario))
         say(f"results are in {options.out}")

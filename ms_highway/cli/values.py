@@ -65,10 +65,9 @@ def learn(options: argparse.Namespace) -> None:
     Among several humans (dense_merge, crossing_crowd), every human has a value of its own. The file is for
     learned:LAMBDA:FILE there.
 
-    After every round, the regret per step is shown: how far the rule stays behind the best of simple orders of models
-    from starts that it was not learned on, a mean over prices of 0.1, 1 and 10. Starts are drawn anew, not by the
-    numbered seeds of environments: all of those are held out. The same --seed gives the same values. Rollouts are kept
-    beside the file until it is written: a run that was stopped or killed goes on when it is started again.
+    Starts are drawn anew, not by the numbered seeds of environments: all of those are held out, for `ms-highway
+    frontier` to tell the regret of learned:LAMBDA:FILE. The same --seed gives the same values. Rollouts are kept beside
+    the file until it is written: a run that was stopped or killed goes on when it is started again.
 
     Examples:
       ms-highway values learn merger give_way --out values.npz
@@ -79,19 +78,16 @@ def learn(options: argparse.Namespace) -> None:
     from shutil import rmtree
 
     from ms_highway.choice.values import save_values
-    from ms_highway.experiments.values.learning import learn, rollouts_directory
+    from ms_highway.experiments.values.learning import learn
     from ms_highway.loop.devices import use_devices
 
     learning, courses = _courses(options)
-    values, kept = None, rollouts_directory(options.out)
+    values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
     with telling() as tell:
         tell(f"{courses[0].name}: compiling")
-        for done in learn(learning, courses, kept, use_devices(options.devices)):
-            tell(f"round {done.round} of {learning.rounds}: {done.course or 'fitted'}")
-            values = done.values or values
-            if done.regrets:
-                behind = ", ".join(f"{name} {regret:.3f}" for name, regret in done.regrets.items())
-                say(f"round {done.round}: held-out regret per step: {behind}")
+        for done, fitted in learn(learning, courses, kept, use_devices(options.devices)):
+            tell(done)
+            values = fitted or values
     if values is not None:
         save_values(values, options.out)
     rmtree(kept, ignore_errors=True)

@@ -7,7 +7,7 @@ plan is late: a budget counts planning at the seconds that are given, and decidi
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import msgspec
@@ -31,7 +31,6 @@ from ms_highway.experiments.records import (
     MEASURED,
     by_column,
     check_numbers,
-    count_column,
     per_episode,
 )
 from ms_highway.game.scenario import REACHED
@@ -113,11 +112,13 @@ class Batch:
         """
         if not keys:
             raise ValueError("there are no episodes to simulate; give one at least")
-        kinds = [self._kind(name) for name, _ in keys]
-        alike = [[place for place, other in enumerate(kinds) if other == kind] for kind in dict.fromkeys(kinds)]
+        alike: dict[Any, list[int]] = {}
+        for place, (name, _) in enumerate(keys):
+            settings = self.settings(name)
+            anyway = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
+            alike.setdefault((anyway if settings.chooses else None, settings.belief), []).append(place)
         parts = []
-        for places in alike:
-            settings, belief = kinds[places[0]]
+        for (settings, belief), places in alike.items():
             loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
             episodes = self.episodes([keys[place] for place in places])
             if shifts is not None:
@@ -125,18 +126,12 @@ class Batch:
             if errors is not None:
                 episodes = replace(episodes, errors=errors[places])
             parts.append(simulate(loop, episodes, mesh))
-        order = np.argsort(np.concatenate(alike))
+        order = np.argsort(np.concatenate(list(alike.values())))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
     def settings(self, controller: str) -> ControllerSettings:
         """Return the settings of a controller of the comparison, or of an order of its models by any short name."""
         return self.controllers.get(controller) or controller_settings(controller)
-
-    def _kind(self, controller: str) -> tuple[ControllerSettings | None, bool]:
-        """Return what controllers have in common that are simulated together: no rule, or one at any lambda."""
-        settings = self.settings(controller)
-        anyway = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
-        return anyway if settings.chooses else None, settings.belief
 
     def rule(self, settings: ControllerSettings) -> Rule:
         """Return the rule of a controller that chooses models from the ladder.
@@ -166,6 +161,8 @@ class Batch:
         costs = Costs.of([self.costs.get(name, np.nan) for name in self.models], self.humans)
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
+        states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
+        aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
         cells = {
             "scenario": self.scenario,
             "controller": np.array(names, object)[:, None],
@@ -176,15 +173,13 @@ class Batch:
             "collision": records.collision,
             COUNTED: costs.base + np.asarray(costs.each)[records.rungs].sum(axis=2),
             "status": np.array(STATUSES)[records.status],
+            **by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states),
+            **{f"humans_{name}": np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)},
+            "success": (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1),
         }
-        states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
-        cells |= by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states)
-        cells |= {count_column(name): np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)}
-        aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
-        cells["success"] = (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1)
+        columns = [name for name in self.comparison.columns() if name not in MEASURED]
         shape = records.reward.shape
-        table = pd.DataFrame({name: np.broadcast_to(part, shape).ravel() for name, part in cells.items()})
-        return table.reindex(columns=[name for name in self.comparison.columns() if name not in MEASURED])
+        return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
 
     def episodes_table(self, steps: pd.DataFrame) -> pd.DataFrame:
         """Return a row per episode of a table of steps, see `ms_highway.experiments.records.per_episode`.
@@ -243,8 +238,8 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
         ValueError: for anything unknown or impossible, and for costs that are to be measured.
     """
     tables = []
-    for batch in [make_batch(comparison, scenario) for scenario in comparison.controllers]:
-        names = list(batch.controllers)
+    for scenario, names in comparison.controllers.items():
+        batch = make_batch(comparison, scenario)
         keys = sorted(batch.keys(), key=lambda key: names.index(key[0]))
         tables.append(batch.steps_table(keys, batch.simulate(keys, mesh)))
     return pd.concat(tables, ignore_index=True)

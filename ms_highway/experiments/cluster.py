@@ -10,10 +10,10 @@ import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from functools import cache, partial
+from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from typing import NamedTuple
 
 import distributed
 import jax
@@ -29,13 +29,39 @@ PATIENCE = 10  # s, in which a scheduler has to answer
 AHEAD = 2  # parts that are submitted per thread of a worker: more would wait in memory
 
 
-class Setup(NamedTuple):
-    """How a worker has to be set up: like this process."""
+class Setup(distributed.WorkerPlugin):
+    """Sets workers up like this process, also those that come late.
 
-    modules: tuple[str, ...]
-    versions: tuple[str, ...]
-    xla_flags: str
-    keeps_compilations: bool
+    Args:
+        modules: to import.
+    """
+
+    name = "ms_highway"
+
+    def __init__(self, modules: Sequence[str]) -> None:
+        self.modules, self.versions = modules, _versions()
+        self.xla_flags = os.environ.get("XLA_FLAGS", "")
+        self.keeps_compilations = jax.config.values["jax_compilation_cache_dir"] is not None
+
+    def setup(self, worker: distributed.Worker) -> None:
+        """Set a worker up.
+
+        Raises:
+            ValueError: if it has other versions, JAX has begun with other flags, or a module cannot be imported.
+        """
+        for there, wanted in zip(_versions(), self.versions, strict=True):
+            if there != wanted:
+                remedy = f"install {wanted} there and start it again"
+                raise ValueError(f"worker {worker.address}: {there} is there and {wanted} here; {remedy}")
+        if os.environ.get("XLA_FLAGS", "") != self.xla_flags:
+            if jax_has_begun():
+                reason = "JAX has begun there with other XLA_FLAGS, which change the last digits"
+                raise ValueError(f"worker {worker.address}: {reason}; start it again")
+            os.environ["XLA_FLAGS"] = self.xla_flags
+        if self.keeps_compilations:
+            with suppress(OSError):
+                keep_compilations()
+        import_modules(self.modules)
 
 
 @contextmanager
@@ -50,8 +76,6 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
         ValueError: if there is no scheduler, or a worker has other versions or cannot be set up.
     """
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are raised as well
-    keeps = jax.config.values["jax_compilation_cache_dir"] is not None
-    setup = Setup(tuple(modules), _versions(), os.environ.get("XLA_FLAGS", ""), keeps)
     try:
         get_address_host_port(address, strict=True)
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
@@ -63,48 +87,20 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
             start = f"start some with `dask worker {address}`"
             print(f"ms-highway: waiting for the first worker of {address}; {start}", file=sys.stderr)
             client.wait_for_workers(1)
-        for worker, problem in client.run(set_up, setup, on_error="return").items():
-            if problem is not None:
-                raise ValueError(f"worker {worker} of {address}: {problem}; it needs {setup.versions[0]}")
-        yield partial(_compute, client, address, setup)
+        client.register_plugin(Setup(modules))
+        yield partial(_compute, client, address)
 
 
-def _versions() -> tuple[str, ...]:
-    return tuple(f"{package} {version(package)}" for package in PACKAGES)
+def _versions() -> list[str]:
+    return [f"{package} {version(package)}" for package in PACKAGES]
 
 
-@cache
-def set_up(setup: Setup) -> None:
-    """Set this worker up, once.
-
-    Raises:
-        ValueError: if it has other versions, JAX has begun with other flags, or a module cannot be imported.
-    """
-    for there, wanted in zip(_versions(), setup.versions, strict=True):
-        if there != wanted:
-            raise ValueError(f"{there} is there and {wanted} here; install {wanted} there and start it again")
-    if os.environ.get("XLA_FLAGS", "") != setup.xla_flags:
-        if jax_has_begun():
-            raise ValueError("JAX has begun there with other XLA_FLAGS, which change the last digits; start it again")
-        os.environ["XLA_FLAGS"] = setup.xla_flags
-    if setup.keeps_compilations:
-        with suppress(OSError):
-            keep_compilations()
-    import_modules(setup.modules)
-
-
-def compute_there(sweep: Sweep, part: int, setup: Setup) -> tuple[int, Tables]:
-    """Compute a part on this worker; return it with its rows."""
-    try:
-        set_up(setup)
-    except ValueError as error:
-        raise ValueError(f"worker {distributed.get_worker().address}: {error}") from error
-    (done,) = compute_here(sweep, [part])
-    return done
+def _compute_there(sweep: Sweep, part: int) -> tuple[int, Tables]:
+    return next(compute_here(sweep, [part]))
 
 
 def _compute(
-    client: distributed.Client, address: str, setup: Setup, sweep: Sweep, parts: Sequence[int]
+    client: distributed.Client, address: str, sweep: Sweep, parts: Sequence[int]
 ) -> Iterator[tuple[int, Tables]]:
     """Submit parts as workers become free; yield each with its rows as it comes back.
 
@@ -114,8 +110,8 @@ def _compute(
     waiting, running = iter(parts), distributed.as_completed(loop=client.loop)
     while True:
         room = max(AHEAD * sum(client.nthreads().values()), 1) - running.count()
-        for part in islice(waiting, max(room, 0)):
-            running.add(client.submit(compute_there, sweep, part, setup, pure=False))
+        for part in islice(waiting, max(room, 0)):  # the copy of the sweep has no batch yet
+            running.add(client.submit(_compute_there, replace(sweep), part, pure=False))
         if not running.count():
             return
         try:

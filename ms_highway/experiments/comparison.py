@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, product
+from itertools import product
 from typing import Any, TypeAlias
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
@@ -65,27 +65,21 @@ class Comparison:
         defaults = [{**ENVIRONMENTS[name].default_config(), **self.config} for name in self.controllers]
         for config in defaults:
             config["human_reward"] = config["human_reward"] or HUMAN_REWARDS[config["semantics"]]
-        usual = {key: value for key, value in defaults[0].items() if all(value == each[key] for each in defaults)}
-        given = {**self.config} | ({"ladder": rung_names(self.config["ladder"])} if "ladder" in self.config else {})
-        return {key: usual[key] for key in USUAL if key in usual} | given
+        first = defaults[0]
+        usual = {key: first[key] for key in USUAL if all(first[key] == each[key] for each in defaults)}
+        ladder = {"ladder": rung_names(self.config["ladder"])} if "ladder" in self.config else {}
+        return {**usual, **self.config, **ladder}
 
     def columns(self) -> list[str]:
         """Return the columns of the records, see `ms_highway.experiments.records.columns`."""
-        scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
-        ladders = [rung_names(self.config.get("ladder", scenario.ladder)) for scenario in scenarios]
-        several = [names[1:] for scenario, names in zip(scenarios, ladders, strict=True) if scenario.streams]
-        return columns(chain(*ladders), chain(*several) if several else None)
-
-
-def episode_steps(scenario: str, config: Mapping[str, Any]) -> int:
-    """Return the number of steps in an episode of a scenario that nothing ends early.
-
-    Raises:
-        ValueError: for an unknown scenario or an impossible configuration.
-    """
-    environment_id(scenario)
-    whole = ENVIRONMENTS[scenario].checked_config({**config, "controller": controller_config("naive")})
-    return round(whole["duration"] * whole["policy_frequency"])
+        rungs, above = list[str](), None
+        for name in self.controllers:
+            scenario = ENVIRONMENTS[name].scenario
+            own = rung_names(self.config.get("ladder", scenario.ladder))
+            rungs += own
+            if scenario.streams:
+                above = [*(above or []), *own[1:]]
+        return columns(rungs, above)
 
 
 def paper_controllers(scenario: str) -> list[str]:

@@ -4,16 +4,17 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any, TypeAlias
 
 import msgspec
 
-from ms_highway.runtime.files import PART, read_json, reading, write_json
+from ms_highway.runtime.files import PART, held, read_json, reading, tidy, write_json
 from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
@@ -25,27 +26,8 @@ CHECKOUT = Path(__file__).parents[2]
 
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
 
-
-class Checkout(TypedDict, total=False):
-    """The commit of the package's own checkout, and whether its files had changed since; empty where there is none."""
-
-    commit: str
-    dirty: bool
-
-
-class Run(Checkout):
-    """What computed results: the command, when, with which versions and flags, and where."""
-
-    command: str
-    time: str
-    versions: dict[str, str]
-    machine: dict[str, Any]
-    xla_flags: NotRequired[str]
-
-
-def comparison_config(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a comparison's settings that configures all of its environments."""
-    return {key: value for key, value in settings.items() if key not in EXTENDED}
+Run: TypeAlias = dict[str, Any]
+"""What computed results, see `this_run`."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +39,18 @@ class ResultsDirectory:
     """
 
     path: Path
+
+    @contextmanager
+    def owned(self) -> Iterator[None]:
+        """Let only this run write to the directory while the block runs, and remove what others left half written.
+
+        Raises:
+            ValueError: if another command is writing there, or the runs before cannot be read.
+        """
+        with held(self.path):
+            self.runs()
+            tidy(self.path)
+            yield
 
     def settings(self) -> dict[str, Any]:
         """Return what the results were computed with.
@@ -79,13 +73,9 @@ class ResultsDirectory:
                 raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {remedy}")
             return dict(settings)
         known, wanted = self.settings(), json.loads(json.dumps(settings))
-        differing = [
-            f"{key} {known.get(key, 'the default')!r} instead of {wanted.get(key, 'the default')!r}"
-            for key in {**known, **wanted}
-            if key not in EXTENDED and known.get(key) != wanted.get(key)
-        ]
+        differing = _differences(known, wanted, "the default", EXTENDED)
         if differing:
-            raise ValueError(f"{self.path} holds results with {', '.join(differing)}; {remedy}")
+            raise ValueError(f"{self.path} holds results with {differing}; {remedy}")
         return known
 
     def write_settings(self, settings: Mapping[str, Any]) -> None:
@@ -118,17 +108,26 @@ class ResultsDirectory:
         runs = [*self.runs(), this_run(command)]
         write_json(self.path / PROVENANCE_FILE, runs)
         before, now = (
-            {**run["versions"], "XLA_FLAGS": run.get("xla_flags", ""), "commit": run.get("commit", "")}
+            {**run["versions"], "XLA_FLAGS": run.get("xla_flags") or "none", "commit": run.get("commit", "none")}
             for run in (runs[-2:][0], runs[-1])
         )
-        differing = [name for name in {**before, **now} if before.get(name) != now.get(name)]
-        return ", ".join(
-            f"{name} {now.get(name) or 'none'} instead of {before.get(name) or 'none'}" for name in differing
-        )
+        return _differences(now, before, "none")
+
+
+def _differences(one: Mapping[str, Any], other: Mapping[str, Any], absent: str, but: tuple[str, ...] = ()) -> str:
+    """Say in which keys two mappings differ: what the one has instead of what the other has."""
+    pairs = {key: (one.get(key, absent), other.get(key, absent)) for key in {**one, **other} if key not in but}
+    return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
 
 
 def this_run(command: str = "") -> Run:
-    """Describe this process, which a command started: the time is UTC in ISO 8601, the cores those that it may use."""
+    """Describe this process, which a command started.
+
+    Returns:
+        ``command``; ``time``, UTC in ISO 8601; ``versions`` by package; ``machine`` with its ``processor``, ``cores``
+        that the process may use, and ``platform``; ``xla_flags``; and in a checkout, its ``commit``, and ``dirty``,
+        whether files have changed since.
+    """
     return {
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -139,7 +138,7 @@ def this_run(command: str = "") -> Run:
     }
 
 
-def _checkout(directory: Path) -> Checkout:
+def _checkout(directory: Path) -> dict[str, Any]:
     if not (directory / ".git").exists():
         return {}
     command = ["git", "-C", str(directory), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
@@ -153,6 +152,6 @@ def _checkout(directory: Path) -> Checkout:
 def _processor() -> str:
     """Return the processor's name, which Python knows only on some systems."""
     information = Path("/proc/cpuinfo")
-    lines = information.read_text().splitlines() if information.exists() else []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor() or platform.machine())
+    text = information.read_text() if information.exists() else ""
+    _, found, name = text.partition("model name\t: ")
+    return name.partition("\n")[0] if found else platform.processor() or platform.machine()

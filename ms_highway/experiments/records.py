@@ -1,6 +1,6 @@
 """Define the columns of records of steps, check and select records, and summarise them by episode."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
-from ms_highway.planning.human_models import is_model, known_models, model_names
+from ms_highway.planning.human_models import is_model, known_models
 
 KEYS = ["scenario", "controller", "seed"]
 """Columns that say which episode a step is of."""
@@ -16,12 +16,12 @@ KEYS = ["scenario", "controller", "seed"]
 MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
 """Columns of times as they were measured, which a simulation does not have."""
 
-CARS, STATE = ("robot", "human"), ("x", "y", "heading", "speed")
 NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
 COUNTED = "counted_seconds"
 TEXTS = ("scenario", "controller", "model", "status")
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
-LARGEST = 1e38  # number, in single precision
+STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
+"""Columns of the states of the first two cars."""
 
 
 def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> list[str]:
@@ -38,44 +38,21 @@ def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> li
         above: of those above the first, where there are several humans; otherwise None.
     """
     planning, decision, compiling = MEASURED
-    gains = [gain_column(name) for name in known_models(rungs)]
-    states = [name for car in CARS for name in state_columns(car)]
     steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
-    several = [] if above is None else [*dict.fromkeys(map(count_column, above)), "success"]
-    return [*KEYS, *steps, *gains, *states, *several]
-
-
-def gain_column(model: str) -> str:
-    """Return the column of the estimated gain of switching to a model."""
-    return f"gain_{model}"
-
-
-def state_columns(car: str) -> list[str]:
-    """Return the columns of the state of a car, ``robot`` or ``human``, in the order of `STATE`."""
-    return [f"{car}_{name}" for name in STATE]
+    gains = [f"gain_{name}" for name in known_models(rungs)]
+    several = [] if above is None else [*dict.fromkeys(f"humans_{name}" for name in above), "success"]
+    return [*KEYS, *steps, *gains, *STATES, *several]
 
 
 def by_column(gains: Mapping[str, Any], states: Any) -> dict[str, Any]:
-    """Return gains by model, and the states [..., cars, 4] of the first cars, by the columns of records."""
-    cells = {gain_column(name): gain for name, gain in gains.items()}
-    for car, state in zip(CARS, np.moveaxis(states, (-2, -1), (0, 1)), strict=False):
-        cells |= dict(zip(state_columns(car), state, strict=True))
-    return cells
+    """Return gains by model, and the states [..., cars, 4] of the first two cars, by the columns of records."""
+    first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(len(STATES), *np.shape(states)[:-2])
+    return {f"gain_{name}": gain for name, gain in gains.items()} | dict(zip(STATES, first, strict=True))
 
 
-def share_column(model: str) -> str:
-    """Return the column of the share of steps that were planned with a model, in tables that summarise records."""
-    return f"share_{model}"
-
-
-def count_column(model: str) -> str:
-    """Return the column of the number of humans that a model predicts, in records and in tables that summarise them."""
-    return f"humans_{model}"
-
-
-def models_of(table: pd.DataFrame, column: Callable[[str], str]) -> list[str]:
-    """Return the known models that have such a column, such as `gain_column`, in a table, cheapest first."""
-    names = {str(name).removeprefix(column("")) for name in table if str(name).startswith(column(""))}
+def models_of(table: pd.DataFrame, what: str) -> list[str]:
+    """Return the known models that a table has columns ``WHAT_MODEL`` of, such as ``gain``, cheapest first."""
+    names = {str(name).removeprefix(f"{what}_") for name in table if str(name).startswith(f"{what}_")}
     return [name for name in known_models(names) if name in names]
 
 
@@ -94,16 +71,17 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
         models: whose shares are wanted; by default, all known ones.
     """
     models = list(models) or known_models(steps["model"].unique())
-    marks = {share_column(name): steps["model"] == name for name in models}
-    marks |= {"collisions": steps["collision"], "fallbacks": steps["status"].isin(FAILED)}
-    marks |= {"way_out": steps["status"] == STATUSES[WAY_OUT], "late": steps["status"] == STATUSES[LATE]}
-    episodes = steps.assign(**marks).groupby((steps["step"] == 0).cumsum())
+    shares = {f"share_{name}": steps["model"] == name for name in models}
+    shares["way_out"] = steps["status"] == STATUSES[WAY_OUT]
     measured = [name for name in MEASURED[:2] if name in steps]
-    counts = [count_column(name) for name in models_of(steps, count_column)]
-    shares = [*map(share_column, models), *counts, "way_out", *(["late"] if measured else [])]
-    means = episodes[["reward", COUNTED, *measured, *shares]]
-    table = episodes[KEYS].first().join(means.mean().where(means.count().eq(episodes.size(), axis=0)))
-    table = table.join(episodes[["collisions", "fallbacks"]].sum())
+    if measured:
+        shares["late"] = steps["status"] == STATUSES[LATE]
+    sums = {"collisions": steps["collision"], "fallbacks": steps["status"].isin(FAILED)}
+    counts = [f"humans_{name}" for name in models_of(steps, "humans")]
+    episodes = steps.assign(**shares, **sums).groupby((steps["step"] == 0).cumsum())
+    means = episodes[["reward", COUNTED, *measured, *counts, *shares]]
+    known = means.count().eq(episodes.size(), axis=0)
+    table = episodes[KEYS].first().join(means.mean().where(known)).join(episodes[list(sums)].sum())
     if "success" in steps:
         ended = episodes["success"].last()  # empty where there is one human
         table["success"] = ended if ended.isna().any() else ended.astype(int)
@@ -120,36 +98,29 @@ def check_records(records: pd.DataFrame) -> None:
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
     check_numbers(records)
-    for column, known, names in (
-        ("scenario", ENVIRONMENTS.__contains__, ", ".join(ENVIRONMENTS)),
-        ("model", is_model, model_names()),
+    for column, known in (
+        ("scenario", list(ENVIRONMENTS)),
+        ("model", known_models(filter(is_model, records["model"]))),
     ):
-        for name in records[column].dropna().unique():
-            if not known(name):
-                remedy = "if it is your own, --import the module that adds it"
-                raise ValueError(f"it holds {column} {name!r}, not one of {names}; {remedy}")
+        for name in set(records[column].dropna()) - {*known}:
+            remedy = "if it is your own, --import the module that adds it"
+            raise ValueError(f"it holds {column} {name!r}, not one of {', '.join(known)}; {remedy}")
 
 
 def check_numbers(table: pd.DataFrame) -> None:
-    """Check that a table of steps or episodes has numbers where they belong, within their possible ranges.
+    """Check that a table of steps or episodes has finite numbers in all columns but `TEXTS`.
 
-    All columns but `TEXTS` hold numbers; cells may be empty in those that are not `NEVER_EMPTY`.
+    Cells may be empty in those that are not `NEVER_EMPTY`.
 
     Raises:
         ValueError: naming what is wrong, and where.
     """
     for name in table.columns.difference(TEXTS):
-        if pd.api.types.infer_dtype(table[name]) not in ("integer", "floating", "boolean", "empty"):
-            raise ValueError(f"it has texts where numbers belong, in column {name}")
-        signed = name == "reward" or name.startswith(("gain_", "robot_", "human_"))
-        share = name.startswith("share_") or name in ("collision", "success", "late", "way_out")
-        least, most = -LARGEST if signed else 0, 1 if share else 2**63 - 1 if name in ("seed", "step") else LARGEST
-        wrong = table[~table[name].astype(float).between(least, most)]
-        if name not in NEVER_EMPTY:
-            wrong = wrong.dropna(subset=name)
-        for row in wrong[:1].to_dict("records"):
-            where = f"{row['controller']} with seed {row['seed']}"
-            raise ValueError(f"{name} of {where} is {row[name]}; it must be from {least:g} to {most:g}")
+        numbers = pd.to_numeric(table[name], errors="coerce").astype(float)
+        wrong = ~np.isfinite(numbers) & (table[name].notna() | (name in NEVER_EMPTY))
+        for row in table[wrong][:1].to_dict("records"):
+            where = f"{name} of {row['controller']} with seed {row['seed']}"
+            raise ValueError(f"{where} is {row[name]}; it must be a finite number")
 
 
 def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:

@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 
 from ms_highway.experiments.analysis.summary import summary
-from ms_highway.experiments.directory import SETTINGS_FILE, ResultsDirectory, Run, comparison_config
+from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
 from ms_highway.experiments.runner import PARTS, STEPS_FILE, read_steps
-from ms_highway.runtime.files import reading
 
 PUBLISHED_WITH = {
     "semantics": "released",
@@ -18,17 +17,6 @@ PUBLISHED_WITH = {
     "costs": "published",
 }
 """Settings of a comparison that may be compared with the paper's; all others are the usual ones."""
-
-
-class Published(NamedTuple):
-    """Means per step over 30 episodes: the robot's reward, and the seconds of planning and deciding about the model.
-
-    From the logs that the authors of Sripathy, Bobu, Brown and Dragan, "Dynamically Switching Human Prediction Models
-    for Efficient Planning" (ICRA 2021), released; seconds are those of their laptop.
-    """
-
-    reward: float
-    seconds: float
 
 
 ROWS = """\
@@ -48,11 +36,15 @@ give_way   switching:0.03   1.78  0.1929
 give_way   switching:0.01   4.44  0.2832"""
 
 PUBLISHED = {
-    (scenario, controller): Published(*map(float, numbers))
-    for scenario, controller, *numbers in map(str.split, ROWS.splitlines())
+    (scenario, controller): (float(reward), float(seconds))
+    for scenario, controller, reward, seconds in map(str.split, ROWS.splitlines())
 }
-"""By scenario and short name of the controller; the paper compared no others."""
+"""By scenario and short name of the controller, means per step over 30 episodes: the robot's reward, and the seconds of
+planning and deciding about the model.
 
+From the logs that the authors of Sripathy, Bobu, Brown and Dragan, "Dynamically Switching Human Prediction Models for
+Efficient Planning" (ICRA 2021), released; seconds are those of their laptop. The paper compared no others.
+"""
 
 REMEDY = "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
 
@@ -83,36 +75,32 @@ class Results:
     @property
     def missing(self) -> int:
         """The number of requested episodes that are not there yet."""
+        asked = pd.DataFrame(self.settings["asked"]).unstack().dropna()
         there = self.summaries.set_index(["scenario", "controller"])["episodes"]
-        return sum(
-            max(0, seeds - int(there.get((scenario, name), 0)))
-            for scenario, controllers in self.settings.get("asked", {}).items()
-            for name, seeds in controllers.items()
-        )
+        return int((asked - there.reindex(asked.index, fill_value=0)).clip(lower=0).sum())
 
     def is_current(self, file: Path) -> bool:
         """Return whether a file is there and not older than the records."""
         made = [path.stat().st_mtime for path in (self.directory / STEPS_FILE, self.directory / PARTS) if path.exists()]
         return file.exists() and file.stat().st_mtime >= max(made)
 
-    def published(self, scenario: str, controller: str) -> Published | None:
+    @property
+    def common(self) -> dict[str, Any]:
+        """The part of the settings that configures all environments."""
+        return {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
+
+    def published(self, scenario: str, controller: str) -> tuple[float, float] | None:
         """Return what the paper published of a controller, if these results may be compared with it."""
-        chosen = {key: value for key, value in comparison_config(self.settings).items() if value is not None}
-        return PUBLISHED.get((scenario, controller)) if chosen == PUBLISHED_WITH else None
+        return PUBLISHED.get((scenario, controller)) if self.common == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict[str, Any]:
         """Return the configuration that a scenario's environment had, but for the controller."""
-        config = comparison_config(self.settings)
         measured = self.settings.get("measured", {})
-        return config | ({"costs": measured[scenario]} if scenario in measured else {})
+        return self.common | ({"costs": measured[scenario]} if scenario in measured else {})
 
 
-def read_results(directory: Path, records: pd.DataFrame | None = None) -> Results:
+def read_results(directory: Path) -> Results:
     """Read a directory of results.
-
-    Args:
-        directory: where they lie.
-        records: if they have been read already.
 
     Raises:
         ValueError: if there is none, or a file is missing or cannot be read.
@@ -123,11 +111,9 @@ def read_results(directory: Path, records: pd.DataFrame | None = None) -> Result
         raise ValueError(f"{directory} has no {SETTINGS_FILE}; {REMEDY}")
     results = ResultsDirectory(directory)
     settings = results.settings()
-    if "asked" not in settings or not isinstance(settings.get("measured", {}), dict):
+    if "asked" not in settings:
         raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
-    records = read_steps(directory, settings) if records is None else records
+    records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")
-    with reading(directory / STEPS_FILE, REMEDY):
-        summaries = summary(records)
-    return Results(directory, records, summaries, settings, results.runs())
+    return Results(directory, records, summary(records), settings, results.runs())

@@ -36,15 +36,7 @@ FEWEST = 60  # episodes that are worth the seconds in which further processes st
 def run(
     comparison: Comparison, directory: str | Path, processes: int = 1, modules: Sequence[str] = ()
 ) -> Iterator[int]:
-    """Drive the episodes that a directory lacks, see `drive`, and put all records into ``steps.csv`` at the end."""
-    yield from drive(comparison, directory, processes, modules)
-    collect(Path(directory))
-
-
-def drive(
-    comparison: Comparison, directory: str | Path, processes: int = 1, modules: Sequence[str] = ()
-) -> Iterator[int]:
-    """Drive the episodes that a directory lacks, and write each to a file of its own when it ends.
+    """Drive the episodes that a directory lacks; put the records of all into ``steps.csv`` at the end.
 
     Args:
         comparison: what to drive.
@@ -62,27 +54,32 @@ def drive(
     results = ResultsDirectory(Path(directory))
     settings = results.take_up(comparison.common_config())
     settings |= {key: settings.get(key, {}) for key in EXTENDED}
-    for scenario, controllers in comparison.controllers.items():
-        asked = settings["asked"].setdefault(scenario, {})
-        asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-    records, wanted = read_steps(results.path, settings), list(comparison.episodes())
+    records, parts = read_steps(results.path, settings), results.path / PARTS
     if len(records) and list(records) != comparison.columns():
         columns = ", ".join(comparison.columns())
         raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
-    there = {*records[KEYS].itertuples(index=False, name=None)}
-    missing = [key for key in wanted if key not in there]
-    for scenario in comparison.controllers:
-        measured = comparison.environment_config(scenario, "naive")["costs"] == "measured"
-        if measured and scenario not in settings["measured"]:
-            settings["measured"][scenario] = measured_seconds(scenario, comparison)
+    for scenario, controllers in comparison.controllers.items():
+        asked = settings["asked"].setdefault(scenario, {})
+        asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
+        env: Any = make_environment(scenario, "naive", **comparison.config).unwrapped
+        if env.settings.costs == "measured" and scenario not in settings["measured"]:
+            env.measure()
+            settings["measured"][scenario] = env.seconds
     results.write_settings(settings)
-    already = len(wanted) - len(missing)
-    yield already
-    episodes = _episodes(comparison, settings["measured"], missing, min(processes, cores()), modules)
-    for number, records in enumerate(episodes, already + 1):
-        with replacing(results.path / PARTS / f"{token_hex(8)}.csv") as path:
-            records.to_csv(path, index=False)
+    there, wanted = {*records[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
+    missing = [key for key in wanted if key not in there]
+    number = len(wanted) - len(missing)
+    yield number
+    for driven in _episodes(comparison, settings["measured"], missing, min(processes, cores()), modules):
+        with replacing(parts / f"{token_hex(8)}.csv") as path:
+            driven.to_csv(path, index=False)
+        number += 1
         yield number
+    if parts.exists():
+        records = read_steps(results.path, settings)
+        with replacing(results.path / STEPS_FILE) as path:
+            records.to_csv(path, index=False)
+        shutil.rmtree(parts)
 
 
 def _episodes(
@@ -137,16 +134,6 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
 
 
-def collect(directory: Path) -> pd.DataFrame:
-    """Put the episodes that have files of their own into ``steps.csv``; return all records, see `read_steps`."""
-    records, parts = read_steps(directory, ResultsDirectory(directory).settings()), directory / PARTS
-    if parts.exists():
-        with replacing(directory / STEPS_FILE) as path:
-            records.to_csv(path, index=False)
-        shutil.rmtree(parts)
-    return records
-
-
 def read_steps(directory: Path, settings: Mapping[str, Any]) -> pd.DataFrame:
     """Return the records of a directory, also of episodes that are not in ``steps.csv`` yet; check them.
 
@@ -186,14 +173,6 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
     """
     whole = {**config, "controller": controller_config(controller)}
     return gym.make(environment_id(scenario), render_mode="rgb_array" if render else None, config=whole)
-
-
-def measured_seconds(scenario: str, comparison: Comparison) -> dict[str, float]:
-    """Measure T(M) of a scenario's ladder on this machine; return it by model [s]."""
-    env = make_environment(scenario, "naive", **comparison.config).unwrapped
-    assert isinstance(env, InteractionEnv)
-    env.measure()
-    return env.seconds
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:

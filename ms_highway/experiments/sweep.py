@@ -6,13 +6,15 @@ written under another name and moved to its own when it is whole, so that every 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from math import ceil
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import pandas as pd
 from jax.sharding import Mesh
 
-from ms_highway.experiments.batch import Batch, make_batch
+from ms_highway.experiments.batch import Batch, Key, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import check_numbers
 from ms_highway.runtime.files import reading, replacing
@@ -21,7 +23,7 @@ EPISODES, STEPS = "episodes", "steps"
 """Directories of a sweep's parts, with a row per episode and per step."""
 
 Tables: TypeAlias = dict[str, pd.DataFrame]
-"""The rows of a part by directory, those of its episodes last: when they are there, the part is done."""
+"""The rows of a part by directory; those of its episodes are written last: when they are there, the part is done."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,7 @@ class Sweep:
     Attributes:
         comparison: of a single scenario.
         directory: of the results.
-        part: number of episodes in a part. There is one per device in memory, so that this grows with it, and not with
-            the number of episodes.
+        part: number of episodes in a part, of which one is in memory at a time.
         steps: whether a row per step is kept as well.
     """
 
@@ -55,63 +56,40 @@ class Sweep:
     @property
     def parts(self) -> range:
         """The numbers of all parts."""
-        return range(-(-self.episodes // self.part))
+        return range(ceil(self.episodes / self.part))
+
+    @cached_property
+    def batch(self) -> Batch:
+        """What simulates the episodes."""
+        return make_batch(self.comparison, self.scenario)
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that decide which numbers are in which part."""
-        comparison = self.comparison
-        return {
-            **comparison.common_config(),
-            "controllers": comparison.controllers,
-            "seeds": comparison.seeds,
-            "first_seed": comparison.first_seed,
-            "part": self.part,
-            "steps": self.steps,
-        }
+        asked = {name: getattr(self.comparison, name) for name in ("controllers", "seeds", "first_seed")}
+        return {**self.comparison.common_config(), **asked, "part": self.part, "steps": self.steps}
 
-    def batch(self) -> Batch:
-        """Return the batch of episodes to simulate.
-
-        Raises:
-            ValueError: if it cannot be simulated.
-        """
-        return make_batch(self.comparison, self.scenario)
-
-    def places(self, part: int) -> tuple[int, int]:
-        """Return the first of a part's episodes among all, and the one after its last."""
-        return part * self.part, min((part + 1) * self.part, self.episodes)
+    def keys(self, part: int) -> list[Key]:
+        """Return the episodes of a part, seed by seed."""
+        return self.batch.keys(part * self.part, (part + 1) * self.part)
 
     def file(self, part: int, kind: str = EPISODES) -> Path:
         """Return the file of a part's rows."""
         return self.directory / kind / f"part-{part:06d}.parquet"
 
-    def missing(self) -> dict[int, int]:
-        """Return the parts that are not there yet, and how many episodes each has.
-
-        Raises:
-            ValueError: if the sweep cannot be simulated, or as `read`.
-        """
-        kinds = [STEPS, EPISODES] if self.steps else [EPISODES]
-        there = [part for part in self.parts if all(self.file(part, kind).exists() for kind in kinds)]
-        self.read(there)
-        places = {part: self.places(part) for part in sorted({*self.parts} - {*there})}
-        return {part: last - first for part, (first, last) in places.items()}
-
-    def read(self, parts: Sequence[int] | None = None) -> pd.DataFrame:
-        """Return a row per episode of parts that are there, by default of all, seed by seed.
+    def read(self) -> pd.DataFrame:
+        """Return a row per episode of the parts that are there, seed by seed.
 
         Raises:
             ValueError: for a part that cannot be read, or holds something else.
         """
-        batch, tables = self.batch(), [pd.DataFrame()]
-        for part in self.parts if parts is None else parts:
-            with reading(self.file(part), "remove it, to have it computed again"):
-                tables.append(rows := pd.read_parquet(self.file(part)))
-                if list(rows) != list(tables[1]):
-                    raise ValueError("its columns are not those of the parts before")
-                if [*zip(rows["controller"], rows["seed"], strict=True)] != batch.keys(*self.places(part)):
-                    raise ValueError("it holds other episodes than its number says")
-                check_numbers(rows)
+        tables = [pd.DataFrame()]
+        for part in self.parts:
+            if self.file(part).exists():
+                with reading(self.file(part), "remove it, to have it computed again"):
+                    tables.append(rows := pd.read_parquet(self.file(part)))
+                    if [*zip(rows["controller"], rows["seed"], strict=True)] != self.keys(part):
+                        raise ValueError("it holds other episodes than its number says")
+                    check_numbers(rows)
         return pd.concat(tables[1:] or tables)
 
 
@@ -126,32 +104,28 @@ def run_sweep(sweep: Sweep, compute: Compute) -> Iterator[int]:
         The number of episodes there: first of those that earlier runs have left, then after every part.
 
     Raises:
-        ValueError: if what is there cannot be read, or is of other settings.
+        ValueError: if it cannot be simulated, or what is there cannot be read.
     """
-    missing = sweep.missing()
-    number = sweep.episodes - sum(missing.values())
+    sweep.keys(0)  # refuses what cannot be simulated before anything is written
+    number = len(sweep.read())
     yield number
-    for part, tables in compute(sweep, list(missing)):
-        for kind, table in tables.items():
+    for part, tables in compute(sweep, [part for part in sweep.parts if not sweep.file(part).exists()]):
+        for kind in (STEPS, EPISODES) if sweep.steps else (EPISODES,):
             with replacing(sweep.file(part, kind)) as path:
-                table.to_parquet(path, index=False)
-        number += missing[part]
+                tables[kind].to_parquet(path, index=False)
+        number += len(tables[EPISODES])
         yield number
 
 
 def compute_here(sweep: Sweep, parts: Sequence[int], mesh: Mesh | None = None) -> Iterator[tuple[int, Tables]]:
-    """Compute parts in this process, one on each device at a time; yield each with its rows.
+    """Compute parts in this process, one after the other; yield each with its rows.
 
     Args:
         sweep: which they are parts of.
         parts: their numbers.
-        mesh: devices, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
+        mesh: devices that share each, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
     """
-    batch, together = sweep.batch(), 1 if mesh is None else mesh.size
-    for place in range(0, len(parts), together):
-        shares = {part: batch.keys(*sweep.places(part)) for part in parts[place : place + together]}
-        keys = [key for share in shares.values() for key in share]
-        steps = batch.steps_table(keys, batch.simulate(keys, mesh))
-        for part, share in shares.items():
-            own, steps = steps[: len(share) * batch.steps], steps[len(share) * batch.steps :]
-            yield part, {**({STEPS: own} if sweep.steps else {}), EPISODES: batch.episodes_table(own)}
+    for part in parts:
+        keys = sweep.keys(part)
+        steps = sweep.batch.steps_table(keys, sweep.batch.simulate(keys, mesh))
+        yield part, {STEPS: steps, EPISODES: sweep.batch.episodes_table(steps)}

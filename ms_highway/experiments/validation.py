@@ -31,21 +31,17 @@ from ms_highway.runtime.files import read_arrays, reading
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
 SWITCHING = "switching_lambda_"
-INTEGERS = ("models", "ladder")
 MOST_BYTES = 2**27  # of a file, unpacked
 LARGEST = 1e38  # number, in single precision
-ARRAYS = ("states", "robot_controls", "human_controls", "rewards", *INTEGERS)
 
 
 def validate(directory: Path) -> dict[str, Any]:
     """Check every reference file of a directory: ``{"files": {NAME: ...}}``, see `validate_file`.
 
     Raises:
-        FileNotFoundError: if there is no such directory or no ``*.npz`` in it.
+        FileNotFoundError: if there is no ``*.npz`` there.
         ValueError: for a file that is no reference file.
     """
-    if not directory.is_dir():
-        raise FileNotFoundError(f"there is no directory {directory}; name the one that holds the reference episodes")
     files = sorted(directory.glob("*.npz"))
     if not files:
         raise FileNotFoundError(f"no reference episodes (*.npz) in {directory}; name the directory that holds them")
@@ -97,26 +93,24 @@ def read_episodes(file: Path) -> tuple[str, dict[str, Array]]:
         )
     with reading(file, "name the logs that were released", " as a reference file"):
         arrays = read_arrays(file, MOST_BYTES)
-        episodes = {name: arrays[name] for name in ARRAYS}
-        count, steps = episodes["rewards"].shape
-    shapes = {
-        "states": (count, steps, len(SCENARIOS[scenario].cars), 4),
-        "robot_controls": (count, steps, 2),
-        "human_controls": (count, steps - 1, 2),
-        "rewards": (max(count, 1), max(steps, 2)),
-        "models": (count, steps),
-        "ladder": (episodes["ladder"].size,),
-    }
-    for name, array in episodes.items():
-        kinds = "iu" if name in INTEGERS else "fiu"
-        if array.dtype.kind not in kinds or array.shape != shapes[name] or not (np.abs(array) < LARGEST).all():
-            kind = "integers" if name in INTEGERS else "finite numbers"
-            found = f"{name} holds {array.dtype} of shape {array.shape}"
-            raise ValueError(f"{file}: {found}; it must hold {kind} below {LARGEST:g} of shape {shapes[name]}")
-    rungs = episodes["ladder"]
-    if not np.isin(rungs, range(len(PAPER_MODELS))).all() or not np.isin(episodes["models"], rungs).all():
-        raise ValueError(f"{file}: ladder {rungs.tolist()} or models are no places in {', '.join(PAPER_MODELS)}")
-    return scenario, episodes
+        count, steps = np.maximum(arrays["rewards"].shape, (1, 2))
+        cars, rungs = len(SCENARIOS[scenario].cars), arrays["ladder"]
+        shapes = {
+            "states": (count, steps, cars, 4),
+            "robot_controls": (count, steps, 2),
+            "human_controls": (count, steps - 1, 2),
+            "rewards": (count, steps),
+            "models": (count, steps),
+            "ladder": (rungs.size,),
+        }
+        for name, shape in shapes.items():
+            array = arrays[name]
+            if array.dtype.kind not in "fiu" or array.shape != shape or not (np.abs(array) < LARGEST).all():
+                found = f"{name} holds {array.dtype} of shape {array.shape}"
+                raise ValueError(f"{found}; it must hold finite numbers of shape {tuple(map(int, shape))}")
+        if not np.isin(rungs, range(len(PAPER_MODELS))).all() or not np.isin(arrays["models"], rungs).all():
+            raise ValueError(f"its ladder {rungs.tolist()} or models are no places in {', '.join(PAPER_MODELS)}")
+        return scenario, {name: arrays[name] for name in shapes}
 
 
 _rewards = jit_quickly(reward)
@@ -133,12 +127,10 @@ def _decisions(game: Game, episodes: Mapping[str, Array], price: float) -> dict[
     costs = Costs.of([PUBLISHED_COSTS[name] for name in names], 1)
     switching = Switching(costs, price, ladder(names), trust_tolerance=RELEASED_TRUST_TOLERANCE)
     logged = np.argmax(episodes["models"][..., None] == episodes["ladder"], axis=-1).astype(np.int32)
-    arrays = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]
-    agree = 0
-    for run, *happened in zip(logged, *arrays, strict=True):
-        chosen = _choices(switching, game, *(numbers[: len(run) - 1] for numbers in (run, *happened)))
-        agree += int(np.sum(np.asarray(chosen) == run[1:]))
-    return {"agree": agree, "all": int(logged[:, 1:].size)}
+    happened = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]
+    before = [numbers[:, : logged.shape[1] - 1] for numbers in (logged, *happened)]
+    chosen = np.array([_choices(switching, game, *run) for run in zip(*before, strict=True)])
+    return {"agree": int(np.sum(chosen == logged[:, 1:])), "all": chosen.size}
 
 
 @jit_quickly

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 ON_PAGE = "its figures are on the results page"
 SAME_STARTS = f"compare drivers from the same --seed and --seeds; {ON_PAGE}"
 EXPORT = "give --export DIR, and let CommonRoad's own tools plan in the files or judge them"
+PEERS = f"compare with idm or an agent of stable-baselines3; {ON_PAGE}"
 ROADS = f"on stock roads use idm or tom; {ON_PAGE}"
 NULL = f"leave it out, as it earned nothing measurable; {ON_PAGE}"
 NEAREST = "use nearest:K, which no other ranking beat"
@@ -14,7 +15,9 @@ FITTED = f"use fitted_idm or model; {ON_PAGE}"
 
 OPTIONS = {
     "bench --peer": "the comparison with CasADi is on the results page",
+    "bench --crowd": "give --set humans=N",
     "bench road --bound": SAME_STARTS,
+    "bench road --traffic unyielding": "use --traffic aggressive",
     "bench road --judge": EXPORT,
     "sweep --coordinator": CLUSTER,
     "sweep --processes": CLUSTER,
@@ -37,6 +40,8 @@ DRIVERS = {
     "search": SAME_STARTS,
     "reactive": EXPORT,
     "reactive-default": EXPORT,
+    "idle": PEERS,
+    "random": PEERS,
     "turn": ROADS,
     "fixed:turn": ROADS,
     "traits": NULL,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.records import gain_column, models_of
+from ms_highway.experiments.records import models_of
 from ms_highway.game.scenario import title
 from ms_highway.visualization.colors import color_of, styled
 
@@ -33,8 +33,8 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
         upper.set_title(f"{title(first['scenario'])}, {first['controller']}, seed {first['seed']}", fontsize="medium")
         upper.set_yscale("symlog", linthresh=SMALL_GAIN)
         upper.axhline(0, color="black", linewidth=0.8)
-        for name in models_of(episode, gain_column):
-            gains = episode[gain_column(name)]
+        for name in models_of(episode, "gain"):
+            gains = episode[f"gain_{name}"]
             (line,) = upper.plot(steps, gains, "o-", color=color_of(name), markersize=4, linewidth=0.8)
             if gains.notna().any():
                 legend[f"gain of switching to {name}"] = line

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.analysis.selection import choosing_controllers, most_informative_pair
+from ms_highway.experiments.analysis.findings import choosing_controllers, most_informative_pair
 from ms_highway.experiments.records import common_seeds, one_episode
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions

@@ -1,17 +1,14 @@
 """Draw one page that shows a comparison, in one file that needs nothing else."""
 
 import base64
-from collections.abc import Callable
 from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from ms_highway.envs.viewer import model_meaning
-from ms_highway.experiments.analysis.findings import answer
-from ms_highway.experiments.analysis.selection import most_informative_pair
-from ms_highway.experiments.records import common_seeds, models_of, share_column
+from ms_highway.experiments.analysis.findings import answer, most_informative_pair
+from ms_highway.experiments.records import common_seeds, models_of
 from ms_highway.experiments.results import Results
 from ms_highway.game.scenario import title
 from ms_highway.runtime.progress import Progress, silent
@@ -35,29 +32,30 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
     sections, summaries = [], results.summaries
     for scenario in results.scenarios:
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
-        table = results_table(results, scenario)
+        pictures = {}
+        for name, draw in figures(results.records, summaries, scenario).items():
+            file = results.directory / f"{scenario}_{name}.png"  # drawn by compare, perhaps
+            png = file.read_bytes() if results.is_current(file) else content(draw())
+            pictures[name] = _data("image/png", png), CAPTIONS[name]
         sections.append(
             {
                 "title": title(scenario),
                 "answer": answer(results.records, summaries, scenario),
-                "headings": list(table),
-                "rows": table.to_numpy().tolist(),
-                "figures": {
-                    name: (_data("image/png", _png(results, f"{scenario}_{name}.png", draw)), CAPTIONS[name])
-                    for name, draw in figures(results.records, summaries, scenario).items()
-                },
+                "table": results_table(results, scenario).to_dict("split"),
+                "figures": pictures,
                 "film": _film(results, scenario) if videos else None,
             }
         )
-    used = [name for name in models_of(summaries, share_column) if summaries[share_column(name)].any()]
+    used = [name for name in models_of(summaries, "share") if summaries[f"share_{name}"].any()]
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
+    environment.filters["text"] = _text
     return environment.get_template("report.html.jinja").render(
         sections=sections,
         models={name: model_meaning(name) or "a model that was added" for name in used},
-        settings={name: _text(value) for name, value in results.settings.items() if name != "asked" and value != {}},
-        runs=[{**run, **{key: _text(run[key]) for key in ("versions", "machine")}} for run in results.runs],
+        settings={name: value for name, value in results.settings.items() if name != "asked" and value != {}},
+        runs=results.runs,
         missing=results.missing,
     )
 
@@ -67,15 +65,9 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
     texts = cells(results.summaries, scenario)
     published = [results.published(scenario, controller) for controller in texts["controller"]]
     if any(published):
-        texts["published"] = [f"{one.reward:.2f}" if one else "" for one in published]
-        texts["published ms"] = [f"{1e3 * one.seconds:.0f}" if one else "" for one in published]
+        texts["published"] = [f"{one[0]:.2f}" if one else "" for one in published]
+        texts["published ms"] = [f"{1e3 * one[1]:.0f}" if one else "" for one in published]
     return texts
-
-
-def _png(results: Results, name: str, draw: Callable[[], Figure]) -> bytes:
-    """Return a figure as `ms-highway compare` has drawn it of these records, or else draw it."""
-    file = results.directory / name
-    return file.read_bytes() if results.is_current(file) else content(draw())
 
 
 def _film(results: Results, scenario: str) -> dict[str, Any]:

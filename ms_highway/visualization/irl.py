@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
-from rich.table import Table
 
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward
@@ -55,7 +57,20 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
     Calibration is how often drivers are in the predicted regions of 50, 90 and 99 %; the band is five points to each
     side of the right share.
     """
-    figures = {name: _against_horizon(evaluation, labels) for name, labels in PANELS.items()}
+    figures = {}
+    for figure_name, labels in PANELS.items():
+        figures[figure_name] = figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2))
+        panels = figure.subplots(1, len(labels), squeeze=False)[0]
+        for axes, (kind, label) in zip(panels, labels.items(), strict=True):
+            for name, predictor in PREDICTORS.items():
+                color, marker = STYLES[name]
+                values = evaluation.predictors[name][kind]
+                axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=predictor)
+            axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
+            if kind not in ("fde", "log_p"):
+                axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+            axes.grid(axis="y")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     left, right = figures["errors"].axes
     left.set_ylim(0, 1.15 * max(evaluation.predictors["constant_velocity"]["fde"].values()))  # without IDM's
     right.set_ylim(bottom=0)
@@ -64,22 +79,6 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
         axes.axhline(level / 100, color=RECORDED, linewidth=1, linestyle="--")
         axes.axhspan(level / 100 - NEAR, min(level / 100 + NEAR, 1.0), color="#f1f2f4", zorder=0)
     return figures
-
-
-def _against_horizon(evaluation: Evaluation, labels: Mapping[str, str]) -> Figure:
-    figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2))
-    panels = figure.subplots(1, len(labels), squeeze=False)[0]
-    for axes, (kind, label) in zip(panels, labels.items(), strict=True):
-        for name, predictor in PREDICTORS.items():
-            color, marker = STYLES[name]
-            values = evaluation.predictors[name][kind]
-            axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=predictor)
-        axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
-        if kind not in ("fde", "log_p"):
-            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        axes.grid(axis="y")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return figure
 
 
 @styled
@@ -106,15 +105,13 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     axes = figure.subplots()
     for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
         axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
-    for chances, ways in zip(*map(np.asarray, modes["model"]), strict=True):
-        for chance, way in zip(chances, ways, strict=True):
-            if chance >= LIKELY:
-                axes.plot(*way.T, color=STYLES["model"][0], linewidth=1 + 5 * chance, alpha=0.25)
+    for chance, way in zip(*(np.concatenate(part) for part in modes["model"]), strict=True):
+        if chance >= LIKELY:
+            axes.plot(*way.T, color=STYLES["model"][0], linewidth=1 + 5 * chance, alpha=0.25)
     for name, path in paths.items():
         color, marker = STYLES[name]
-        lines = axes.plot(*np.concatenate([start, path], axis=1).T, color=color, marker=marker, markevery=10)
-        for line in lines:
-            line.set(linewidth=1.3, markersize=4)
+        whole_paths = np.concatenate([start, path], axis=1).T
+        lines = axes.plot(*whole_paths, color=color, marker=marker, markevery=10, linewidth=1.3, markersize=4)
         lines[0].set_label(PREDICTORS.get(name, name))
     axes.set(xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1))
     axes.invert_yaxis()  # the driver's left is up
@@ -122,7 +119,7 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     return figure
 
 
-def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = None) -> list[Table]:
+def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = None) -> list[pd.DataFrame]:
     """Tabulate a learned reward, and what was learned of drivers, if anything; 90 % intervals.
 
     The last columns are mean sums of the features over a segment: the drivers', and those expected under the reward.
@@ -131,23 +128,25 @@ def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = No
         learned: the reward.
         true: the drivers' weights by name, for a further column, if they are known.
     """
-    rows = []
-    for name in (*learned.weights, "temperature", *(["tails"] if learned.tails else [])):
-        value, ends = learned.weights.get(name) or getattr(learned, name), "given" if name in learned.weights else ""
-        if name in learned.learned:
-            ends = "{:.3g}, {:.3g}".format(*learned.interval(name))
-        row = {"weight": name, "value": f"{value:.4g}", "90 % interval": ends}
-        if true is not None:
-            row["true"] = f"{true[name]:g}" if name in true else ""
-        for side, heading in (("human", "feature of drivers"), ("model", "feature expected")):
-            counts = learned.feature_counts[side]
-            row[heading] = f"{counts[name]:.3g}" if name in counts else ""
-        rows.append(row)
-    found = [grid(f"learned from {learned.windows} segments", rows)]
+    values = {**learned.weights, "temperature": learned.temperature}
+    values |= {"tails": learned.tails} if learned.tails else {}
+    counts = learned.feature_counts
+    table = pd.DataFrame({"value": pd.Series(values).map("{:.4g}".format)}).rename_axis("weight")
+    given = dict.fromkeys(learned.weights, "given")
+    table["90 % interval"] = pd.Series(given | {name: _ends(learned.interval(name)) for name in learned.learned})
+    if true is not None:
+        table["true"] = pd.Series(true).map("{:g}".format)
+    table["feature of drivers"] = pd.Series(counts["human"]).map("{:.3g}".format)
+    table["feature expected"] = pd.Series(counts["model"]).map("{:.3g}".format)
+    found = [grid(f"learned from {learned.windows} segments", table.reset_index())]
     return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
 
 
-def _drivers_table(drivers: LearnedDrivers) -> Table:
+def _ends(interval: Any) -> str:
+    return "{:.3g}, {:.3g}".format(*interval)
+
+
+def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
     """Tabulate what was learned seconds ahead, with 90 % intervals by driver where they were computed."""
     prior = drivers.prior
     numbers = {
@@ -159,29 +158,28 @@ def _drivers_table(drivers: LearnedDrivers) -> Table:
     }
     rows = []
     for name, value in numbers.items():
-        ends = value * np.exp(1.645 * drivers.deviations.get(name, np.nan) * np.array([-1, 1]))
-        text = "{:.3g}, {:.3g}".format(*ends) if np.isfinite(ends[0]) else "given"
-        rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": text})
+        spread = 1.645 * drivers.deviations.get(name, np.nan)
+        ends = _ends(value * np.exp([-spread, spread])) if np.isfinite(spread) else "given"
+        rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends})
     return grid("learned seconds ahead; factors while changing lanes", rows)
 
 
-def evaluation_tables(evaluation: Evaluation) -> list[Table]:
+def evaluation_tables(evaluation: Evaluation) -> list[pd.DataFrame]:
     """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime."""
-    rows = [
-        {"predicted by": label, "after": f"{horizon} s"}
-        | {heading: form.format(row[kind][horizon]) for kind, (heading, form) in COLUMNS.items()}
-        for horizon in map(str, HORIZONS)
-        for name, label in PREDICTORS.items()
-        if horizon in (row := evaluation.predictors[name])["fde"]
-    ]
+    rows = []
+    for horizon, (name, label) in product(map(str, HORIZONS), PREDICTORS.items()):
+        row = evaluation.predictors[name]
+        if horizon in row["fde"]:
+            values = {heading: form.format(row[kind][horizon]) for kind, (heading, form) in COLUMNS.items()}
+            rows.append({"predicted by": label, "after": f"{horizon} s", **values})
     title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers"
-    tables = [grid(title, rows)]
-    for kind, label in (("distance", "mean error, m"), ("log_p", "mean log density")):
-        for horizon in ("3", "5"):
-            rows = []
-            for regime, row in evaluation.situations[kind].items():
-                values = {label: row[name].get(horizon) for name, label in PREDICTORS.items()}
-                texts = {label: "" if value is None else f"{value:.2f}" for label, value in values.items()}
-                rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
-            tables += [grid(f"{label}, after {horizon} s", rows)] if rows else []
+    tables = [grid(title, rows, 2)]
+    regimes = (("distance", "mean error, m"), ("log_p", "mean log density"))
+    for (kind, what), horizon in product(regimes, ("3", "5")):
+        rows = []
+        for regime, row in evaluation.situations[kind].items():
+            found = {label: row[name].get(horizon) for name, label in PREDICTORS.items()}
+            texts = {label: "" if value is None else f"{value:.2f}" for label, value in found.items()}
+            rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
+        tables += [grid(f"{what}, after {horizon} s", rows)] if rows else []
     return tables

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
-from rich.table import Table
 from scipy.stats import binomtest
 
 from ms_highway.experiments.analysis.summary import CONFIDENCE
@@ -31,13 +31,13 @@ FORMS = {
     "m/s": "{mean_speed:.1f}",
     "m/s² at most": "{max_acceleration:.1f}",
     "jerk, m/s³": "{jerk:.1f}",
-    "": "",  # shares of models
+    "": "{shares}",
     "ms p50, p99": "{p50_ms:.1f}, {p99_ms:.1f}",
     "late": "{late:.0f} %",
     "traffic": "{traffic}",
-    "episodes": "{seeds[1]} from {seeds[0]} on",
+    "episodes": "{number} from {first} on",
 }
-"""Headings of a driver's texts, and how they are made of its figures; shares are in percent."""
+"""Headings of a driver's texts, and how they are made of its figures."""
 
 
 def success_interval(figures: Mapping[str, Any]) -> tuple[float, float]:
@@ -46,28 +46,25 @@ def success_interval(figures: Mapping[str, Any]) -> tuple[float, float]:
     return binomtest(round(figures["success"] * episodes), episodes).proportion_ci(CONFIDENCE, "wilson")
 
 
-def driver_table(title: str, drivers: Drivers) -> Table:
+def driver_table(title: str, drivers: Drivers) -> pd.DataFrame:
     """Return a table of the drivers in a scene; the title says which traffic and how many episodes."""
-    rows = [
-        {heading: text for heading, text in row.items() if heading not in ("traffic", "episodes")}
-        for row in driver_rows(drivers)
-    ]
-    return grid(title, rows, left=1 + ("label" in rows[0]))
+    return grid(title, driver_texts(drivers).drop(columns=["traffic", "episodes"]))
 
 
-def driver_rows(drivers: Drivers) -> list[dict[str, str]]:
+def driver_texts(drivers: Drivers) -> pd.DataFrame:
     """Return a row of texts for each driver, without columns that are empty in all rows."""
     rungs = cheapest_first([*MODELS, *(rung for one in drivers.values() for rung in one.get("rungs", ()))])
-    used = " / ".join(f"{{rungs[{rung}]:.0f}}" for rung in rungs)
-    forms = {heading or f"{' / '.join(rungs)} %": form or used for heading, form in FORMS.items()}
+    forms = {heading or f"{' / '.join(rungs)} %": form for heading, form in FORMS.items()}
     rows = []
     for driver, one in drivers.items():
         low, high = success_interval(one)
-        shares = {name: 100 * one[name] or None for name in ("off_road", "late") if name in one}
-        shares |= {"success": 100 * one["success"], "low": 100 * low, "high": 100 * high}
+        first, number = one["seeds"]
+        row = {**one, "driver": driver, "first": first, "number": number, "success": 100 * one["success"]}
+        row |= {name: 100 * one.get(name, 0.0) or None for name in ("off_road", "late")}
+        row |= {"low": 100 * low, "high": 100 * high}
         if own := one.get("rungs"):
-            shares["rungs"] = {rung: 100 * own.get(rung, 0.0) for rung in rungs}
-        rows.append({**one, "driver": driver, **shares})
+            row["shares"] = " / ".join(f"{100 * own.get(rung, 0.0):.0f}" for rung in rungs)
+        rows.append(row)
     return texts(forms, rows)
 
 

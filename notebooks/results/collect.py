@@ -18,7 +18,7 @@ from ms_highway.envs.registry import fixed_order_types
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.visualization.html_page import results_table
-from ms_highway.visualization.roads import driver_rows
+from ms_highway.visualization.roads import driver_texts
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
@@ -185,6 +185,11 @@ def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
 def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
     """Texts, a row per stock scene and driver."""
     return table_of({"scene": scene, **row} for scene, drivers in roads.items() for row in driver_rows(drivers))
+
+
+def driver_rows(drivers: dict[str, dict]) -> list[dict[str, str]]:
+    """Texts of drivers."""
+    return driver_texts(drivers).to_dict("records")
 
 
 def recorded_tables() -> dict[str, pd.DataFrame]:

@@ -44,10 +44,10 @@ def test_the_command_shows_figures_of_each_noise_in_what_the_robot_sees(tmp_path
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("--noise 0.1 --batches 8", "--noise is about driving, and --batches and --crowd about time"),
+        ("--noise 0.1 --batches 8", "--noise is about driving, and --batches about time"),
         ("--noise nan", "--noise: 'nan' is no number from 1e-05 to 10.0"),
         ("--noise 0.1 --set duration=1", "episodes of merger have 10 steps; make their duration 20 steps at least"),
-        ("--controllers naive", "--seen, --seeds, --seed and --controllers are about --noise"),
+        ("--seeds 3", "--seen, --seeds and --seed are about --noise"),
     ],
 )
 def test_what_cannot_be_measured_together_is_refused_before_anything_is_driven(arguments, message, refused):

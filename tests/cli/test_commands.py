@@ -36,7 +36,7 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("sweep merger --out sweep --devices 1 --scheduler tcp://a:1", "leave one out"),
         ("irl evaluate --data minari:none", "--folds N; give one of them"),
         ("bench road merge --figure rates.jpg", "'rates.jpg' is no name that ends in .png, .pdf, .svg"),
-        ("validate nowhere", "there is no directory nowhere"),
+        ("validate nowhere", "no reference episodes (*.npz) in nowhere"),
         ("sweep merger give_way --out sweep", "there are 2 scenarios; a sweep is of one"),
     ],
 )

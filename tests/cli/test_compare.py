@@ -52,8 +52,7 @@ def test_compare_writes_a_row_per_step_a_summary_and_figures(compared):
     summary = pd.read_csv(compared / "summary.csv").set_index("controller")
     means = records.groupby("controller")["reward"].mean()
     assert summary["reward"].to_dict() == pytest.approx(means.to_dict())
-    assert (summary["reward_low"] < summary["reward"]).all()
-    assert (summary["reward"] < summary["reward_high"]).all()
+    assert summary["reward"].between(summary["reward_low"], summary["reward_high"]).all()
     assert summary.loc["naive", "share_naive"] == 1
     assert summary.loc["naive", "decision_ms"] == 0 < summary.loc["switching:0.4", "decision_ms"]
     for name in ("bars", "timeline"):
@@ -62,17 +61,16 @@ def test_compare_writes_a_row_per_step_a_summary_and_figures(compared):
 
 
 def parts(directory):
-    return {*(directory / "parts").glob("[!.]*")} if (directory / "parts").exists() else set()
+    return {*(directory / "parts").glob("[!.]*")}
 
 
 @pytest.mark.slow
-def test_a_comparison_on_two_cores_that_is_killed_goes_on_and_gives_what_one_process_gives(tmp_path, monkeypatch):
+def test_a_comparison_on_two_cores_that_is_killed_goes_on_and_gives_what_one_process_gives(tmp_path):
     """Nothing is lost, nothing doubled, and no process is left behind."""
-    words, alone, killed = "compare merger --controllers naive turn --seeds 40 --out", tmp_path / "1", tmp_path / "2"
-    with monkeypatch.context() as patch:
-        patch.setattr("ms_highway.experiments.runner.FEWEST", 1000)
-        run(f"{words} {alone}")
-    process = subprocess.Popen([sys.executable, "-m", "ms_highway", *f"{words} {killed}".split()])
+    asked, alone, killed = Comparison({"merger": ["naive", "turn"]}, 40), tmp_path / "1", tmp_path / "2"
+    assert list(run_comparison(asked, alone)) == list(range(81))
+    words = f"compare merger --controllers naive turn --seeds 40 --out {killed}"
+    process = subprocess.Popen([sys.executable, "-m", "ms_highway", *words.split()])
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while len(parts(killed)) < 10:
         assert process.poll() is None
@@ -85,8 +83,7 @@ def test_a_comparison_on_two_cores_that_is_killed_goes_on_and_gives_what_one_pro
     assert not (killed / "steps.csv").exists()
     while any(worker.exists() for worker in workers):
         time.sleep(0.1)
-    counts = list(run_comparison(Comparison({"merger": ["naive", "turn"]}, 40), killed))
-    assert counts == list(range(left, 81))
+    assert list(run_comparison(asked, killed)) == list(range(left, 81))
     pd.testing.assert_frame_equal(untimed(killed), untimed(alone))
     assert not parts(killed)
 
@@ -103,7 +100,6 @@ def test_compare_goes_on_from_steps_and_parts(compared, begun):
     before = steps.read_text()
     run(f"{COMPARE} {begun} --format pdf")
     assert steps.read_text() == before
-    assert (begun / "stay_back_bars.pdf").read_bytes().startswith(b"%PDF")
     assert (begun / "stay_back_bars.png").exists()  # of the same records
     assert not parts.exists()
     run(f"{COMPARE} {begun} --seeds 3 --format svg")
@@ -125,9 +121,8 @@ def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_r
 
 
 @pytest.mark.slow
-def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, capsys):
+def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun):
     run(f"compare stay_back --controllers random:naive=0.5,turn=0.5 --seeds 1 --out {begun}")
-    assert "switching:0.4" not in capsys.readouterr().out
     summary = pd.read_csv(begun / "summary.csv")
     assert summary["kind"].tolist() == ["fixed", "switching", "random"]
     assert summary["episodes"].tolist() == [2, 2, 1]
@@ -136,15 +131,13 @@ def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun, 
 @pytest.mark.parametrize(
     ("options", "learned", "said"),
     [
-        ("", ["learned:1"], ""),
         ("--set costs=naive=0.1,turn=0.2,tom=0.3", ["learned:1"], ""),
         ("--set ladder=naive,turn@5", [], "stay_back is compared without learned:1: "),
     ],
 )
 def test_learned_values_are_compared_by_default_where_they_suit_the_ladder(options, learned, said, capsys):
     asked = _with_learned(comparison(parse(f"compare stay_back {options}".split())))
-    rungs = asked.controllers["stay_back"][:2]
-    assert asked.controllers["stay_back"] == [*rungs, *learned, "switching:5", "switching:0.4"]
+    assert asked.controllers["stay_back"][2:] == [*learned, "switching:5", "switching:0.4"]
     assert said in capsys.readouterr().err
 
 
@@ -153,8 +146,7 @@ def test_compare_keeps_measured_costs_with_the_results(tmp_path):
     command = f"compare stay_back --controllers switching:1 --seeds 1 --set costs=measured --out {tmp_path}"
     run(command)
     settings = (tmp_path / "settings.json").read_text()
-    costs = json.loads(settings)["measured"]["stay_back"]
-    assert 0 < costs["naive"] < 0.1
+    assert 0 < json.loads(settings)["measured"]["stay_back"]["naive"] < 0.1
     run(command)
     assert (tmp_path / "settings.json").read_text() == settings
 
@@ -176,7 +168,7 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
     ("pattern", "replacement", "message"),
     [
         ("(?m),[^,]*$", "", "its columns are not"),
-        ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "texts where numbers belong, in column seed"),
+        ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "seed of naive with seed nought is nought; it must be"),
         ("(stay_back,naive,0,0,naive),[^,]*", r"\1,1e400", "reward of naive with seed 0 is inf; it must be"),
         ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
     ],

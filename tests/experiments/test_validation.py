@@ -2,13 +2,12 @@
 
 import json
 import shutil
-import zipfile
 
 import numpy as np
 import pytest
 
 from ms_highway.cli.main import main
-from ms_highway.experiments.validation import ARRAYS, read_episodes, validate, validate_file
+from ms_highway.experiments.validation import read_episodes, validate, validate_file
 
 DECISIONS = {"merger": 780, "give_way": 780, "stay_back": 680}
 ELSEWHERE = [pytest.param(name, marks=pytest.mark.slow) for name in ("give_way", "stay_back")]
@@ -56,17 +55,11 @@ def test_validate_prints_json_for_any_directory_of_such_files(reference, tmp_pat
 def test_files_that_are_no_reference_files_are_refused_by_name(tmp_path):
     with pytest.raises(FileNotFoundError, match="no reference episodes"):
         validate(tmp_path)
-    file = tmp_path / "merger__naive.npz"
-    file.write_bytes(b"not an archive")
+    (tmp_path / "merger__naive.npz").write_bytes(b"not an archive")
     with pytest.raises(ValueError, match=r"merger__naive\.npz cannot be read as a reference file"):
         validate(tmp_path)
-    np.savez(tmp_path / "highway__naive.npz")
     with pytest.raises(ValueError, match="SCENARIO__KIND"):
         read_episodes(tmp_path / "highway__naive.npz")
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        archive.writestr("states.npy", bytes(140_000_000))
-    with pytest.raises(ValueError, match="it unpacks to 140000000 bytes"):
-        validate_file(file)
 
 
 def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
@@ -75,11 +68,10 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
     file = tmp_path / "merger__tom.npz"
     for change, message in (
         ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
-        ({"states": np.zeros(3)}, r"states holds float64 of shape \(3,\); it must hold"),
-        ({"states": arrays["states"] * 1e300}, "states holds .*; it must hold finite numbers below 1e.38"),
+        ({"states": np.zeros(3)}, r"states holds float64 of shape \(3,\); it must hold finite numbers of shape"),
+        ({"states": arrays["states"] * 1e300}, "states holds .*; it must hold finite numbers"),
         ({"states": arrays["states"] > 0}, "states holds bool .*; it must hold finite numbers"),
-        ({"models": arrays["models"] * 1.0}, "models holds float64 .*; it must hold integers"),
-        ({name: arrays[name][:0] for name in ARRAYS if name != "ladder"}, r"rewards holds .* of shape \(0, "),
+        ({name: array[:0] for name, array in arrays.items() if name != "ladder"}, r"states holds .* of shape \(0, "),
     ):
         np.savez(file, **{**arrays, **change})
         with pytest.raises(ValueError, match=message):

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.benchmarks.throughput import throughput
+from ms_highway.benchmarks.speed import speed
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
 from ms_highway.experiments.batch import make_batch, simulated
 from ms_highway.experiments.comparison import Comparison
@@ -126,10 +126,14 @@ def test_a_batch_without_controllers_known_costs_or_devices_is_refused():
 
 
 @pytest.mark.slow
-def test_the_throughput_of_environment_and_batches_is_measured(monkeypatch):
+def test_the_speed_of_environment_and_batches_is_measured(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
-    ((name, result),) = throughput("stay_back", ["naive"], [1, 20])
-    assert name == "naive"
+    ((name, result),) = speed("stay_back", ["switching:1"], {"ladder": ["naive", "turn"]}, [1, 20])
+    assert name == "switching:1"
+    assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
+    assert 0 < result["decision_us"] < 1e6
+    assert 0 < result["step_us"] < 1e6
     assert result["environment"] > 1
     assert result["batch"]["20"] > result["batch"]["1"] > 1
+    assert result["devices"].endswith(" of kind cpu")
     assert result["memory_mib"]["20"] >= result["memory_mib"]["1"] > 100

@@ -95,8 +95,8 @@ def test_the_columns_of_all_csv_files_are_explained_and_no_others():
     glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
     rows = [line.split("|")[1] for line in glossary.splitlines() if line.startswith("| `")]
     kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]
-    block = Block("recorded", "idle", "replay", (RecordedStart("name", "file", "problem"),))
-    road = set(row(block, run_episode(Block("highway-fast-v0", "idle"), 0)))
+    block = Block("recorded", "idm", "replay", (RecordedStart("name", "file", "problem"),))
+    road = set(row(block, run_episode(Block("highway-fast-v0", "idm"), 0)))
     found = {*chain(*kept), *columns(PAPER_MODELS, PAPER_MODELS[1:]), *INDEX, *KEPT_COLUMNS, "meta_reward", *road}
     assert {re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found} == set(
         re.findall(r"`(\w+)`", "".join(rows))

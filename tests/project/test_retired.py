@@ -12,7 +12,9 @@ from ms_highway.runtime.retired import CONTROLLERS, DRIVERS, OPTIONS
     ("command", "gone"),
     [
         ("bench merger --peer casadi", "bench --peer"),
+        ("bench merger --crowd 2", "bench --crowd"),
         ("bench road merge --judge", "bench road --judge"),
+        ("bench road merge --traffic unyielding", "bench road --traffic unyielding"),
         ("bench road merge --drivers search", "search"),
         ("bench road merge --drivers idm priced+traits", "traits"),
         ("sweep merger --processes=2 --out out", "sweep --processes"),

@@ -6,15 +6,14 @@ from dataclasses import replace
 from importlib.metadata import version
 
 import imageio.v3 as imageio
-import numpy as np
 import pandas as pd
 import pytest
 from commands import run
 from comparisons import CONTROLLERS, Page, with_settings
 
 from ms_highway.experiments.results import read_results
-from ms_highway.visualization.html_page import results_table
-from ms_highway.visualization.video import film
+from ms_highway.visualization.figures import figures
+from ms_highway.visualization.html_page import page, results_table
 
 
 @pytest.fixture(scope="module")
@@ -29,33 +28,25 @@ def content(source, kind):
 
 
 def test_the_page_has_answer_table_figures_film_and_settings(html, compared):
-    page = Page(html)
-    said = " ".join(page.texts)
+    shown = Page(html)
+    said = " ".join(shown.texts)
     summary = pd.read_csv(compared / "summary.csv").set_index("controller")
     assert f"naive earns a reward of {summary.loc['naive', 'reward']:.2f} per step" in said
     for name in CONTROLLERS:
-        row = page.texts.index(name, page.texts.index("controller"))
-        assert page.texts[row + 1] == f"{summary.loc[name, 'reward']:.2f}"
-    figures = [image["alt"].split(".")[0] for image in page.all("img")]
+        row = shown.texts.index(name, shown.texts.index("controller"))
+        assert shown.texts[row + 1] == f"{summary.loc[name, 'reward']:.2f}"
+    figures = [image["alt"].split(".")[0] for image in shown.all("img")]
     assert figures == [f"Stay Back, {name}" for name in ("bars", "timeline", "decisions")]
-    for image in page.all("img"):
+    for image in shown.all("img"):
         assert imageio.imread(content(image["src"], "image/png")).std() > 10
-    (film,) = page.all("video")
+    (film,) = shown.all("video")
     assert "naive above, switching:0.4 below" in film["aria-label"]
     frames = imageio.imread(content(film["src"], "video/mp4"), plugin="pyav", extension=".mp4")
     assert frames.shape == (35, 816, 960, 3)
     assert f"ms-highway compare stay_back --controllers naive switching:0.4 --out {compared} --seeds 1" in said
     assert f"jax {version('jax')}" in said
-    assert {"human reward", "learned"} <= set(page.texts)
+    assert {"human reward", "learned"} <= set(shown.texts)
     assert "are missing" not in said
-
-
-def test_what_is_filmed_for_the_page_is_the_episode_that_was_recorded(compared):
-    results = read_results(compared)
-    filmed = film("stay_back", "switching:0.4", 1, **results.config("stay_back")).records
-    recorded = results.records.query("controller == 'switching:0.4' and seed == 1")
-    np.testing.assert_allclose([record["reward"] for record in filmed], recorded["reward"])
-    assert [record["model"] for record in filmed] == list(recorded["model"])
 
 
 def test_the_page_refers_to_nothing_outside_itself(html):
@@ -73,10 +64,10 @@ def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_shows_no_markup
     (directory / "provenance.json").write_text(json.dumps([runs[0] | {"command": "<script>alert(1)</script>"}]))
     run(f"report {directory} --no-videos --out {out}")
     assert "lacks 3 episodes; start the same" in capsys.readouterr().err
-    page = Page(out.read_text())
-    assert "3 of the requested episodes are missing." in page.texts
-    assert "<script>alert(1)</script>" in page.texts
-    assert not page.all("script") + page.all("video")
+    shown = Page(out.read_text())
+    assert "3 of the requested episodes are missing." in shown.texts
+    assert "<script>alert(1)</script>" in shown.texts
+    assert not shown.all("script") + shown.all("video")
     assert [path.name for path in out.parent.iterdir()] == [out.name]
 
 
@@ -87,11 +78,10 @@ def test_a_page_has_all_controllers_in_its_table_and_a_curve_of_three_lambdas(co
     more += [switching.assign(controller=f"switching:{price}") for price in (0.1, 5)]
     directory = with_settings(compared, tmp_path / "more")
     pd.concat([records, *more]).to_csv(directory / "steps.csv", index=False)
-    run(f"report {directory} --no-videos")
-    page = Page((directory / "report.html").read_text())
-    assert {"naive", "switching:0.4", "switching:5", "schedule:turn=3,naive"} <= set(page.texts)
-    figures = [image["alt"].split(".")[0] for image in page.all("img")]
-    assert figures == [f"Stay Back, {name}" for name in ("curve", "timeline", "decisions")]
+    results = read_results(directory)
+    texts = page(results, videos=False)
+    assert all(name in texts for name in ("naive", "switching:0.4", "switching:5", "schedule:turn=3,naive"))
+    assert list(figures(results.records, results.summaries, "stay_back")) == ["curve", "timeline", "decisions"]
 
 
 def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_only(compared):

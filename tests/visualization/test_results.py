@@ -4,13 +4,9 @@ import json
 import shutil
 from importlib.metadata import version
 
-import pandas as pd
 import pytest
 from commands import run
 from comparisons import COMPARE
-
-from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.analysis.selection import most_informative_pair
 
 
 def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
@@ -35,20 +31,3 @@ def test_results_that_are_no_results_are_refused_in_one_line(name, spoil, messag
     directory = shutil.copytree(compared, tmp_path / "results", ignore=shutil.ignore_patterns("*.html"))
     (directory / name).write_text(spoil((directory / name).read_text()))
     assert message in refused("report results --out page.html")
-
-
-def summarised(rewards):
-    """A summary of controllers; files of values are not read."""
-    configs = [controller_config(name.removesuffix(":own.npz")) for name in rewards]
-    return pd.DataFrame(rewards.items(), columns=["controller", "reward"]).assign(
-        scenario="merger",
-        kind=[config["type"] for config in configs],
-        price=[config.get("lambda") for config in configs],
-    )
-
-
-def test_the_best_fixed_model_is_shown_beside_switching_at_the_smallest_lambda():
-    summaries = summarised({"naive": 1, "switching:0.6": 3, "tom": 5, "switching:0.1": 4, "turn": 2})
-    assert most_informative_pair(summaries, "merger") == ["tom", "switching:0.1"]
-    assert most_informative_pair(summaries[summaries["reward"] < 3], "merger") == ["turn", "naive"]
-    assert most_informative_pair(summaries[summaries["reward"] == 5], "merger") == ["tom"]

@@ -29,17 +29,13 @@ INTENTIONS = "+intentions"
 HUMAN = "human"
 """The driver that goes as the vehicle was recorded to whose place the ego takes."""
 
-PEERS = ("idm", "idle", "random")
-"""Drivers that are not this package's."""
-
-DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:tom", *PEERS)
+DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:tom", "idm")
 """Drivers that are measured by default."""
 
 TRAFFIC = {
     "idm": "highway_env.vehicle.behavior.IDMVehicle",
     "aggressive": "highway_env.vehicle.behavior.AggressiveVehicle",
     "commuter": "ms_highway.vehicle.CommuterVehicle",
-    "unyielding": "ms_highway.benchmarks.road.peers.UnyieldingVehicle",
 }
 """Types of other vehicles, by name."""
 
@@ -50,14 +46,11 @@ def known_scenes(names: Iterable[str]) -> list[str]:
     Raises:
         ValueError: for one that is not known.
     """
-    scenes = []
+    scenes, every = [], (*SCENES, *OTHER_SCENES, RECORDED)
     for name in names:
-        if name == RECORDED:
-            scenes.append(name)
-            continue
-        known = [scene for scene in SCENES + OTHER_SCENES if name in (scene, re.sub(r"-v\d+$", "", scene))]
+        known = [scene for scene in every if name in (scene, re.sub(r"-v\d+$", "", scene))]
         if not known:
-            raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join((*SCENES, *OTHER_SCENES, RECORDED))}")
+            raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(every)}")
         scenes += known
     return list(dict.fromkeys(scenes))
 

@@ -3,11 +3,12 @@
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
 from itertools import count
 from pathlib import Path
+from queue import Queue
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -17,13 +18,14 @@ import pandas as pd
 from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config, is_agent
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.peers import Agent, Idle, Idm, Peer, Random, policy_of
+from ms_highway.benchmarks.road.peers import Agent, Idm, Peer, policy_of
 from ms_highway.benchmarks.road.recorded import Human, RecordedStart
 from ms_highway.road import drive
 from ms_highway.road.graphics import show
 from ms_highway.road.settings import DRIVERS, RoadSettings
 from ms_highway.road.stock import success
 from ms_highway.runtime import retired
+from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 UNPHYSICAL = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
@@ -32,7 +34,7 @@ LONGEST = 60.0  # s, after which an episode ends in scenes that have no end of t
 FRAMES_PER_SECOND = 10  # of films, at most
 HIGHEST = 360  # px, of films: pages load them
 
-OTHERS: dict[str, type[Peer]] = {"idm": Idm, "idle": Idle, "random": Random, HUMAN: Human}
+OTHERS: dict[str, type[Peer]] = {"idm": Idm, HUMAN: Human}
 """Wrappers of the drivers that are not this package's own, by name."""
 
 
@@ -56,52 +58,6 @@ class Block(NamedTuple):
     def name(self, seed: int) -> str:
         """Return the name of a start, for logs."""
         return self.starts[seed].name if self.starts else str(seed)
-
-
-@dataclass(frozen=True)
-class Episode:
-    """What happened in an episode, and how the ego moved until its end, or until it crashed.
-
-    Attributes:
-        seed: of the start.
-        success: whether it is one, see `run_episode`.
-        crashed: whether the ego has crashed.
-        at_fault: whether it has, and is at fault.
-        off_road: whether it has left the road.
-        steps: of the environment.
-        reward: the sum over all steps.
-        frames: of the simulation.
-        distance: the sum of speed times time [m].
-        seconds: duration of the frames.
-        stood: duration of those in which it was slower than 1 m/s [s].
-        max_acceleration: the largest acceleration in any frame [m/s^2].
-        max_acceleration_of_centre: that of the middle of the car, which also goes sideways when the front wheels are
-            turned [m/s^2].
-        squared_jerk: the mean of the squared change of acceleration per second [m^2/s^6].
-        decisions: duration of each decision, without compilation [s].
-        late: number of plans that were not ready within their budget.
-        sources: number of decisions by what drove then, where the driver says so.
-        rungs: number of cars that each rung predicted, summed over decisions.
-    """
-
-    seed: int
-    success: bool
-    crashed: bool
-    at_fault: bool
-    off_road: bool
-    steps: int
-    reward: float
-    frames: int
-    distance: float
-    seconds: float
-    stood: float
-    max_acceleration: float
-    max_acceleration_of_centre: float
-    squared_jerk: float
-    decisions: tuple[float, ...]
-    late: int
-    sources: Counter[str]
-    rungs: Counter[str]
 
 
 def check_driver(name: str) -> None:
@@ -144,7 +100,9 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
 _kept_driver = cache(make_driver)
 
 
-def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> Episode:
+def run_episode(
+    block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None
+) -> dict[str, Any]:
     """Drive one episode.
 
     It is no success after a crash. Where the scene has a goal, `ms_highway.road.stock.success` decides at its end;
@@ -155,6 +113,15 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         seed: of the start.
         env: what `make_driver` returned for the block; by default, one that this process keeps.
         then: is called after every frame.
+
+    Returns:
+        * ``seed``, ``success``; ``crashed``, and ``at_fault`` if the ego has crashed and is at fault; ``off_road``,
+          whether it has left the road;
+        * ``steps`` of the environment, ``reward``, the sum over all of them;
+        * how it moved until the end, or until it crashed, see `ms_highway.benchmarks.road.measures.measured`;
+        * ``late``, the number of plans that were not ready within their budget;
+        * ``decisions``, the duration of each, without compilation [s]; ``sources``, their number by what drove then,
+          where the driver says so; ``rungs``, the number of cars that each rung predicted, summed over decisions.
     """
     env = env or _kept_driver(block)
     env.reset(seed=seed, options={"config": block.starts[seed].config} if block.starts else None)
@@ -173,20 +140,68 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     reached = success(inner)
     if exported and block.exports:
         exported.write(block.exports / block.traffic / file_name(block.driver), block.name(seed))
-    return Episode(
-        seed=seed,
-        success=not watch.crashed and bool(not off_road if reached is None else reached),
-        crashed=watch.crashed,
-        at_fault=watch.at_fault,
-        off_road=off_road,
-        steps=len(rewards),
-        reward=sum(rewards),
+    return {
+        "seed": seed,
+        "success": not watch.crashed and bool(not off_road if reached is None else reached),
+        "crashed": watch.crashed,
+        "at_fault": watch.at_fault,
+        "off_road": off_road,
+        "steps": len(rewards),
+        "reward": sum(rewards),
         **watch.motion(),
-        decisions=tuple(seconds for road in roads for seconds in road["decisions"] if seconds >= 0),
-        late=sum(road.get("late", 0) for road in roads),
-        sources=Counter(source for road in roads for source in road.get("sources", ()) if source),
-        rungs=sum((Counter(road.get("model_counts", {})) for road in roads), Counter[str]()),
-    )
+        "decisions": [seconds for road in roads for seconds in road["decisions"] if seconds >= 0],
+        "late": sum(road.get("late", 0) for road in roads),
+        "sources": Counter(source for road in roads for source in road.get("sources", ()) if source),
+        "rungs": sum((Counter(road.get("model_counts", {})) for road in roads), Counter[str]()),
+    }
+
+
+def run_blocks(
+    blocks: Sequence[Block],
+    seeds: Sequence[int],
+    jobs: int | None = None,
+    films: Path | None = None,
+    modules: Sequence[str] = (),
+) -> Iterator[tuple[Block, list[dict[str, Any]]]]:
+    """Drive the same starts in all blocks; yield each block with its episodes, in the order of blocks and seeds.
+
+    Each block has a process of its own, on one core: some scenes change the class of the other vehicles for good.
+
+    Args:
+        blocks: what drives where.
+        seeds: of the starts.
+        jobs: number of processes at once, each on a core of its own while there are enough; by default, that of cores.
+        films: directory for films of the first failure and the first success of each block.
+        modules: to import in the processes.
+
+    Raises:
+        ValueError: if a driver cannot be made.
+    """
+    workers, free = min(jobs or cores(), len(blocks)), Queue[int]()
+    for core in range(workers):
+        free.put(core)
+
+    def drive(block: Block) -> tuple[Block, list[dict[str, Any]]]:
+        core = free.get()
+        try:
+            with own_process(partial(low_latency_on_core, core), modules) as process:
+                return block, process.submit(_run_block, block, seeds, films).result()
+        finally:
+            free.put(core)
+
+    with ThreadPoolExecutor(workers) as threads:
+        yield from threads.map(drive, blocks)
+
+
+def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[dict[str, Any]]:
+    episodes = [run_episode(block, seed) for seed in seeds]
+    if films is None:
+        return episodes
+    firsts = {episode["success"]: episode["seed"] for episode in reversed(episodes)}
+    for succeeds, seed in firsts.items():
+        outcome = "success" if succeeds else "failure"
+        film(block, seed, films / file_name(f"{block.scene}_{block.driver}_{outcome}_{block.name(seed)}.gif"))
+    return episodes
 
 
 def file_name(text: str) -> str:
@@ -204,15 +219,13 @@ def film(block: Block, seed: int, path: Path) -> None:
     """
     from ms_highway.visualization.video import named, write
 
-    shown = [block]
+    pictures, rate = _filmed(block, seed)
     if block.starts and isinstance(block.starts[seed].ego, int):
-        shown.insert(0, block._replace(driver=HUMAN, traffic="replay"))
-    films, rates = zip(*(_filmed(one, seed) for one in shown), strict=True)
-    if len(shown) > 1:
-        films = tuple(map(named, films, ("the recorded driver", block.driver)))
-    longest = max(map(len, films))
-    whole = [[*pictures, *[pictures[-1]] * (longest - len(pictures))] for pictures in films]
-    write([np.vstack(pictures) for pictures in zip(*whole, strict=True)], path, rates[0])
+        recorded, _ = _filmed(block._replace(driver=HUMAN, traffic="replay"), seed)
+        above, below = named(recorded, "the recorded driver"), named(pictures, block.driver)
+        together = range(max(len(above), len(below)))  # the shorter one stays at its end
+        pictures = [np.vstack([each[min(place, len(each) - 1)] for each in (above, below)]) for place in together]
+    write(pictures, path, rate)
 
 
 def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
@@ -234,14 +247,14 @@ def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
     return scaled(pictures, width * min(HIGHEST, height) // height), frequency / every
 
 
-def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
+def summary(block: Block, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the figures of a driver in a scene, for JSON.
 
     * ``success``, ``off_road``: shares of the episodes in which the goal was reached, and the road was left;
     * ``collisions``, ``at_fault``: numbers of episodes in which the ego crashed, and was at fault;
     * ``reward_per_step``, ``return``: mean reward over all steps of all episodes, and its sum per episode;
     * ``mean_speed``: over all frames [m/s]; ``stood``: mean time slower than 1 m/s in an episode [s];
-    * ``max_acceleration``, ``max_acceleration_of_centre``: largest in any frame [m/s^2];
+    * ``max_acceleration``, ``max_acceleration_of_centre``: the largest of all episodes [m/s^2];
     * ``jerk``: root mean square over all frames [m/s^3];
     * ``p50_ms``, ``p99_ms``: quantiles over all decisions of all episodes [ms];
     * ``late``: share of the plans that were not ready within their budget;
@@ -252,7 +265,7 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
     * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
       vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`.
     """
-    of = pd.DataFrame(map(vars, episodes))
+    of = pd.DataFrame(episodes)
     p50, p99 = np.quantile(np.concatenate(of["decisions"]), [0.5, 0.99])
     largest, reached = of["max_acceleration"].max(), of["seconds"][of["success"]]
     figures = {
@@ -272,7 +285,7 @@ def summary(block: Block, episodes: Sequence[Episode]) -> dict[str, Any]:
         "sources": _shares(of["sources"]),
         "rungs": _shares(of["rungs"]),
         "episodes": len(episodes),
-        "seeds": [episodes[0].seed, len(episodes)],
+        "seeds": [episodes[0]["seed"], len(episodes)],
         "traffic": block.traffic,
         "label": "unphysical" if largest > UNPHYSICAL else "",
     }
@@ -284,11 +297,10 @@ def _shares(counters: Iterable[Counter[str]]) -> dict[str, float]:
     return {name: number / counts.total() for name, number in counts.items()}
 
 
-def row(block: Block, episode: Episode) -> dict[str, Any]:
+def row(block: Block, episode: Mapping[str, Any]) -> dict[str, Any]:
     """Return an episode as a row of a table."""
+    numbers = {name: value for name, value in episode.items() if name not in ("decisions", "sources", "rungs")}
+    start = {"start": block.name(episode["seed"])} if block.starts else {}
+    times = 1e3 * np.array(episode["decisions"])
     own = {"scene": block.scene, "driver": block.driver, "traffic": block.traffic}
-    start = {"start": block.name(episode.seed)} if block.starts else {}
-    left_out = ("decisions", "sources", "rungs")
-    numbers = {name: value for name, value in vars(episode).items() if name not in left_out}
-    times = {"p50_ms": 1e3 * float(np.median(episode.decisions)), "max_ms": 1e3 * max(episode.decisions)}
-    return own | start | numbers | times
+    return own | start | numbers | {"p50_ms": float(np.median(times)), "max_ms": float(times.max())}

@@ -99,27 +99,27 @@ class Drive:
         """Return the XML of a recording in which the others go as they drove, in place of what was recorded."""
         root = ElementTree.fromstring(read_xml(recording))
         for obstacle in root.findall("dynamicObstacle"):
-            rows = self._others.get(int(obstacle.get("id", -1)))
-            if rows is None:
+            number = int(obstacle.attrib["id"])
+            if number not in self._others:
                 root.remove(obstacle)
                 continue
             for old in [part for part in obstacle if part.tag in ("shape", "initialState", "trajectory")]:
                 obstacle.remove(old)
-            length, width = self._sizes[int(obstacle.attrib["id"])]  # around the middle, from which states are seen
+            length, width = self._sizes[number]  # around the middle, from which states are seen
+            first, *later = (_state(row) for row in self._others[number])
+            first.tag = "initialState"
             box = f"<rectangle><length>{length!r}</length><width>{width!r}</width></rectangle>"
-            obstacle.append(ElementTree.fromstring(f"<shape>{box}</shape>"))
-            obstacle.append(_state("initialState", rows[0]))
-            if rows[1:]:
-                trajectory = ElementTree.SubElement(obstacle, "trajectory")
-                trajectory.extend(_state("state", row) for row in rows[1:])
+            obstacle.extend([ElementTree.fromstring(f"<shape>{box}</shape>"), first])
+            if later:
+                ElementTree.SubElement(obstacle, "trajectory").extend(later)
         return root
 
 
-def _state(name: str, row: tuple[float, ...]) -> ElementTree.Element:
+def _state(row: tuple[float, ...]) -> ElementTree.Element:
     """Return an element of CommonRoad's XML: step of time, x, y, orientation and speed."""
     step, x, y, orientation, speed = row
     return ElementTree.fromstring(
-        f"<{name}><position><point><x>{x!r}</x><y>{y!r}</y></point></position>"
+        f"<state><position><point><x>{x!r}</x><y>{y!r}</y></point></position>"
         f"<orientation><exact>{orientation!r}</exact></orientation><time><exact>{int(step)}</exact></time>"
-        f"<velocity><exact>{speed!r}</exact></velocity></{name}>"
+        f"<velocity><exact>{speed!r}</exact></velocity></state>"
     )

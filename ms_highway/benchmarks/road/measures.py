@@ -1,10 +1,10 @@
 """Measure how the ego moves in every frame of the simulation, and whose fault a collision is."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection
 from itertools import pairwise
 from math import cos
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -15,9 +15,12 @@ OFFSET = 1.0  # m
 STANDING = 1.0  # m/s
 SAME_WAY = 0.7  # cosine of the angle between two headings, at least
 
+Lane: TypeAlias = tuple[str, str, int] | None
+"""Index of a lane in a road network, or none."""
+
 
 def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict[str, Any]:
-    """Return how a car moved: numbers of an `ms_highway.benchmarks.road.episodes.Episode`, by name.
+    """Return how a car moved: numbers by name.
 
     The acceleration of a frame is the larger of two: the change of ``speed * (cos(heading), sin(heading))``, and
     ``hypot(change of speed, speed * change of heading)``, both per second. That of the centre is the change of the
@@ -45,18 +48,6 @@ def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dic
     }
 
 
-class Place(NamedTuple):
-    """Where a car is on the road in one frame.
-
-    Attributes:
-        lane_index: of the closest lane.
-        follows_lane: whether the car is within `OFFSET` of its centre and faster than `STANDING`.
-    """
-
-    lane_index: tuple[str, str, int]
-    follows_lane: bool
-
-
 class Watch:
     """Watch the ego of a highway-env environment from a reset on, in every frame of the simulation.
 
@@ -74,7 +65,7 @@ class Watch:
         self.crashed = self.at_fault = self.off_road = False
         self._env, self._time_step = env, 1 / env.config["simulation_frequency"]
         self._states: list[Any] = []
-        self._places = deque[Place](maxlen=max(1, round(LOOK_BACK / self._time_step)))
+        self._lanes = deque[Lane](maxlen=max(1, round(LOOK_BACK / self._time_step)))
         self._see()
         self.off_road = False
         step = env.road.step
@@ -98,12 +89,11 @@ class Watch:
         if ego.crashed:
             self.crashed = True
             others = [one for one in (*road.vehicles, *road.objects) if one is not ego and one.crashed]
-            touched = min(others, key=lambda one: _gap(ego, one), default=None)
-            is_near = touched is not None and _gap(ego, touched) < REACH
-            self.at_fault = is_at_fault(ego, touched if is_near else None, tuple(self._places))
+            near = [one for one in others if _gap(ego, one) < REACH]
+            self.at_fault = is_at_fault(ego, min(near, key=lambda one: _gap(ego, one), default=None), self._lanes)
             return
         _, offset = ego.lane.local_coordinates(ego.position)
-        self._places.append(Place(ego.lane_index, abs(offset) < OFFSET and ego.speed > STANDING))
+        self._lanes.append(ego.lane_index if abs(offset) < OFFSET and ego.speed > STANDING else None)
         self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
 
 
@@ -112,7 +102,7 @@ def _gap(one: Any, other: Any) -> float:
     return float(np.linalg.norm(one.position - other.position) - (one.diagonal + other.diagonal) / 2)
 
 
-def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
+def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
     """Return whether the ego is at fault in a collision; it is, unless it was rear-ended while keeping its lane.
 
     It was rear-ended if all of this holds:
@@ -121,14 +111,15 @@ def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
     * the ego's centre is ahead of the other's front, along the other's heading;
     * the point of the other that is closest to the ego's centre is behind that centre, along the ego's heading.
 
-    It kept its lane if it followed one in all of ``places``, and the lane's number did not change while the road was
+    It kept its lane if it followed one all the time, and the lane's number did not change while the road was
     the same. A car that stands on the road when it is hit is thus at fault, as is one that was pushed out of the way by
     a crash in its side.
 
     Args:
         ego: a vehicle of highway-env.
         other: the vehicle or object that it touches, None if that is not known.
-        places: of the ego in the last second before the collision.
+        lanes: that the ego followed in the frames of the last second before the collision, None where it was more than
+            `OFFSET` from the centre of the closest one, or slower than `STANDING`.
     """
     if other is None or cos(ego.heading - other.heading) < SAME_WAY:
         return True
@@ -137,6 +128,6 @@ def is_at_fault(ego: Any, other: Any | None, places: Sequence[Place]) -> bool:
     half_length, half_width = other.LENGTH / 2, other.WIDTH / 2
     closest = half_length * other.direction + np.clip(away @ across, -half_width, half_width) * across
     rear_ended = away @ other.direction > half_length and (closest - away) @ ego.direction < 0
-    lanes = [place.lane_index for place in places]
-    changed = any(before[:2] == after[:2] and before != after for before, after in pairwise(lanes))
-    return bool(not rear_ended or changed or not all(place.follows_lane for place in places))
+    followed = [lane for lane in lanes if lane is not None]
+    changed = any(before[:2] == after[:2] and before != after for before, after in pairwise(followed))
+    return bool(not rear_ended or changed or len(followed) < len(lanes))

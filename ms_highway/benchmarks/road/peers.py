@@ -1,4 +1,4 @@
-"""Drivers that are not this package's: highway-env's IDM and MOBIL, idle, random, and trained agents."""
+"""Drivers that are not this package's: highway-env's IDM and MOBIL, and trained agents."""
 
 from functools import cache
 from itertools import pairwise
@@ -11,10 +11,8 @@ import gymnasium as gym
 import numpy as np
 from highway_env.envs import ExitEnv
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
-from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.controller import MDPVehicle
 
-from ms_highway.recorded.environment import RecordedEnv
 from ms_highway.road.driven import unheeded
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.road.timed_goal import TimedGoal
@@ -30,11 +28,12 @@ class Peer(gym.Wrapper):
         env: the environment.
 
     Attributes:
+        inner: the environment without its wrappers.
         seen: the last observation.
+        decisions: duration of those of the present step that the ego takes by itself, frame by frame [s].
     """
 
     seen: Any
-    counted = slice(None)  # of the decisions of a step
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
@@ -44,7 +43,7 @@ class Peer(gym.Wrapper):
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         self.seen, info = super().reset(**options)
-        self.begin(options.get("seed"))
+        self.begin()
         return self.seen, info
 
     def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -52,48 +51,16 @@ class Peer(gym.Wrapper):
         self.decisions.clear()
         start = perf_counter()
         chosen = self.choose()
-        self.decisions.append(perf_counter() - start)
+        seconds = perf_counter() - start
         self.seen, *outcome, info = super().step(chosen)
-        return self.seen, *outcome, info | {"road": {"decisions": self.decisions[self.counted]}}
+        return self.seen, *outcome, info | {"road": {"decisions": [*self.decisions] or [seconds]}}
 
-    def begin(self, seed: int | None) -> None:
+    def begin(self) -> None:
         """Prepare for an episode that has just been reset."""
 
     def choose(self) -> Any:
         """Return the action of the coming step: by default, one for an ego that steers by itself."""
         return unheeded(self.inner.action_type)
-
-    def take_over(self, kind: type[Vehicle], **options: Any) -> Any:
-        """Put a vehicle of this class in the place of the ego, and return it."""
-        return replace_ego(self.env, lambda old: kind(old.road, old.position, old.heading, old.speed, **options))
-
-    @property
-    def target_speeds(self) -> Any:
-        """Those of the environment's actions [m/s]."""
-        return np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
-
-
-class Idle(Peer):
-    """Keep speed and lane: the meta-action IDLE of highway-env's `MDPVehicle`, also where actions are continuous."""
-
-    def begin(self, seed: int | None) -> None:
-        """Put an `MDPVehicle` in the place of a vehicle that does not keep its lane by itself."""
-        if isinstance(self.inner, RecordedEnv):  # whose speeds need not be among those of meta-actions
-            self.take_over(ControlledVehicle)
-        elif not isinstance(self.inner.vehicle, MDPVehicle):
-            self.take_over(MDPVehicle, target_speeds=self.target_speeds)
-
-
-class Random(Peer):
-    """Choose among the environment's own actions at random, the same ones for the same seed."""
-
-    def begin(self, seed: int | None) -> None:
-        """Seed the actions."""
-        self.inner.action_space.seed(seed)
-
-    def choose(self) -> Any:
-        """Draw an action."""
-        return self.inner.action_space.sample()
 
 
 class Agent(Peer):
@@ -158,13 +125,13 @@ class IdmEgo(OfferedSpeeds, IDMVehicle):
         decisions: list to which it appends the duration of each of its decisions [s].
     """
 
-    decisions: list[float] | None = None
+    decisions: list[float]
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Follow and change lanes; the action is ignored."""
         start = perf_counter()
         super().act(action)
-        if self.decisions is not None:
+        if action is None:  # once a frame, and not when the environment hands its action on
             self.decisions.append(perf_counter() - start)
 
 
@@ -175,12 +142,14 @@ class Idm(Peer):
     package's drivers; IDM keeps the speed limits of lanes by itself. A timed goal sets the desired speed instead.
     """
 
-    counted = slice(1, None)  # the first one is not the ego's
-
-    def begin(self, seed: int | None) -> None:
+    def begin(self) -> None:
         """Put an `IdmEgo` in the place of the ego."""
-        ego = self.take_over(IdmEgo, target_speed=desired_speed_of(self.env))
-        ego.target_speeds, ego.route, ego.decisions = self.target_speeds, route_to_goal(self.inner), self.decisions
+        speed = desired_speed_of(self.env)
+        ego: Any = replace_ego(
+            self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
+        )
+        ego.target_speeds = np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
+        ego.route, ego.decisions = route_to_goal(self.inner), self.decisions
 
     def choose(self) -> Any:
         """Let the ego decide, at the speed that reaches a timed goal in time."""
@@ -205,14 +174,3 @@ def route_to_goal(env: Any) -> list[tuple[str, str, int | None]] | None:
     start, onward, _ = env.vehicle.lane_index
     nodes = [start, *env.road.network.shortest_path(onward, destination)]
     return [(one, other, None) for one, other in pairwise(nodes)]
-
-
-class UnyieldingVehicle(IDMVehicle):
-    """Follow cars of this class by highway-env's IDM, and no others: it runs into an ego that cuts in."""
-
-    def acceleration(
-        self, ego_vehicle: ControlledVehicle, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
-    ) -> float:
-        """Return the acceleration of a vehicle behind another one [m/s^2]."""
-        stranger = isinstance(front_vehicle, Vehicle) and not isinstance(front_vehicle, UnyieldingVehicle)
-        return float(super().acceleration(ego_vehicle, None if stranger else front_vehicle, rear_vehicle))

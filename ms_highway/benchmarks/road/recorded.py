@@ -1,5 +1,6 @@
 """Choose what to drive in recordings, their planning problems or lane changes, and drive as recorded vehicles did."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,9 +10,10 @@ from ms_highway.benchmarks.road.peers import Peer
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.commonroad import scenario_files
 from ms_highway.recorded.environment import RecordedEnv
-from ms_highway.recorded.scenario import SHIPPED, TrafficRecording, open_recording
+from ms_highway.recorded.scenario import SHIPPED, RecordedTrack, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import GuidedVehicle
+from ms_highway.road.stock import replace_ego
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
@@ -47,38 +49,32 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
     Raises:
         ValueError: if there is no recording, or no start in any.
     """
-    recordings = [SHIPPED] if data is None else [str(path) for path in scenario_files(data)]
-    starts, seen = [], set[tuple]()
-    for recording in recordings:
+    starts: dict[tuple, RecordedStart] = {}
+    for recording in [SHIPPED] if data is None else map(str, scenario_files(data)):
         scenario = open_recording(recording)
-        if egos == "problem":
-            for problem in scenario.problems:
-                name = scenario.name if len(scenario.problems) == 1 else f"{scenario.name}_{problem.number}"
-                starts.append(RecordedStart(name, recording, f"problem:{problem.number}"))
+        if egos == "changing":
+            for track in filter(partial(_changes_lane, scenario), scenario.tracks):
+                place = tuple(track.samples[0, 1:3].round(2))  # files of a group may share tracks
+                start = RecordedStart(f"{scenario.name}_{track.number}", recording, track.number)
+                starts.setdefault((scenario.group, track.number, place), start)
             continue
-        for number, first in _changing(scenario):
-            if (scenario.group, number, first) not in seen:  # files of a group may share tracks
-                seen.add((scenario.group, number, first))
-                starts.append(RecordedStart(f"{scenario.name}_{number}", recording, number))
+        for problem in scenario.problems:
+            name = scenario.name if len(scenario.problems) == 1 else f"{scenario.name}_{problem.number}"
+            starts[recording, problem.number] = RecordedStart(name, recording, f"problem:{problem.number}")
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
         raise ValueError(f"--data: there is no {what} in {data or 'the recording of the package'}; give another place")
-    return starts
+    return list(starts.values())
 
 
-def _changing(scenario: TrafficRecording) -> list[tuple[int, tuple[float, ...]]]:
-    """Return number and first position of each vehicle that ends in another lane than it began in."""
-    found = []
-    for track in scenario.tracks:
-        samples = track.samples
-        if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
-            continue
-        road = straight_road(scenario)
-        places = road.way(track)[0][[0, -1], 1] / road.lane_width
-        lanes = np.rint(places)
-        if lanes[0] != lanes[1] and abs(places[1] - lanes[1]) < CENTRED and abs(places[1] - places[0]) > CHANGED:
-            found.append((track.number, tuple(samples[0, 1:3].round(2).tolist())))
-    return found
+def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
+    """Return whether a vehicle ends in another lane than it began in."""
+    samples = track.samples
+    if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
+        return False
+    road = straight_road(scenario)
+    begin, end = road.way(track)[0][[0, -1], 1] / road.lane_width
+    return round(begin) != round(end) and abs(end - round(end)) < CENTRED and abs(end - begin) > CHANGED
 
 
 class Human(Peer):
@@ -88,20 +84,18 @@ class Human(Peer):
         ValueError: from a reset, for a planning problem, where the ego replaces no vehicle.
     """
 
-    def begin(self, seed: int | None) -> None:
+    def begin(self) -> None:
         """Put a vehicle that moves to given states in the place of the ego."""
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
             raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
-        track = env.scenario.track(env.task.track)
-        assert track is not None  # the environment has checked it
-        self._track = track
-        self._ego = self.take_over(GuidedVehicle)
+        self._track: Any = env.scenario.track(env.task.track)
+        replace_ego(env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
 
     def choose(self) -> Any:
         """Give the ego the recorded state at the end of the step."""
         road, last = self.inner.road, int(self._track.samples[-1, 0])
         position, heading, speed = road.recorded_state(self._track, road.now + 1)
         beyond = TIME_STEP * max(road.now + 1 - last, 0) * speed
-        self._ego.coming = position + beyond * np.array([np.cos(heading), np.sin(heading)]), heading, speed
+        self.inner.vehicle.coming = position + beyond * np.array([np.cos(heading), np.sin(heading)]), heading, speed
         return super().choose()

@@ -1,9 +1,26 @@
-"""Say in a few sentences what the numbers of a comparison show."""
+"""Say in a few sentences what the numbers of a comparison show, and select what else is shown of it."""
 
 import pandas as pd
 
-from ms_highway.experiments.analysis.selection import choosing_controllers
+from ms_highway.envs.registry import priced_types
 from ms_highway.experiments.analysis.summary import interval
+
+
+def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
+    """Return a controller of each kind that chooses online, the one at the smallest lambda, in the table's order."""
+    rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(priced_types())]
+    return rows.loc[rows.groupby("kind", sort=False)["price"].idxmin(), "controller"].to_list()
+
+
+def most_informative_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
+    """Return the two controllers of a scenario that are most informative side by side.
+
+    These are the fixed model of the highest mean reward, and the first of `choosing_controllers`; where either is
+    missing, the first of the others; the only one where there is one.
+    """
+    rows = summaries.query("scenario == @scenario")
+    best = rows.query("kind == 'fixed'").nlargest(1, "reward")["controller"]
+    return list(dict.fromkeys([*best, *choosing_controllers(summaries, scenario)[:1], *rows["controller"]]))[:2]
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
@@ -20,8 +37,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     rows = summaries.query("scenario == @scenario").set_index("controller")
     reward, counted = rows["reward"], rows["counted_ms"].fillna(float("inf"))
     models = rows.query("kind == 'fixed'").index
-    if models.empty:
-        models = rows.index
+    models = rows.index if models.empty else models
     best, cheapest = str(reward[models].idxmax()), str(counted[models].idxmin())
     driven = records.query("scenario == @scenario").pivot_table("reward", "seed", "controller")
     gains = (driven[best] - driven[cheapest]).dropna()
@@ -38,13 +54,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         if effort < float("inf"):
             text += f", for {100 * effort:.0f} % of {best}'s planning"
         sentences.append(f"{text}.")
-    return " ".join([*sentences, _collisions(rows)])
-
-
-def _collisions(rows: pd.DataFrame) -> str:
-    """Say with which controllers there are collisions, and in how many episodes."""
     hit = rows[rows["collision_episodes"] > 0]
-    if hit.empty:
-        return "No controller collides."
-    episodes = [f"{name} in {row['collision_episodes']} of {row['episodes']}" for name, row in hit.iterrows()]
-    return f"Episodes with a collision: {', '.join(episodes)}."
+    collisions = (f"{name} in {row['collision_episodes']} of {row['episodes']}" for name, row in hit.iterrows())
+    last = "No controller collides" if hit.empty else f"Episodes with a collision: {', '.join(collisions)}"
+    return " ".join([*sentences, f"{last}."])

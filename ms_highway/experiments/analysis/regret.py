@@ -1,24 +1,18 @@
 """Compute regret: how far controllers stay behind the best order of models that is known for every start."""
 
 from collections.abc import Sequence
-from math import isclose
 
 import pandas as pd
 
-from ms_highway.envs.registry import controller_config, fixed_order_types, priced_types
+from ms_highway.envs.registry import controller_config, fixed_order_types
 from ms_highway.experiments.analysis.summary import interval
 
 BEST_PER_START = "best order of each start"
 """Name that `regrets` gives to the best order that was found for every start."""
 
 
-def _meta_reward(episodes: pd.DataFrame, price: float) -> pd.Series:
-    """Return the meta-MDP's reward per step, ``r_R - lambda T(M)``, of each row of a table of episodes."""
-    return episodes["reward"] - price * episodes["counted_seconds"]
-
-
 def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFrame:
-    """Return, by seed, the row of the highest meta-reward, with that in a column ``meta_reward``.
+    """Return, by seed, the row of the highest meta-reward, ``r_R - lambda T(M)`` per step, with that in a column.
 
     It may be that of any controller: its choices are an order of models, too.
 
@@ -28,7 +22,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
         price: lambda [reward per second].
     """
     rows = table.query("seed in @seeds").reset_index()
-    rows["meta_reward"] = _meta_reward(rows, price)
+    rows["meta_reward"] = rows["reward"] - price * rows["counted_seconds"]
     return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
 
 
@@ -50,51 +44,17 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
     Raises:
         KeyError: if a controller was not driven from every start.
     """
-    found = best(table, seeds, price)
-    earned = _meta_reward(table, price).unstack("seed")[list(seeds)].dropna()
-    orders = [name for name in earned.index if controller_config(name)["type"] in fixed_order_types()]
-    names = dict.fromkeys([*controllers, str(earned.loc[orders].mean(axis=1).idxmax())])
+    found, net = best(table, seeds, price), table["reward"] - price * table["counted_seconds"]
+    everywhere = net.unstack("seed")[list(seeds)].dropna().mean(axis=1)
+    kinds = everywhere.index.map(lambda name: controller_config(name)["type"])
+    names = dict.fromkeys([*controllers, str(everywhere[kinds.isin(fixed_order_types())].idxmax())])
+    driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
     rows = []
-    for name in (*names, BEST_PER_START):
-        searched = name == BEST_PER_START
-        own = found if searched else table.loc[[(name, seed) for seed in seeds]].droplevel("controller")
-        net = _meta_reward(own, price)
-        behind = found["meta_reward"] - net
-        low, high = interval(behind)
-        rows.append(
-            {
-                "controller": name,
-                "kind": "search" if searched else controller_config(name)["type"],
-                "reward": own["reward"].mean(),
-                "counted_seconds": own["counted_seconds"].mean(),
-                "meta_reward": net.mean(),
-                "regret": behind.mean(),
-                "regret_low": low,
-                "regret_high": high,
-            }
-        )
+    for name, own in {**driven, BEST_PER_START: found}.items():
+        earned = own["reward"] - price * own["counted_seconds"]
+        behind = found["meta_reward"] - earned
+        row = {"controller": name, "kind": "search" if own is found else controller_config(name)["type"]}
+        row |= own[["reward", "counted_seconds"]].mean()
+        row |= {"meta_reward": earned.mean(), "regret": behind.mean()}
+        rows.append(row | dict(zip(("regret_low", "regret_high"), interval(behind), strict=True)))
     return pd.DataFrame(rows)
-
-
-def remarks(behind: pd.DataFrame, scenario: str, price: float) -> dict[str, str]:
-    """Select the controllers of a scenario that a table shows; return what is said of each.
-
-    Of controllers that have a lambda, these are of each kind the one whose lambda is the price, the one with the best
-    lambda for the scenario, and the one with the best lambda that all scenarios have in common.
-
-    Args:
-        behind: rows of `regrets` at one price, of all scenarios, with columns ``controller`` and ``scenario``.
-        scenario: its name.
-        price: at which they are judged.
-    """
-    own = behind.query("scenario == @scenario").set_index("controller")
-    priced, fixed = (own["kind"].isin(kinds) for kinds in (priced_types(), fixed_order_types()))
-    everywhere = behind.groupby("controller")["regret"].mean()
-    marks = [(own.loc[fixed, "regret"].idxmin(), "best for all starts")]
-    for _, rows in own[priced].groupby("kind"):
-        marks += [(name, "lambda = price") for name in rows.index if isclose(controller_config(name)["lambda"], price)]
-        marks += [(rows["regret"].idxmin(), "best lambda"), (everywhere[rows.index].idxmin(), "best common lambda")]
-    said: dict[str, list[str]] = {name: [] for name in own.index[~priced]}
-    for name, text in marks:
-        said.setdefault(name, []).append(text)
-    return {name: ", ".join(said[name]) for name in own.index if name in said}

@@ -5,7 +5,7 @@ import pandas as pd
 from scipy import stats
 
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.records import count_column, models_of, per_episode, share_column
+from ms_highway.experiments.records import models_of, per_episode
 
 CONFIDENCE = 0.9
 MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_seconds", "decision_ms": "decision_seconds"}
@@ -32,7 +32,7 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
         ValueError: for an unknown controller.
     """
     table, by = per_episode(records) if "step" in records else records, ["scenario", "controller"]
-    shares = [column(name) for column in (share_column, count_column) for name in models_of(table, column)]
+    shares = [f"{what}_{name}" for what in ("share", "humans") for name in models_of(table, what)]
     shares += [name for name in ("success", "late", "way_out") if name in table]
     rows = []
     for (scenario, controller), some in table.groupby(by, sort=False):

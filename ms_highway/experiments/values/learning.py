@@ -7,9 +7,8 @@ not, and on any number of devices.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from itertools import permutations
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from zlib import crc32
 
 import jax
@@ -21,18 +20,13 @@ from ms_highway.choice.values import Values
 from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.experiments.values.fitting import fit, new_network
 from ms_highway.experiments.values.rollouts import Course, Driving, Random, Rollouts
-from ms_highway.loop.records import DECIDES
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import human_model
-from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import read_arrays, reading, replacing
 
 REMEDY = "remove it, or choose another --out"
 LEAST_SPREAD = 1e-3  # of an input
-HELD_OUT_STARTS = 8
-HELD_OUT_PRICES = (0.1, 1.0, 10.0)
-SWITCHES = (2, 4, 6, 9, 13, 20)  # steps after which the orders that rules are compared with go over to another rung
-EVALUATION, COURSE, HELD_OUT = 0, 1, 2  # streams of random numbers
+COURSE, FIT = 1, 2  # streams of random numbers
 
 
 @dataclass(frozen=True)
@@ -76,7 +70,7 @@ class Learning:
 
     def values(self, done: Sequence[Rollouts], number: int) -> Values:
         """Fit values to rollouts in round ``number``, from 1."""
-        random, names = self.stream(number, HELD_OUT), description_names()
+        random, names = self.stream(number, FIT), description_names()
         network = new_network(random, len(names), len(self.costs) - 1)
         centre, spread = np.zeros(len(names)), np.ones(len(names))
         if done:
@@ -93,24 +87,7 @@ class Learning:
         return np.random.default_rng([self.seed, *place])
 
 
-class Progress(NamedTuple):
-    """What was done last.
-
-    Attributes:
-        round: from 1.
-        course: its name; empty after the fit that ends a round.
-        values: after a fit.
-        regrets: held-out regret per step of each course with one human, by its name, after a fit: means over
-            `HELD_OUT_STARTS` starts and `HELD_OUT_PRICES`, to the best of simple orders and of the rule itself.
-    """
-
-    round: int
-    course: str = ""
-    values: Values | None = None
-    regrets: Mapping[str, float] = {}
-
-
-def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[Progress]:
+def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[tuple[str, Values | None]]:
     """Learn values on some courses.
 
     Args:
@@ -120,19 +97,18 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         mesh: devices, see `ms_highway.loop.devices.device_mesh`.
 
     Yields:
-        Progress, after the rollouts of each course and after each fit.
+        What was done, after the rollouts of each course and after each fit, and the values after a fit.
 
     Raises:
         ValueError: if the directory is there and holds something else.
     """
-    games = [
-        (course.name, course.steps, course.rungs, crc32(b"".join(map(_bytes, jax.tree.leaves(course.game)))))
-        for course in courses
-    ]
+    games = []
+    for course in courses:
+        numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(course.game)]
+        games.append((course.name, course.steps, course.rungs, crc32(b"".join(numbers))))
     settings = {**asdict(learning), "courses": games}
     ResultsDirectory(kept).take_up(settings)
     ResultsDirectory(kept).write_settings(settings)
-    held_out = [_HeldOut(learning, course, mesh) for course in courses if not course.several]
     values, done = None, list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
@@ -143,13 +119,9 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
                 with replacing(file) as path:
                     np.savez(path, **driving.roll_out(random, count, len(learning.costs))._asdict())
             done.append(read_rollouts(file))
-            yield Progress(number, course.name)
+            yield f"round {number} of {learning.rounds}: {course.name}", None
         values = learning.values(done, number)
-        yield Progress(number, "", values, {one.course.name: one.regret(values) for one in held_out})
-
-
-def _bytes(number: Any) -> bytes:
-    return np.asarray(number, np.float32).tobytes()
+        yield f"round {number} of {learning.rounds}: fitted", values
 
 
 def read_rollouts(file: Path) -> Rollouts:
@@ -163,42 +135,3 @@ def read_rollouts(file: Path) -> Rollouts:
         if not np.isfinite(kept.descriptions).all() or not (kept.gains < np.inf).all():
             raise ValueError("it holds numbers that are not finite")
     return kept
-
-
-def rollouts_directory(out: Path) -> Path:
-    """Return the directory that keeps the rollouts of values that will be written to ``out``."""
-    return out.with_name(f"{out.name}.rollouts")
-
-
-class _HeldOut:
-    """Held-out starts of a course with one human, and what simple orders earn and plan from them.
-
-    These plan with one rung up to some step and with another one from there on.
-    """
-
-    def __init__(self, learning: Learning, course: Course, mesh: Mesh) -> None:
-        self.learning, self.course, self.mesh = learning, course, mesh
-        self.starts, self.weights = course.starts(learning.stream(EVALUATION, HELD_OUT), HELD_OUT_STARTS)
-        rungs, steps = range(len(course.rungs)), np.arange(course.steps)
-        orders = [np.where(steps < end, *pair) for end in SWITCHES for pair in permutations(rungs, 2)]
-        orders += [np.full(course.steps, rung) for rung in rungs]
-        self.orders = self._outcomes(None, np.array(orders), np.ones(len(orders)))
-
-    def regret(self, values: Values) -> float:
-        """Return how far the learned rule stays behind the best of the orders, per step."""
-        prices = np.array(HELD_OUT_PRICES)
-        reward, seconds = self._outcomes(values, np.full((len(prices), self.course.steps), DECIDES), prices)
-        behind = []
-        for price, *own in zip(prices, reward, seconds, strict=True):
-            earned, best = (gained - price * planned for gained, planned in (own, self.orders))
-            behind.append(np.maximum(best.max(axis=0) - earned, 0))
-        return float(np.mean(behind))
-
-    def _outcomes(self, values: Values | None, orders: Array, prices: Array) -> list[Array]:
-        """Return what orders earn and plan from every start, means over the steps [orders, starts]."""
-        count = len(orders)
-        starts, weights = (np.tile(part, (count, 1, 1)) for part in (self.starts, self.weights))
-        schedules, lambdas = (np.repeat(part, HELD_OUT_STARTS, axis=0) for part in (orders[..., None], prices))
-        driving = self.learning.driving(self.course, values, self.mesh)
-        records, planned = driving.drive(starts, weights, schedules, lambdas)
-        return [np.mean(part, axis=1).reshape(count, HELD_OUT_STARTS) for part in (records.reward, planned)]

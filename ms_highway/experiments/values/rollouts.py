@@ -3,9 +3,9 @@
 One human is predicted by each model for some steps, then, as all others are, naively or by the learned rule.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from math import ceil
 from typing import Any, NamedTuple, TypeAlias
 
 import jax
@@ -21,12 +21,14 @@ from ms_highway.runtime.arrays import Array, HumansWeights, State
 
 Random: TypeAlias = np.random.Generator
 
-MOST_NOISE = 4.0  # see `noisy_starts`
-STATES_OF_AN_EPISODE = 4, 6  # with one human, and among several
-STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step, likewise
 WORST_STEP = 1e3  # reward of a step, where plans fail and cars leave the world
-LEAST_LIKELY = 0.05  # state to be drawn among several, where driving at the limit on the way to the lane counts 1
 HUMANS_OF_A_STATE = 3  # that are rolled out
+
+# with one human, and among several:
+MOST_NOISE = 4.0, 1.0  # see `Course.starts`
+STATES_OF_AN_EPISODE = 4, 6
+STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step
+LEAST_LIKELY = 1.0, 0.05  # state to be drawn, where driving at the limit on the way to the lane counts 1
 
 
 class Rollouts(NamedTuple):
@@ -70,27 +72,16 @@ class Course:
         """Whether there are several humans."""
         return self.game.number > 1
 
-    def starts(self, random: Random, count: int) -> list[Array]:
-        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features]."""
-        drawn = [self.draw(random) for _ in range(count)]
-        return [np.array(part, np.float32) for part in zip(*drawn, strict=True)]
+    def starts(self, random: Random, count: int) -> tuple[Array, Array]:
+        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
 
-
-def noisy_starts(course: Course, random: Random, count: int) -> list[Array]:
-    """Draw starts with one to five times the noise of the course's own.
-
-    A start is ``a + c (b - a)`` with two draws a and b, which has their mean and ``sqrt(c^2 + (1 - c)^2)`` times their
-    standard deviation; c is drawn from 1 to 4.
-    """
-    starts, weights = (np.array(part) for part in zip(*(course.draw(random) for _ in range(2 * count)), strict=True))
-    first, second = starts[::2], starts[1::2]
-    noisy = first + random.uniform(1.0, MOST_NOISE, (count, 1, 1)) * (second - first)
-    return [noisy.astype(np.float32), weights[::2]]
-
-
-def draw_prices(random: Random, prices: Sequence[float], count: int) -> Array:
-    """Draw lambdas whose logarithms are uniform."""
-    return np.exp(random.uniform(np.log(prices[0]), np.log(prices[1]), count)).astype(np.float32)
+        With one human, a start is ``a + c (b - a)`` with two draws a and b, which has their mean and
+        ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation; c is drawn from 1 to `MOST_NOISE`.
+        """
+        drawn = [self.draw(random) for _ in range(2 * count)]
+        starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
+        noise = random.uniform(1.0, MOST_NOISE[self.several], (count, 1, 1)).astype(np.float32)
+        return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
 
 
 @dataclass(frozen=True)
@@ -115,7 +106,7 @@ class Driving:
     held: int
     mesh: Mesh
 
-    def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> tuple[Records, Array]:
+    def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> Records:
         """Simulate episodes, with models by schedule or by the rule.
 
         Whatever their length, they are simulated as many steps at a time as a rollout has, so that a course is compiled
@@ -126,23 +117,16 @@ class Driving:
             weights: of the humans' rewards [episodes, humans, features].
             schedules: the rung of every human [episodes, steps, humans].
             prices: lambdas [episodes], or the same for all.
-
-        Returns:
-            Records, and the seconds of planning at T(M) [episodes, steps].
         """
         game, (count, steps, _) = self.course.game, schedules.shape
         lambdas = np.full(count, prices, np.float32)
         robot = np.tile(np.asarray(game.robot.weights, np.float32), (count, 1))
         usual, loop, parts = np.full((count, game.number), PLANS), replace(self.course.loop, rule=self.rule), []
-        padding = (0, 0), (0, -steps % self.horizon), (0, 0)
-        for part in np.split(
-            np.pad(schedules.astype(np.int32), padding, mode="edge"), -(-steps // self.horizon), axis=1
-        ):
+        last = np.minimum(np.arange(steps + -steps % self.horizon), steps - 1)  # whole rollouts
+        for part in np.split(schedules[:, last].astype(np.int32), len(last) // self.horizon, axis=1):
             parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.mesh))
             starts = np.asarray(parts[-1].states[:, -1])
-        records = jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
-        costs = self.rule.costs
-        return records, costs.base + np.asarray(costs.each, float)[records.rungs].sum(axis=-1)
+        return jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
 
     def roll_out(self, random: Random, count: int, rungs: int) -> Rollouts:
         """Visit so many states and roll out from them, on a ladder of as many rungs as are learned.
@@ -152,55 +136,54 @@ class Driving:
         is followed at the geometric mean of the prices.
         """
         states, weights = self._visited(random, count)
-        described, own, humans = _describe(self.course.game, states), self.course.rungs, self.course.game.number
+        own, humans = self.course.rungs, self.course.game.number
         distances = np.linalg.norm(states[:, 1 : 1 + humans, :2] - states[:, :1, :2], axis=-1)
         likely = 1.0 / (1.0 + np.argsort(np.argsort(distances))) ** 2
         keys = random.exponential(size=likely.shape) / likely  # the smallest are a sample without replacement
         chosen = np.argsort(keys, axis=1)[:, :HUMANS_OF_A_STATE]
-        shape = *chosen.shape, len(own), self.horizon, humans
-        schedules = np.full(shape, DECIDES if self.learned else 0, np.int32)
+        many = chosen.shape[1] * len(own)
+        schedules = np.full((*chosen.shape, len(own), self.horizon, humans), DECIDES if self.learned else 0, np.int32)
+        is_chosen = np.arange(humans) == chosen[..., None, None]  # [states, chosen, 1, humans]
         for rung in range(len(own)):
             held = schedules[:, :, rung, : self.held]
-            np.put_along_axis(held, np.broadcast_to(chosen[..., None, None], (*held.shape[:-1], 1)), rung, axis=-1)
-        starts, drivers = (np.repeat(part, chosen.shape[1] * len(own), axis=0) for part in (states, weights))
-        schedules = schedules.reshape(-1, self.horizon, humans)
-        rewards = self.drive(starts, drivers, schedules, float(np.sqrt(np.prod(self.prices))))[0].reward
+            held[:] = np.where(is_chosen, rung, held)
+        starts, drivers = (np.repeat(part, many, axis=0) for part in (states, weights))
+        price = float(np.sqrt(np.prod(self.prices)))
+        rewards = self.drive(starts, drivers, schedules.reshape(-1, self.horizon, humans), price).reward
         earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).sum(axis=1, dtype=float)
         earned = earned.reshape(-1, len(own)) / self.held
         gains = np.full((len(earned), rungs - 1), -np.inf)
         gains[:, np.array(own[1:], int) - 1] = earned[:, 1:] - earned[:, :1]
-        picked = np.asarray(described)[np.arange(len(states))[:, None], chosen]
-        return Rollouts(picked.reshape(len(gains), -1), gains)
+        described = np.asarray(_describe(self.course.game, states))[np.arange(len(states))[:, None], chosen]
+        return Rollouts(described.reshape(len(gains), -1), gains)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
 
-        With one human, a learned rule takes over at the first step in half of the episodes, later in the others; among
-        several, it plans half of the episodes, and states are drawn mostly of robots that drive and have not reached
-        their lane: measured in Dense Merge, predictions hardly matter in others, which are three of four.
+        A learned rule plans half of the episodes; with one human, it takes over in the others. Among several, states
+        are drawn mostly of robots that drive and have not reached their lane: measured in Dense Merge, predictions
+        hardly matter in others, which are three of four.
         """
-        course, steps, several = self.course, self.course.steps, self.course.several
-        each = STATES_OF_AN_EPISODE[several]
-        number = -(-count // each)
-        starts, weights = course.starts(random, number) if several else noisy_starts(course, random, number)
-        orders, prices = _random_orders(random, number, course), self.prices[0]
-        if self.learned and several:
-            orders[::2] = DECIDES
-        elif self.learned:
-            takes_over = np.where(random.random(number) < 0.5, 0, random.integers(1, steps // 2, number))
+        course, steps, scene = self.course, self.course.steps, self.course.game.scene
+        each = STATES_OF_AN_EPISODE[course.several]
+        number = ceil(count / each)
+        starts, weights = course.starts(random, number)
+        orders = _random_orders(random, number, course)
+        if self.learned:
+            later = steps if course.several else random.integers(1, steps // 2, number)
+            takes_over = np.where(random.random(number) < 0.5, 0, later)
             orders[np.arange(steps) >= takes_over[:, None]] = DECIDES
-        if not several:
-            prices = draw_prices(random, self.prices, number)
-        after = self.drive(starts, weights, orders, prices)[0].states
+        least, most = np.log(self.prices)
+        prices = np.exp(random.uniform(least, most, number))
+        after = self.drive(starts, weights, orders, prices).states
         states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
         finite = np.isfinite(states).all(axis=(1, 2, 3))
-        states, weights, scene = states[finite], weights[finite], course.game.scene
+        states, weights = states[finite], weights[finite]
         away = np.abs(states[:, :, 0, 1] - float(scene.target_lane)) > float(scene.lane_width) / 2
-        likely = np.maximum(away * states[:, :, 0, 3] / float(course.game.robot.speed_limit), LEAST_LIKELY)
-        visited = []
-        for own, probable in zip(states, likely, strict=True):
-            p = probable / probable.sum() if several else None
-            visited.append(own[random.choice(steps, each, replace=False, p=p)])
+        likely = away * states[:, :, 0, 3] / float(course.game.robot.speed_limit)
+        likely = np.clip(likely, LEAST_LIKELY[course.several], 1.0)
+        likely /= likely.sum(axis=1, keepdims=True)
+        visited = [own[random.choice(steps, each, replace=False, p=p)] for own, p in zip(states, likely, strict=True)]
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
 
 
@@ -209,17 +192,12 @@ def _random_orders(random: Random, count: int, course: Course) -> Array:
 
     Among several humans, all change at once, each to a rung of its own.
     """
-    steps, number = course.steps, course.game.number
-    orders = np.zeros((count, steps, number), np.int32)
-    for order, share in zip(orders, random.dirichlet(np.ones(len(course.rungs)), count), strict=True):
-        draw = partial(random.choice, len(course.rungs), p=share)
-        if course.several:
-            for step in range(steps):
-                stays = step > 0 and random.random() < STAYS[1]
-                order[step] = order[step - 1] if stays else draw(number)
-        else:
-            changes = np.where(random.random(steps) > STAYS[0], np.arange(steps), 0)
-            order[:, 0] = np.take(draw(steps), np.maximum.accumulate(changes))
+    rungs, humans = len(course.rungs), course.game.number
+    orders = np.zeros((count, course.steps, humans), np.int32)
+    for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
+        drawn = random.choice(rungs, (course.steps, humans), p=share)
+        changes = random.random(course.steps) > STAYS[course.several]
+        order[:] = drawn[np.maximum.accumulate(np.where(changes, np.arange(course.steps), 0))]
     return orders
 
 

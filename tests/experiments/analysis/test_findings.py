@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli.console import print_tables
-from ms_highway.experiments.analysis.findings import answer
+from ms_highway.experiments.analysis.findings import answer, most_informative_pair
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.visualization.comparison import cells
 from ms_highway.visualization.tables import grid
@@ -58,9 +58,17 @@ def test_tables_show_the_steps_whose_plans_failed_where_there_are_any():
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_a_printed_table_is_no_wider_than_the_terminal_and_shows_every_cell(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
-    cells = {f"column {place}": "-1.89, 2.33" for place in range(12)}
-    print_tables(grid("crowded", [{"controller": f"schedule:tom={steps},naive", **cells} for steps in (4, 30)]))
+    row = {f"column {place}": "-1.89, 2.33" for place in range(12)}
+    names = [f"schedule:tom={steps},{'turn=1,' * 9}naive" for steps in (4, 30)]
+    print_tables(grid("crowded", [{"controller": name, **row} for name in names]))
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
     assert sum(line.count("-1.89, 2.33") for line in lines) == 2 * 12
     assert all(line.strip().startswith("schedule:tom=") for line in lines if "-1.89" in line)
+
+
+def test_the_best_fixed_model_is_shown_beside_switching_at_the_smallest_lambda():
+    table = summary(records(**{"naive": [1], "switching:0.6": [3], "tom": [5], "switching:0.1": [4], "turn": [2]}))
+    assert most_informative_pair(table, "merger") == ["tom", "switching:0.1"]
+    assert most_informative_pair(table[table["reward"] < 3], "merger") == ["turn", "naive"]
+    assert most_informative_pair(table[table["reward"] == 5], "merger") == ["tom"]

@@ -1,0 +1,126 @@
+"""Measure how fast the closed loop is: in the environments, and in batches of many simulated episodes."""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import pandas as pd
+
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import episode, make_environment
+from ms_highway.loop.devices import use_devices
+from ms_highway.runtime.jax_settings import high_throughput, own_process
+from ms_highway.runtime.timing import timed
+
+EPISODES = 5  # of the environment
+SECONDS, RUNS = 2.0, 5  # of one batch, at most
+
+
+def speed(
+    scenario: str,
+    controllers: Sequence[str],
+    config: Mapping[str, Any],
+    sizes: Sequence[int] = (),
+    devices: int | None = None,
+    modules: Sequence[str] = (),
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Measure the closed loop of each controller, warm: live on one core, and in batches in a process of its own.
+
+    Args:
+        scenario: its name.
+        controllers: short names of controllers.
+        config: of the environments.
+        sizes: numbers of episodes in a batch.
+        devices: how many the batches use, see `ms_highway.loop.devices.use_devices`.
+        modules: to import in the other process, for scenarios and models that they add.
+
+    Yields:
+        For every controller its name and what `live_speed` returns; with batches, also:
+
+        * ``batch``: steps per second by batch size;
+        * ``memory_mib``: the most memory that the process with the batches has had until then, by batch size;
+        * ``first_seconds``: what the first episodes took, which may compile;
+        * ``devices``: how many, and of what kind.
+
+    Raises:
+        ValueError: for anything unknown or impossible.
+    """
+    every = {name: Comparison({scenario: [name]}, max([*sizes, 1]), config=config) for name in controllers}
+    with own_process(high_throughput, modules) as process:
+        for controller, comparison in every.items():
+            result = live_speed(scenario, controller, config)
+            if sizes:
+                result |= process.submit(_batch_speed, comparison, scenario, sorted(sizes), devices).result()
+            yield controller, result
+
+
+def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    """Time a few episodes in the environment on one core, after an episode that compiles.
+
+    Returns:
+        ``plan_us``: median (p50) and p99 of a plan; ``decision_us``: median of a decision; ``step_us``: median of a
+        step less the plans of all cars and the decision; all in microseconds. ``environment``: steps per second, with
+        resets.
+    """
+    env: Any = make_environment(scenario, controller, **config)
+    steps = []
+    with one_core():
+        list(episode(env, 0))
+        start = end = perf_counter()
+        for seed in range(1, 1 + EPISODES):
+            for record in episode(env, seed):
+                begun, end = end, perf_counter()
+                cars = (env.unwrapped.robot, *env.unwrapped.humans)
+                plans = sum(car.last_step.planning_seconds for car in cars if car.last_step)
+                rest = end - begun - plans - record["decision_seconds"]
+                steps.append([record["planning_seconds"], record["decision_seconds"], rest])
+    env.close()
+    microseconds = 1e6 * pd.DataFrame(steps, columns=["plan", "decision", "rest"])
+    middle = microseconds.median()
+    return {
+        "plan_us": {"p50": middle["plan"], "p99": microseconds["plan"].quantile(0.99)},
+        "decision_us": middle["decision"],
+        "step_us": middle["rest"],
+        "environment": len(steps) / (end - start),
+    }
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Keep to one core, where the system lets a process choose."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict[str, Any]:
+    """Time batches of a comparison's episodes, after one of a chunk on every device, which may compile."""
+    mesh = use_devices(devices)  # before JAX begins to compute
+    batch, used = make_batch(comparison, scenario), mesh.devices
+    keys = batch.keys()
+    first = timed(batch.simulate, keys[: batch.loop.together * used.size], mesh)[1]
+    rates, memory = {}, {}
+    for size in sizes:
+        times: list[float] = []
+        while not times or (len(times) < RUNS and sum(times) < SECONDS):
+            times.append(timed(batch.simulate, keys[:size], mesh)[1])
+        rates[str(size)] = size * batch.steps / median(times)
+        memory[str(size)] = most_memory()
+    kind = used.flat[0].device_kind
+    return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{used.size} of kind {kind}"}
+
+
+def most_memory() -> float:
+    """Return the most memory that this process has had [MiB], as Linux tells it."""
+    return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
