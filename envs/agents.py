@@ -1,6 +1,6 @@
 """Let agents and planners of one's own drive in place of a controller, beside which they are compared."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from os import PathLike, fspath
 from pathlib import Path
@@ -12,10 +12,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from ms_highway.envs.configuration import Config, refuse_unknown
+from ms_highway.envs.configuration import Config
 from ms_highway.envs.game_env import Timing
-from ms_highway.envs.registry import CONTROLLERS, controller_config
-from ms_highway.planning.human_models import is_model
 
 Policy: TypeAlias = Callable[[Any], Any]
 """From an observation to an action."""
@@ -36,34 +34,7 @@ class Agent(NamedTuple):
 
 
 AGENTS: dict[str, Agent] = {}
-"""The agents that `add_agent` has added, by name."""
-
-
-def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
-    """Make an agent or a planner known by a name, to `compare`, `video` and `bench road` of this process.
-
-    Files that stable-baselines3 has saved need not be added: their paths stand for them in every command.
-
-    Args:
-        name: one word in lower case.
-        agent: a function from an observation to an action; an object with stable-baselines3's ``predict(observation,
-            deterministic=True)``; or the path of a file that stable-baselines3 has saved.
-        config: what the environments that it drives in are configured with: ``action`` and ``observation``. By default,
-            the action is the one of its action space, and the observation is the environment's own.
-
-    Raises:
-        ValueError: if the name is a controller's, a human model's or no such word, or for another key of ``config``.
-        TypeError: if it is no agent.
-    """
-    is_word = isinstance(name, str) and name.isidentifier() and name.islower()
-    if not is_word or name in CONTROLLERS or is_model(name):
-        remedy = "choose one word in lower case that is no human model's and no controller's"
-        raise ValueError(f"an agent cannot be called {name!r}; {remedy}")
-    if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
-        remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
-        raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
-    refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
-    AGENTS[name] = Agent(agent, dict(config or {}))
+"""The agents that `ms_highway.add_agent` has added, by name."""
 
 
 def is_agent(name: str) -> bool:
@@ -71,14 +42,8 @@ def is_agent(name: str) -> bool:
     return name in AGENTS or name.endswith(FILE_END)
 
 
-def robot_config(name: str) -> Config:
-    """Return the configuration of an environment in which a controller or an agent of this name drives.
-
-    Raises:
-        ValueError: if there is none.
-    """
-    if not is_agent(name):
-        return {"controller": controller_config(name)}
+def agent_config(name: str) -> Config:
+    """Return what environments that an agent drives in are configured with, see `ms_highway.add_agent`."""
     config = AGENTS[name].config if name in AGENTS else {}
     space = getattr(_agent(name), "action_space", None)
     chooses = isinstance(space, (spaces.Discrete, spaces.MultiDiscrete))

@@ -11,7 +11,7 @@ from jaxtyping import Int
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
-from ms_highway.envs.controllers import DriverSettings
+from ms_highway.envs.controllers import AgentSettings, DriverSettings
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.keyboard import keyboard_control
@@ -170,6 +170,9 @@ class InteractionEnv(GameEnv):
             config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
+        if config["action"]["type"] == "Autopilot" and isinstance(settings.controller, AgentSettings):
+            remedy = "call it yourself, or make the environment with ms_highway.experiments.runner.make_environment"
+            raise ValueError(f"config['controller'] is {config['controller']}: an agent acts from outside; {remedy}")
         if config["action"]["type"] == "Autopilot" and not isinstance(settings.controller, DriverSettings):
             start = settings.start(settings.seconds, 1, np.random.default_rng())
             try:

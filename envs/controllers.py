@@ -122,6 +122,18 @@ class DriverSettings(ControllerSettings, frozen=True, tag="driver"):
             )
 
 
+class AgentSettings(ControllerSettings, frozen=True, tag="agent"):
+    """An agent acts from outside the environment, see `ms_highway.envs.agents`."""
+
+    chooses: ClassVar[bool] = False
+    name: str
+
+    @classmethod
+    def parse(cls, text: str) -> Config:
+        """See `ControllerSettings.parse`."""
+        return {"name": text}
+
+
 class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
     """Always the same model."""
 

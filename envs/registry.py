@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from os import PathLike
 from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, field, json
@@ -11,9 +12,11 @@ from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
 from ms_highway.choice.rule import NEVER
 from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
-from ms_highway.envs.configuration import Config, NotNegative, Positive, read
+from ms_highway.envs.agents import AGENTS, Agent, agent_config, is_agent
+from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
 from ms_highway.envs.controllers import (
     PLACE,
+    AgentSettings,
     ControllerSettings,
     DriverSettings,
     FixedSettings,
@@ -27,6 +30,7 @@ from ms_highway.loop.human_drivers import function_names
 from ms_highway.planning.human_models import is_model, model_names
 from ms_highway.runtime import retired
 
+AGENT = "agent"  # type of controllers that act from outside the environment
 BELIEF = "+belief"
 EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
 ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
@@ -135,6 +139,7 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {
     "budget": BudgetSettings,
     "nearest": NearestSettings,
     "driver": DriverSettings,
+    AGENT: AgentSettings,
     "fixed": FixedSettings,
     "schedule": ScheduleSettings,
     "period": PeriodSettings,
@@ -170,9 +175,46 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     CONTROLLERS[name] = settings
 
 
+def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
+    """Make an agent or a planner known by a name, to `compare`, `video` and `bench road` of this process.
+
+    Files that stable-baselines3 has saved need not be added: their paths stand for them in every command.
+
+    Args:
+        name: one word in lower case.
+        agent: a function from an observation to an action; an object with stable-baselines3's ``predict(observation,
+            deterministic=True)``; or the path of a file that stable-baselines3 has saved.
+        config: what the environments that it drives in are configured with: ``action`` and ``observation``. By default,
+            the action is the one of its action space, and the observation is the environment's own.
+
+    Raises:
+        ValueError: if the name is a controller's, a human model's or no such word, or for another key of ``config``.
+        TypeError: if it is no agent.
+    """
+    is_word = isinstance(name, str) and name.isidentifier() and name.islower()
+    if not is_word or name in (*CONTROLLERS, *function_names()) or is_model(name):
+        remedy = "choose one word in lower case that is no human model's and no controller's"
+        raise ValueError(f"an agent cannot be called {name!r}; {remedy}")
+    if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
+        remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
+        raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
+    refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
+    AGENTS[name] = Agent(agent, dict(config or {}))
+
+
 def priced_types() -> list[str]:
     """Return the types of the controllers that choose models online, by a rule at a lambda."""
     return [name for name, kind in CONTROLLERS.items() if "lambda" in kind.__struct_encode_fields__]
+
+
+def robot_config(name: str) -> Config:
+    """Return the configuration of an environment in which a controller or an agent of this name drives.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    config = controller_config(name)
+    return agent_config(name) if config["type"] == AGENT else {"controller": config}
 
 
 def fixed_order_types() -> list[str]:
@@ -203,9 +245,9 @@ def controller_config(text: str) -> Config:
     milliseconds of a cycle and learned gains, ``budget:20:FILE`` with those of a file, and ``budget:20:one_step`` with
     those of Algorithm 1; ``nearest:2``, theory of mind about the two nearest humans; ``schedule:tom=6,naive``, tom for
     six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
-    ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with these shares; and the name of a
-    function of `ms_highway.add_driver`. With ``+belief`` at
-    the end, such as ``tom+belief``, any of them counts on no response that a human does not show.
+    ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with these shares; the name of a
+    function of `ms_highway.add_driver`; and that of an agent of `add_agent`, or a file of stable-baselines3. With
+    ``+belief`` at the end, such as ``tom+belief``, any of them counts on no response that a human does not show.
 
     Raises:
         ValueError: if it stands for none.
@@ -216,6 +258,8 @@ def controller_config(text: str) -> Config:
         kind, rest = "fixed", name
     elif kind not in CONTROLLERS and name in function_names():
         kind, rest = "driver", name
+    elif is_agent(name):
+        kind, rest = AGENT, name
     if kind not in CONTROLLERS:
         gone = retired.replacement(retired.CONTROLLERS, kind)
         known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"

@@ -29,6 +29,7 @@ from .envs import SCENARIOS as SCENARIOS
 from .envs import add_scenario as add_scenario
 from .envs.base import InteractionEnv as InteractionEnv
 from .envs.controllers import ControllerSettings as ControllerSettings
+from .envs.registry import add_agent as add_agent
 from .envs.registry import add_rule as add_rule
 from .envs.spaces import Autopilot as Autopilot
 from .game.game import Game as Game

@@ -18,6 +18,7 @@ from jax.sharding import Mesh
 
 from ms_highway.choice.rule import Rule, highest_gains
 from ms_highway.envs import ENVIRONMENTS
+from ms_highway.envs.agents import is_agent
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.controllers import ControllerSettings
@@ -211,6 +212,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     names = comparison.controllers.get(scenario, [])
     if not names:
         raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
+    for name in filter(is_agent, names):
+        raise ValueError(f"the agent {name!r} is not simulated; use `compare`")
     configs = [comparison.environment_config(scenario, name) for name in names]
     settings = [read_own(Settings, config) for config in configs]
     if configs[0]["terminate_on_collision"]:

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any, TypeAlias
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
-from ms_highway.envs.registry import controller_config
+from ms_highway.envs.registry import robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.experiments.records import columns
 from ms_highway.planning.human_models import rung_names
@@ -58,7 +58,7 @@ class Comparison:
             ValueError: as a comparison of it.
         """
         environment_id(scenario)
-        return ENVIRONMENTS[scenario].checked_config({**self.config, "controller": controller_config(controller)})
+        return ENVIRONMENTS[scenario].checked_config({**self.config, **robot_config(controller)})
 
     def common_config(self) -> dict[str, Any]:
         """Return what all environments have in common and results are resumed under: `USUAL` and what was given."""

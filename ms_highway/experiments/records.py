@@ -98,11 +98,12 @@ def check_records(records: pd.DataFrame) -> None:
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
     check_numbers(records)
+    choosing = records[records["model"] != records["controller"]]  # own planners and agents have no model
     for column, known in (
         ("scenario", list(ENVIRONMENTS)),
-        ("model", known_models(filter(is_model, records["model"]))),
+        ("model", known_models(filter(is_model, choosing["model"]))),
     ):
-        for name in set(records[column].dropna()) - {*known}:
+        for name in set(choosing[column].dropna()) - {*known}:
             remedy = "if it is your own, --import the module that adds it"
             raise ValueError(f"it holds {column} {name!r}, not one of {', '.join(known)}; {remedy}")
 

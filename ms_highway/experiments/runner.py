@@ -21,8 +21,9 @@ import gymnasium as gym
 import pandas as pd
 
 from ms_highway.envs import environment_id
+from ms_highway.envs.agents import AgentDrives, is_agent
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.registry import controller_config
+from ms_highway.envs.registry import controller_config, robot_config
 from ms_highway.experiments.comparison import Comparison, EpisodeKey
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
 from ms_highway.experiments.records import KEYS, by_column, check_records
@@ -164,15 +165,16 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 
     Args:
         scenario: its name.
-        controller: short name of the controller, see `ms_highway.envs.registry.controller_config`.
+        controller: short name of a controller or an agent, see `ms_highway.envs.registry.controller_config`.
         render: whether to render ``rgb_array`` frames.
         config: further configuration of the environment.
 
     Raises:
         ValueError: for an unknown scenario, controller or configuration.
     """
-    whole = {**config, "controller": controller_config(controller)}
-    return gym.make(environment_id(scenario), render_mode="rgb_array" if render else None, config=whole)
+    whole = {**config, **robot_config(controller)}
+    env = gym.make(environment_id(scenario), render_mode="rgb_array" if render else None, config=whole)
+    return AgentDrives(env, controller) if is_agent(controller) else env
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:

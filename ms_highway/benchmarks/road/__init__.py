@@ -58,8 +58,3 @@ def known_scenes(names: Iterable[str]) -> list[str]:
 def driver_config(name: str) -> dict[str, Any]:
     """Return the configuration for `ms_highway.drive` of a driver of this package, such as ``priced:2+intentions``."""
     return {"driver": name.removesuffix(INTENTIONS), "intentions": name.endswith(INTENTIONS)}
-
-
-def is_agent(driver: str) -> bool:
-    """Return whether a driver is the file of an agent, as stable-baselines3 saves it."""
-    return driver.endswith(".zip")

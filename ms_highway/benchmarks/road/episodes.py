@@ -15,11 +15,12 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config, is_agent
+from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.peers import Agent, Idm, Peer, policy_of
+from ms_highway.benchmarks.road.peers import Agent, Idm, Peer
 from ms_highway.benchmarks.road.recorded import Human, RecordedStart
+from ms_highway.envs.agents import AGENTS, is_agent, policy_of
 from ms_highway.road import drive
 from ms_highway.road.graphics import show
 from ms_highway.road.settings import DRIVERS, RoadSettings
@@ -67,15 +68,16 @@ def check_driver(name: str) -> None:
         ModuleNotFoundError: if an agent needs what is not installed.
         ValueError: naming those that are.
     """
-    if gone := retired.replacement(retired.DRIVERS, *name.split("+")):
-        raise ValueError(gone)
+    gone = retired.replacement(retired.DRIVERS, *name.split("+"))
     if is_agent(name):
         policy_of(name)
+    elif gone:
+        raise ValueError(gone)
     elif name not in OTHERS:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join([*OTHERS, *DRIVERS, f"DRIVER[{INTENTIONS}]", "AGENT.zip"])
+            known = ", ".join([*OTHERS, *DRIVERS, f"DRIVER[{INTENTIONS}]", "AGENT.zip", "a name of add_agent"])
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 
@@ -89,6 +91,8 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     scene, config = block.scene, {"other_vehicles_type": TRAFFIC.get(block.traffic)}
     if scene == RECORDED:
         scene, config = RECORDED_ID, {"traffic": block.traffic, **block.starts[0].config}
+    if block.driver in AGENTS:
+        config |= AGENTS[block.driver].config
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(scene, config=config, disable_env_checker=True, **options)

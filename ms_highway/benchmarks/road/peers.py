@@ -1,9 +1,6 @@
 """Drivers that are not this package's: highway-env's IDM and MOBIL, and trained agents."""
 
-from functools import cache
 from itertools import pairwise
-from pathlib import Path
-from pickle import UnpicklingError
 from time import perf_counter
 from typing import Any
 
@@ -13,6 +10,7 @@ from highway_env.envs import ExitEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
+from ms_highway.envs.agents import check_spaces, policy_of
 from ms_highway.road.driven import unheeded
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.road.timed_goal import TimedGoal
@@ -64,58 +62,25 @@ class Peer(gym.Wrapper):
 
 
 class Agent(Peer):
-    """Take the actions of an agent that stable-baselines3 has trained, the likeliest ones.
+    """Take the actions of an agent, see `ms_highway.envs.agents`.
 
     Args:
         env: the environment.
-        file: that the agent has been saved to.
+        name: of the agent, or its file.
 
     Raises:
-        ModuleNotFoundError: without stable-baselines3.
-        ValueError: if the file is no such agent, or one of another observation or action.
+        ModuleNotFoundError: for a file, without stable-baselines3.
+        ValueError: if the file is no agent, or the agent knows other observations or actions.
     """
 
-    def __init__(self, env: gym.Env, file: str) -> None:
+    def __init__(self, env: gym.Env, name: str) -> None:
         super().__init__(env)
-        self.policy = policy_of(file)
-        for name in ("observation_space", "action_space"):
-            known, offered = getattr(self.policy, name), getattr(env, name)
-            if known != offered:
-                scene = env.spec.id if env.spec else "the environment"
-                what = name.replace("_", " ")
-                raise ValueError(f"{file}: the agent's {what} is {known}, that of {scene} {offered}; train one there")
+        check_spaces(name, env)
+        self.policy = policy_of(name)
 
     def choose(self) -> Any:
         """Return the agent's action after the last observation."""
-        action, _ = self.policy.predict(self.seen, deterministic=True)
-        return action if action.shape else action.item()
-
-
-@cache
-def policy_of(file: str) -> Any:
-    """Return the policy of an agent of stable-baselines3 that takes observations as they are; opening it may run code.
-
-    Raises:
-        ModuleNotFoundError: without stable-baselines3, or another package that the agent needs.
-        ValueError: if the file is no such agent.
-    """
-    if not Path(file).is_file():
-        raise ValueError(f"there is no agent {file}; notebooks/examples/train_peers.py trains some")
-    try:
-        from stable_baselines3.common.save_util import load_from_zip_file
-
-        data, parameters, _ = load_from_zip_file(file, device="cpu")
-        spaces = data["observation_space"], data["action_space"]
-        explores = {"use_sde": True} if data.get("use_sde") else {}
-        policy = data["policy_class"](*spaces, lambda _: 0.0, **explores, **data["policy_kwargs"])
-        policy.load_state_dict(parameters["policy"])
-    except ModuleNotFoundError as error:
-        package = str(error.name).replace("_", "-")
-        message = f"the agent {file} needs the package {package}: pip install {package}"
-        raise ModuleNotFoundError(message, name=error.name) from None
-    except (ValueError, KeyError, TypeError, OSError, RuntimeError, UnpicklingError) as error:
-        raise ValueError(f"{file} is no agent that stable-baselines3 has saved ({error!r})") from None
-    return policy
+        return self.policy(self.seen)
 
 
 class IdmEgo(OfferedSpeeds, IDMVehicle):
