@@ -22,8 +22,8 @@ from ms_highway.geometry.curve import Curve
 from ms_highway.numerics.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.numerics.objective import best_of
 from ms_highway.numerics.second_derivatives import along_fields
+from ms_highway.perception.scene import RoadScene, Steps, World
 from ms_highway.road.constants import LANE, RoadPlanning
-from ms_highway.road.scene import RoadScene, Steps, World
 from ms_highway.road.simulation import earlier
 from ms_highway.runtime.arrays import Car, Index, Matrix, Numbers, Scalar, Vector
 

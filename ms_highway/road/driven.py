@@ -21,11 +21,11 @@ from highway_env.envs.common.action import (
 from ms_highway.envs.configuration import as_json
 from ms_highway.envs.game_env import GameEnv
 from ms_highway.envs.viewer import enable_pictures
+from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.constants import MODELS, RoadWeights
 from ms_highway.road.driver import RoadDriver
 from ms_highway.road.graphics import show
 from ms_highway.road.robot import PERIOD, RoadRobot
-from ms_highway.road.scene import TRAFFIC
 from ms_highway.road.settings import RoadSettings
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
 from ms_highway.road.timed_goal import destination_for

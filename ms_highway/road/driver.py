@@ -12,12 +12,12 @@ from jaxtyping import Float
 from ms_highway.choice.rule import Rule, decide, first_memory
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.fallback import LATE, PLANNED, STATUSES, fallback_status
+from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
 from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.road.constants import IDM, MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.road.plan import Proposed, RoadPlan, answer_road, no_plan, propose_road
 from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
-from ms_highway.road.scene import TRAFFIC, Places, RoadScene
 from ms_highway.runtime.arrays import Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.forks import refuse_after_fork

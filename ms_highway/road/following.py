@@ -8,9 +8,9 @@ from typing import NamedTuple
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Pose
+from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
 from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
 from ms_highway.road.constants import IDM, LANE, TOM
-from ms_highway.road.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
 from ms_highway.road.traffic import ROOM, Situation
 from ms_highway.runtime.arrays import Car
 

@@ -6,7 +6,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import interpolate
-from ms_highway.road.scene import LANES, Lane, PlanFlags, Plans
+from ms_highway.perception.scene import LANES, Lane, PlanFlags, Plans
 from ms_highway.road.traffic import Situation
 from ms_highway.runtime.arrays import Controls, Index, ManyControls, Vector
 

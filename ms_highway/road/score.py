@@ -7,10 +7,10 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Knots, Pose, interpolate, rotated
+from ms_highway.perception.scene import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans, World
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.scene import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans, World
 from ms_highway.road.simulation import DrivenPlans, aim, earlier
 from ms_highway.road.terminal_value import terminal_value
 from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING, Situation, lane_of

@@ -6,11 +6,11 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Curve, Pose, interpolate
+from ms_highway.perception.scene import EachStep, RoadScene, States, Steps, Traffic, World
 from ms_highway.planning.car_following import FAR, idm_acceleration, lowest
 from ms_highway.road.constants import RoadPlanning
 from ms_highway.road.following import Manners, along_paths, aside, move_traffic
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.scene import EachStep, RoadScene, States, Steps, Traffic, World
 from ms_highway.road.traffic import ROOM, WAITING, Situation
 from ms_highway.runtime.arrays import Car, Control, Flag, ManyControls, Numbers, Scalar
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import commuter_traits, commuter_weights, shipped
@@ -17,9 +17,10 @@ from ms_highway.game.scenario import driving_game
 from ms_highway.loop.controller import Controller
 from ms_highway.loop.driver import fixed
 from ms_highway.numerics.solvers import Solver
-from ms_highway.vehicle.keeping_clear import clear_acceleration
 from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import RoadView, look
+
+WATCHED = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s, at which others may cross its way
 
 
 class HumanVehicle(PlanningVehicle):
@@ -69,14 +70,15 @@ class HumanVehicle(PlanningVehicle):
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan for the own reward: in the game given by `drive_with`, or else on the present road."""
         if not action and self.controller is None and self.road is not None:
-            self.drive_with(fixed(self._own_game(look(self, self.route))))
+            self.drive_with(fixed(self._own_game(look(self))))
         super().act(action)
 
     def _drive_on_road(self, controller: Controller) -> RoadView:
         """Plan, and brake more than planned where that is needed to keep clear of others."""
         view = super()._drive_on_road(controller)
         omega, acceleration = self.control
-        highest = clear_acceleration(self, view) + keep_velocity(self.dynamics, self.state)[1]
+        times = WATCHED[:1] if isinstance(self.road, RegulatedRoad) else WATCHED
+        highest = view.clear_acceleration(times) + self.friction
         self.execute(np.array([omega, min(acceleration, highest)]))
         return view
 

@@ -11,8 +11,8 @@ from gymnasium.envs.registration import registry
 
 import ms_highway
 from ms_highway.envs.viewer import PAPER, model_color
+from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.graphics import PANEL
-from ms_highway.road.scene import TRAFFIC
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 

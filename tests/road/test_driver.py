@@ -6,8 +6,8 @@ import jax
 import numpy as np
 from roads import PLANNING, scene_of
 
+from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.constants import MODELS, RoadWeights
-from ms_highway.road.scene import TRAFFIC
 from ms_highway.road.settings import RoadSettings
 
 COSTS = {"idm": 0.1, "tom": 3.0}

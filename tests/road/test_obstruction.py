@@ -18,10 +18,10 @@ from roads import (
     wrecked,
 )
 
+from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.driver import plan_of
 from ms_highway.road.plan import no_plan
 from ms_highway.road.proposals import ALL, LAST_PLAN
-from ms_highway.road.scene import TRAFFIC
 from ms_highway.road.traffic import obstruction_of
 from ms_highway.runtime.compilation import jit_quickly
 

@@ -8,11 +8,11 @@ from jax import numpy as jnp
 from roads import PLANNING, WEIGHTS, coming, crossing, execute, proposals_of, scene_of
 
 from ms_highway.geometry.curve import BEHIND, SPACING
+from ms_highway.perception.scene import KNOTS, TRAFFIC
 from ms_highway.road.constants import LANE, MODELS
 from ms_highway.road.driver import answered_by, proposed_for
 from ms_highway.road.driver import plan_of as planned
 from ms_highway.road.plan import no_plan
-from ms_highway.road.scene import KNOTS, TRAFFIC
 from ms_highway.road.simulation import bodies
 
 STEPS = PLANNING.steps

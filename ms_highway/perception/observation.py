@@ -11,10 +11,9 @@ from highway_env.vehicle.objects import RoadObject
 from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.geometry.lane_paths import Point
 from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, road_map
-from ms_highway.road.corridor import corridor
-from ms_highway.road.scene import KNOTS, RoadScene
-from ms_highway.road.traffic import SHARING
-from ms_highway.road.traffic_paths import traffic_of
+from ms_highway.perception.corridor import corridor
+from ms_highway.perception.scene import KNOTS, SHARING, RoadScene
+from ms_highway.perception.traffic_paths import traffic_of
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
 NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead, at least, and when they are looked up anew

@@ -11,7 +11,7 @@ from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
 from ms_highway.geometry.lane_paths import Points, Row
 from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
-from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS, Places
+from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 from ms_highway.runtime.arrays import Car
 
 AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, in which others are seen ahead, coming, and behind
