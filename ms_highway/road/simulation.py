@@ -80,7 +80,7 @@ def simulate(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
             (car, along, speeds), (held, sideways, orders) = carry, step
             where = now.ways.at(along, sideways)
             control = jnp.where(plan.given, held, _control(now, plan, car, along, where, speeds))
-            ahead, control = advance(scene, planning, car, control, BRAKING_FIRST)
+            ahead, control = advance(scene, planning, car, control)
             along, speeds = move_traffic(now, manners, orders, where, along, speeds, car)
             return (ahead, along, speeds), (ahead, control, along, speeds, *now.ways.at(along, sideways))
 
@@ -169,14 +169,14 @@ def _waits(now: Situation, plan: Profiles, car: Car, lane: Scalar, where: Pose, 
     return beside.any() & (now.crossings.come & (where[0] > s)).any()
 
 
-def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control, reserved: float = 0.0) -> Control:
+def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control) -> Control:
     """Limit curvature and acceleration to the friction circle, to the sharpest curve, and to a stop, never backwards.
 
-    Braking takes up to ``reserved``, a share of the grip, first: ``b = min(-a, reserved grip)``. Then the curve: ``(v^2
-    k)^2 <= grip^2 - b^2``. Then all acceleration: ``a^2 <= grip^2 - (v^2 k)^2``.
+    Braking takes up to a share of the grip first: ``b = min(-a, share grip)``. Then the curve: ``(v^2 k)^2 <= grip^2 -
+    b^2``. Then all acceleration: ``a^2 <= grip^2 - (v^2 k)^2``.
     """
     squared = jnp.maximum(speed, LIMITED_SPEED) ** 2
-    braking = jnp.clip(-control[..., 1], 0.0, reserved * planning.grip)
+    braking = jnp.clip(-control[..., 1], 0.0, BRAKING_FIRST * planning.grip)
     sharpest = jnp.minimum(planning.curvature, jnp.sqrt(planning.grip**2 - braking**2) / squared)
     curvature = jnp.clip(control[..., 0], -sharpest, sharpest)
     left = jnp.sqrt(jnp.maximum(planning.grip**2 - (squared * curvature) ** 2, 1e-6))
@@ -184,9 +184,7 @@ def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control, reser
     return jnp.stack([curvature, acceleration], axis=-1)
 
 
-def advance(
-    scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control, reserved: float = 0.0
-) -> tuple[Car, Control]:
+def advance(scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control) -> tuple[Car, Control]:
     """Return the state one time step later, and the control within tyres, see `within_tyres`.
 
     With old values on the right-hand side and the road's curvature k_r::
@@ -196,7 +194,7 @@ def advance(
     The speed v is the centre's. With its slip angle beta, ``sin(beta) = k length / 2``, the rear axle moves with ``u =
     v cos(beta)``.
     """
-    control = within_tyres(planning, state[3], wanted, reserved)
+    control = within_tyres(planning, state[3], wanted)
     s, d, heading, speed = state
     bend = interpolate(scene.route.curvature, s)
     rear = speed * jnp.sqrt(jnp.maximum(1 - (control[0] * scene.size[0] / 2) ** 2, 0.1))

@@ -18,9 +18,7 @@ from ms_highway.loop.controller import Controller
 from ms_highway.loop.driver import fixed
 from ms_highway.numerics.solvers import Solver
 from ms_highway.vehicle.planning import PlanningVehicle
-from ms_highway.vehicle.road_view import RoadView, look
-
-WATCHED = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s, at which others may cross its way
+from ms_highway.vehicle.road_view import WATCHED, RoadView, look
 
 
 class HumanVehicle(PlanningVehicle):
@@ -77,7 +75,7 @@ class HumanVehicle(PlanningVehicle):
         """Plan, and brake more than planned where that is needed to keep clear of others."""
         view = super()._drive_on_road(controller)
         omega, acceleration = self.control
-        times = WATCHED[:1] if isinstance(self.road, RegulatedRoad) else WATCHED
+        times = 1 if isinstance(self.road, RegulatedRoad) else len(WATCHED)
         highest = view.clear_acceleration(times) + self.friction
         self.execute(np.array([omega, min(acceleration, highest)]))
         return view

@@ -30,6 +30,7 @@ SLOWEST = 3.0  # m/s, in any bend
 
 HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
 BESIDE = 0.3  # m between sides, below which others are in the way
+WATCHED = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s from now, at which others may be in the way
 FREE = 1e3  # m/s, so high that no desired speed limits the acceleration
 
 
@@ -39,6 +40,8 @@ class RoadView:
 
     Attributes:
         seen: what a robot would see in the driver's place.
+        others: states of others on all their ways at the times `WATCHED` from now, at constant speed [traffic, times,
+            4]; what has crashed stays where it is.
         scene: the lanes left of the driver's, its own, and right of it; those that are closed repeat its own. Where a
             lane ends, its centre moves to that of the target lane, so that its followers merge.
         states: of the driver and its neighbours; obstacles count as cars that stand.
@@ -47,6 +50,7 @@ class RoadView:
     """
 
     seen: RoadScene
+    others: State
     scene: Scene
     states: State
     cars: tuple[RoadObject | None, ...]
@@ -58,29 +62,26 @@ class RoadView:
         return np.stack([*self.seen.route.project(x, y, heading), speed], axis=-1)
 
     def in_the_world(self, states: State) -> State:
-        """Transform states of cars from the coordinates of the route to highway-env's: the inverse of `straightened`."""
+        """Transform states of cars back to highway-env's coordinates: the inverse of `straightened`."""
         s, d, turned, speed = states.T
         x, y, heading = self.seen.route.place(s, d)
         return np.stack([x, y, heading + turned, speed], axis=-1)
 
-    def clear_acceleration(self, times: Row) -> float:
+    def clear_acceleration(self, times: int) -> float:
         """Return the highest acceleration that keeps clear of others by the Intelligent Driver Model, or infinity.
 
-        A vehicle that is in the driver's path, or will be at one of some times and before the driver, counts as the car
-        ahead.
-
-        Args:
-            times: from now [s], at which others are predicted at constant speed.
+        A vehicle that is in the driver's path, or will be at one of the first ``times`` of `WATCHED` and before the
+        driver, counts as the car ahead.
         """
         seen, (own, aside, _, speed) = self.seen, self.states[0]
-        s, d, turned, speeds = np.moveaxis(others_at(seen, times), -1, 0)
+        (s, d, turned, speeds), watched = np.moveaxis(self.others[:, :times], -1, 0), WATCHED[:times]
         across = np.abs(np.sin(turned))
         length, width = ((seen.sizes + seen.size) / 2).T[..., None]
-        in_way = np.abs(d - np.where(times > 0.0, 0.0, aside)) < width + BESIDE + across * (length - width)
+        in_way = np.abs(d - np.where(watched > 0.0, 0.0, aside)) < width + BESIDE + across * (length - width)
         gap = s - own - length + across * (length - width)
-        first = gap > max(speed, 1.0) * times - length
+        first = gap > max(speed, 1.0) * watched - length
         along = np.maximum(speeds * np.cos(turned), 0.0)
-        bound = idm_acceleration(speed, FREE, gap - along * times, along, HEADWAY, STANDSTILL)
+        bound = idm_acceleration(speed, FREE, gap - along * watched, along, HEADWAY, STANDSTILL)
         return float(bound.min(initial=np.inf, where=in_way & (s > own) & first & seen.present[:, None]))
 
 
@@ -90,16 +91,16 @@ def states_of(cars: Iterable[RoadObject]) -> State:
 
 
 def look(driver: Vehicle) -> RoadView:
-    """View the road from a driver now, on its ``route`` or else on whichever road it is; its size is assumed for all."""
+    """View the road from a driver now, whose size is assumed for all; it follows its ``route``, if it has one."""
     seen = observe_road(driver)
     x, y, heading, speed = states_of([driver])[0]
     own = np.array([*seen.route.project(x, y, heading), speed])
-    others = others_at(seen, np.zeros(1))[:, 0]
+    others = _others(seen)
     lanes, wanted, (first, last) = interpolate(seen.lanes, own[0]), 1 + int(np.sign(seen.changes[1])), TAPER
     lanes[1] += (lanes[wanted] - lanes[1]) * np.clip((first - seen.room) / (first - last), 0.0, 1.0)
     lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
     width = float(driver.lane.width_at(driver.lane.local_coordinates(driver.position)[0]))
-    numbers, taken = places(own, others, seen.present, np.array(width))
+    numbers, taken = places(own, others[:, 0], seen.present, np.array(width))
     known = list(driver.road_memory.numbers)
     scene = Scene(
         lanes=lanes,
@@ -114,28 +115,25 @@ def look(driver: Vehicle) -> RoadView:
     )
     return RoadView(
         seen,
+        others,
         scene,
-        np.stack([own, *np.where(taken[:, None], others[numbers], far_behind(own))]),
+        np.stack([own, *np.where(taken[:, None], others[numbers, 0], far_behind(own))]),
         tuple(known[seen.owners[n]] if there else None for n, there in zip(numbers, taken, strict=True)),
         min(driver.lane.speed_limit or LIMIT, _limit_before_bends(seen.route, own[0])),
     )
 
 
-def others_at(seen: RoadScene, times: Row) -> State:
-    """Return states of others at times from now in the coordinates of the route [traffic, times, 4].
-
-    They keep their speed along their paths; what has crashed stays where it is.
-    """
+def _others(seen: RoadScene) -> State:
+    """Return states of others at the times `WATCHED` in the coordinates of the route [traffic, times, 4]."""
     along, aside, turned, speed = (values[:, None] for values in seen.states.T)
-    onward = np.where(seen.moving[:, None], speed * times, 0.0)
-    x, y, heading = seen.paths.place(along + onward, aside + 0.0 * times)
-    turned = np.where((times > 0) & seen.moving[:, None], 0.0, turned)
-    s, d, relative = seen.route.project(x, y, heading + turned)
-    return np.stack([s, d, relative, speed + 0.0 * times], axis=-1)
+    times = np.where(seen.moving[:, None], WATCHED, 0.0)
+    x, y, heading = seen.paths.place(along + speed * times, aside + 0.0 * times)
+    straight = seen.route.project(x, y, heading + np.where(times > 0.0, 0.0, turned))
+    return np.stack([*straight, speed + 0.0 * times], axis=-1)
 
 
 def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[float]]:
-    """Predict positions and headings of a vehicle at times from now [s], at constant speed along the lanes it follows."""
+    """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lanes."""
     if "road_memory" not in vars(vehicle):
         observe_road(vehicle)
     roads = road_map(vehicle.road.network)
