@@ -275,27 +275,20 @@ class RoadMap:
         return Goal(self, destination)
 
     def paves(self, points: Points) -> Row:
-        """Return at which points there is a lane, whoever may drive there."""
-        tree, widest = self._surface
-        distances, _ = tree.query(np.pad(points, [(0, 0)] * (points.ndim - 1) + [(0, 1)]), distance_upper_bound=widest)
-        return np.isfinite(distances)
+        """Return at which points there is a lane, whoever may drive there: that of the nearest middle of a lane."""
+        tree, radii = self._surface
+        distances, nearest = tree.query(points)
+        return distances < radii[nearest]
 
     @cached_property
-    def _surface(self) -> tuple[cKDTree, float]:
-        """Points in the middle of all lanes, lifted, and the widest radius R of the circles that they pave.
-
-        Lifted by ``sqrt(R^2 - r^2)``, the middle of a circle of radius r is nearer than R to just the places in it, so
-        that a look for the nearest suffices, however wide lanes are.
-        """
-        parts = [samples(lane.shape, 0.0, lane.length) for lane in self.lanes.values()]
-        widths = [
-            np.array([lane.shape.width_at(place) for place in places])
-            for lane, (places, _, _) in zip(self.lanes.values(), parts, strict=True)
-        ]
-        radii = np.hypot(np.concatenate(widths), COARSE) / 2  # they meet at the lanes' edges
-        heights = np.sqrt(radii.max() ** 2 - radii**2)
-        middles = np.concatenate([points for _, points, _ in parts])
-        return cKDTree(np.column_stack([middles, heights])), float(radii.max())
+    def _surface(self) -> tuple[cKDTree, Row]:
+        """Points in the middle of all lanes, and the radii of the circles that they pave, which meet at the edges."""
+        middles, radii = [], []
+        for lane in self.lanes.values():
+            places, points, _ = samples(lane.shape, 0.0, lane.length)
+            middles.append(points)
+            radii += [np.hypot(lane.shape.width_at(place), COARSE) / 2 for place in places]
+        return cKDTree(np.concatenate(middles)), np.array(radii)
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # no state: a copy's network gets an equal map

@@ -37,18 +37,6 @@ def test_models_are_chosen_by_gains_and_costs():
     assert [set(step.models[:3]) for step in chosen] == [{"tom"}, {"naive"}, {"naive"}]
 
 
-def test_costs_are_measured_where_a_choice_looks_at_them_once_somebody_is_there():
-    measured = driver("priced:1", costs="measured")
-    measured.step(scene_of())
-    assert measured.costs is None
-    assert measured.step(scene_of()).model == ""
-    first, second = measured.step(SCENE), measured.step(SCENE)
-    assert measured.costs.base > 0
-    assert measured.costs.each.shape == (len(MODELS),)
-    assert measured.costs.each.min() >= 0
-    assert second.compile_seconds < first.compile_seconds
-
-
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
     late, usual = driver("budget:0"), driver("fixed:naive")
     steps = [late.step(SCENE) for _ in range(3)]
