@@ -110,7 +110,7 @@ def _drives(car: RoadObject) -> bool:
 def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
     """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane.
 
-    Where it shows its intentions, these are the ways from all lanes of the road from which most of its route follows.
+    Where it shows its intentions, these are the ways that have most of its route.
     """
     found, own = [], roads.lanes[car.lane_index]
     if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
@@ -123,9 +123,7 @@ def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
         chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
         found += [(number, place, chain) for number, chain in enumerate(chains)]
     shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
-    most = max(shown)
-    roads_shown = {chain.lanes[0].index[:2] for (*_, chain), number in zip(found, shown, strict=True) if number == most}
-    found = [item for item in found if item[2].lanes[0].index[:2] in roads_shown]
+    found = [item for item, number in zip(found, shown, strict=True) if number == max(shown)]
     found.sort(key=lambda item: item[0])
     ways = []
     for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:

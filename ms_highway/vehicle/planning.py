@@ -18,7 +18,14 @@ from ms_highway.loop.driver import Driver
 from ms_highway.loop.fallback import braking_control
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds
-from ms_highway.vehicle.road_view import RoadView, at_constant_speed, look, states_of
+from ms_highway.vehicle.road_view import (
+    RoadView,
+    at_constant_speed,
+    in_the_world,
+    look,
+    states_of,
+    straightened,
+)
 
 STEADINESS = 0.5  # s, by which a neighbour's time gap must be shorter than the partner's to replace it
 
@@ -127,9 +134,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
                 self.partner, self._before = view.cars[place], None
             order = [0, 1 + place, *(row for row in range(1, len(view.states)) if row != 1 + place)]
             self.last_state = view.states[order]
-            before = None if self._before is None else view.straightened(self._before)
+            before = None if self._before is None else straightened(view.seen.route, self._before)
             self.last_step = controller.step(self.last_state, before)
-            self._before = view.in_the_world(self.last_state)
+            self._before = in_the_world(view.seen.route, self.last_state)
             control = self.last_step.control
         self.execute(control + np.array([view.scene.bend, 0.0]))
         return view

@@ -56,17 +56,6 @@ class RoadView:
     cars: tuple[RoadObject | None, ...]
     speed_limit: float
 
-    def straightened(self, states: State) -> State:
-        """Transform states of cars from highway-env's coordinates to those of the route."""
-        x, y, heading, speed = states.T
-        return np.stack([*self.seen.route.project(x, y, heading), speed], axis=-1)
-
-    def in_the_world(self, states: State) -> State:
-        """Transform states of cars back to highway-env's coordinates: the inverse of `straightened`."""
-        s, d, turned, speed = states.T
-        x, y, heading = self.seen.route.place(s, d)
-        return np.stack([x, y, heading + turned, speed], axis=-1)
-
     def clear_acceleration(self, times: int) -> float:
         """Return the highest acceleration that keeps clear of others by the Intelligent Driver Model, or infinity.
 
@@ -90,16 +79,27 @@ def states_of(cars: Iterable[RoadObject]) -> State:
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
+def straightened(route: Curve, states: State) -> State:
+    """Transform states of cars from highway-env's coordinates to those of a route."""
+    x, y, heading, speed = states.T
+    return np.stack([*route.project(x, y, heading), speed], axis=-1)
+
+
+def in_the_world(route: Curve, states: State) -> State:
+    """Transform states of cars from the coordinates of a route to highway-env's: the inverse of `straightened`."""
+    s, d, turned, speed = states.T
+    x, y, heading = route.place(s, d)
+    return np.stack([x, y, heading + turned, speed], axis=-1)
+
+
 def look(driver: Vehicle) -> RoadView:
     """View the road from a driver now, whose size is assumed for all; it follows its ``route``, if it has one."""
     seen = observe_road(driver)
-    x, y, heading, speed = states_of([driver])[0]
-    own = np.array([*seen.route.project(x, y, heading), speed])
-    others = _others(seen)
+    (own,), others = straightened(seen.route, states_of([driver])), _others(seen)
     lanes, wanted, (first, last) = interpolate(seen.lanes, own[0]), 1 + int(np.sign(seen.changes[1])), TAPER
     lanes[1] += (lanes[wanted] - lanes[1]) * np.clip((first - seen.room) / (first - last), 0.0, 1.0)
     lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
-    width = float(driver.lane.width_at(driver.lane.local_coordinates(driver.position)[0]))
+    width = float(driver.lane.width_at(0.0))
     numbers, taken = places(own, others[:, 0], seen.present, np.array(width))
     known = list(driver.road_memory.numbers)
     scene = Scene(
