@@ -83,10 +83,6 @@ class RoadDriver:
     budget: float = np.inf
 
     def __post_init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the last plan, before a new episode."""
         self._memory = first_memory(self.rule, TRAFFIC)
         self._last = no_plan(self.planning)
         self._left = 0  # controls of the last plan that are left, the executed one included
@@ -97,14 +93,18 @@ class RoadDriver:
         refuse_after_fork()
         start = perf_counter()
         scene = self._with_accelerations(scene)
-        _, compiling = timed(self._prepare, scene)
-        rule, gains = self.rule, np.full((TRAFFIC, len(MODELS)), np.nan)
-        first = models = self._models(scene, self._first_rungs())
+        rule, memory, gains = self.rule, self._memory, np.full((TRAFFIC, len(MODELS)), np.nan)
+        compiling = warm_up(plan_of, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._last)
+        if rule.estimates:
+            compiling += warm_up(decided, rule, None, memory, np.zeros(TRAFFIC, np.float32))
+        else:
+            memory = rule.decide(None, memory, None).memory
+        first = models = self._models(scene, memory.rungs)
         proposed, proposing = timed(proposed_for, scene, self.planning, self.weights, first, self._last)
         if rule.estimates:
             rule = rule.deciding_in(lambda: perf_counter() - start - compiling - proposing)
             gains[:, NAIVE + 1 :] = np.asarray(proposed.worth)[:, None]
-            models = self._models(scene, np.asarray(decided(rule, None, self._memory, proposed.worth).memory.rungs))
+            models = self._models(scene, np.asarray(decided(rule, None, memory, proposed.worth).memory.rungs))
         plan, answering = proposed.plan, 0.0
         if (models != first).any() or (models == TOM).any():  # judge again
             plan, answering = timed(answered_by, proposed, models)
@@ -140,21 +140,10 @@ class RoadDriver:
         accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
         return replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
 
-    def _first_rungs(self) -> Rungs:
-        """Return the rungs for judging proposals: the first of the ladder, or those of a fixed order."""
-        memory = self._memory
-        return memory.rungs if self.rule.estimates else self.rule.decide(None, memory, None).memory.rungs
-
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
         """Return the numbers of the models of all cars; those that cannot move are predicted by the first one."""
         numbers = np.array([MODELS.index(model.name) for model in self.rule.ladder], np.int32)
         return np.where(scene.moving, numbers[rungs], NAIVE).astype(np.int32)
-
-    def _prepare(self, scene: RoadScene) -> None:
-        """Compile."""
-        warm_up(plan_of, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._last)
-        if self.rule.estimates:
-            warm_up(decided, self.rule, None, self._memory, np.zeros(TRAFFIC, np.float32))
 
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
         """Return the controls to follow, the number of their status and their source; keep what is left of the plan."""

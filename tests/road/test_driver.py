@@ -86,5 +86,3 @@ def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_bra
         np.testing.assert_allclose(step.control, control, atol=1e-6)
     np.testing.assert_array_equal(steps[-1].control, [0.0, -PLANNING.grip])
     assert robot.step(SCENE).source in PLANS
-    robot.reset()
-    assert robot.step(BLIND).source == "braking"
