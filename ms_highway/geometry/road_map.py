@@ -184,7 +184,6 @@ class Goal:
 
     Attributes:
         towards: the node to go to from each node from which the destination can be reached.
-        leading: lanes from whose end a node of destination can be reached.
         spot: the destination, if that is one.
     """
 
@@ -200,7 +199,6 @@ class Goal:
                 if node in ends and start not in self.towards and start != destination:
                     self.towards[start] = node
                     queue.append(start)
-        self.leading = [lane for lane in roads.lanes.values() if lane.end in queue]
 
     def next(self, lane: Lane | None) -> Lane | None:
         """Return the lane to follow next: towards the goal if this lane leads there, None where a lane ends."""

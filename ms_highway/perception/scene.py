@@ -23,9 +23,6 @@ LANES = 3
 TRAFFIC = 20
 """Number of paths of others that plans look at."""
 
-SHARING = 0.85
-"""Cosine of the angle between a car's path and the robot's route, from which it shares the lane."""
-
 Sizes = Float[Any, "*cars 2"]
 Steps = Float[Any, "*shape steps"]
 States = Float[Any, "*plans steps 4"]

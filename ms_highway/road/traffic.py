@@ -7,7 +7,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
-from ms_highway.perception.scene import SHARING, Flags, Lane, RoadScene, Steps, Traffic
+from ms_highway.perception.scene import Flags, Lane, RoadScene, Steps, Traffic
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
@@ -18,9 +18,9 @@ STANDING = 1.0
 ROOM, WAITING = 0.4, 0.8
 """Distance between bodies that pass, and between the robot that waits and those who cross [m]."""
 
-SAME_WAY, CROSSING = 0.8, 0.5
-"""Cosines of the angle between a car's path and the robot's route, from which it goes the same way, and does not cross
-its way."""
+SHARING, SAME_WAY, CROSSING = 0.85, 0.8, 0.5
+"""Cosines of the angle between a car's path and the robot's route, from which it shares the lane, goes the same way
+and does not cross its way."""
 
 PASSED = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
 BEND_BRAKING = 2.5  # m/s^2, before bends
