@@ -29,8 +29,6 @@ HEADWAY, STANDSTILL = 0.7, 2.0  # s and m, between bumpers, of the robot
 CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 CREEPING = 3.0  # m/s, at which crossing cars come that stand
 
-NEARLY = 0.3  # m, beside its way round what cannot move, up to which a robot is on it
-SECONDS_ASIDE = 1.2  # s, least time to reach an obstacle for a robot that is not yet beside it
 TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
 CLEAR, OVERTAKING = 0.5, 3.0  # m around others and s before it passes them, in which a plan changes no lane
 
@@ -111,7 +109,7 @@ def _slip(scene: RoadScene, along: EachStep) -> EachStep:
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
     """Return the robot's control in a step of a plan."""
-    scene, planning, crossings, obstruction = now.scene, now.planning, now.crossings, now.obstruction
+    scene, planning, crossings, _obstruction = now.scene, now.planning, now.crossings, now.obstruction
     s, d, heading, speed = car
     onward, front = speeds * where[2], s + scene.size[0]
     ahead, apart = where[0] - (s + scene.size[0] / 2), scene.reach[:, 1] + ROOM
@@ -132,11 +130,6 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     left = lowest(left, awaited & (left > -WAITING)) - PREVIEW * speed
     waiting = jnp.sqrt(2 * planning.stopping * planning.grip * jnp.maximum(left, 0.0))
     cap = jnp.minimum(interpolate(now.caps, s + PREVIEW * speed), waiting)
-
-    # slowly towards what cannot move, until the robot is aside of it
-    slowly = (plan.side != 0) & (jnp.abs(d - target) > NEARLY) & (front < obstruction.begin)
-    slow = jnp.maximum((obstruction.begin - front) / SECONDS_ASIDE, STEERING_SPEED)
-    cap = jnp.where(slowly, jnp.minimum(cap, slow), cap)
 
     # behind whoever is ahead, here or in the lane that the robot goes to
     beside = (where[1] > jnp.minimum(d, target) - apart) & (where[1] < jnp.maximum(d, target) + apart)

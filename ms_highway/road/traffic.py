@@ -25,8 +25,6 @@ and does not cross its way."""
 PASSED = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
 BEND_BRAKING = 2.5  # m/s^2, before bends
 SIGHT = 30.0  # m ahead, in which obstacles are gone round
-BESIDE = 5.0  # m along the route, up to which obstacles lie beside each other
-ROUNDS = 2  # in which obstacles are added that lie beside those found
 KNOTS_IN_SIGHT = int((BEHIND + SIGHT + 10.0) / SPACING)  # of the route, 10 m more: on a loop, not the next lap
 STRIDE = 0.5  # m, between places on ways that may cross: knots move with cars, and lines would jump with knots
 
@@ -177,8 +175,7 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Knots:
 def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     """Return what cannot move in the robot's lane, by the corners of bodies in the coordinates of its route.
 
-    Bodies are where they are, and where they will have slid to: ``v' = -v``. Those in the lane count together, and so
-    does whoever lies beside them and leaves no room for the robot in between.
+    Bodies are where they are, and where they will have slid to: ``v' = -v``. Those in the lane count together.
     """
     along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
     slid = speed * jnp.array([0.0, 1.0])
@@ -192,14 +189,7 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     needed = scene.size[1] + 2 * weights.comfortable
     own = interpolate(scene.lanes[1], first)
     near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + SIGHT)
-    found = in_lane = near & (left < own + needed / 2) & (right > own - needed / 2)
+    found = near & (left < own + needed / 2) & (right > own - needed / 2)
 
-    def extent(found: Flags) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        return lowest(first, found), highest(last, found), lowest(left, found), highest(right, found)
-
-    for _ in range(ROUNDS):
-        begin, end, low, high = extent(found)
-        beside = (first < end + BESIDE) & (last > begin - BESIDE) & (left < high + needed) & (right > low - needed)
-        found = found | (near & beside)
-    begin, end, low, high = extent(found)
-    return Obstruction(in_lane.any(), jnp.stack([low - needed / 2, high + needed / 2]), begin, end)
+    sides = jnp.stack([lowest(left, found) - needed / 2, highest(right, found) + needed / 2])
+    return Obstruction(found.any(), sides, lowest(first, found), highest(last, found))
