@@ -109,7 +109,7 @@ def _slip(scene: RoadScene, along: EachStep) -> EachStep:
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
     """Return the robot's control in a step of a plan."""
-    scene, planning, crossings, _obstruction = now.scene, now.planning, now.crossings, now.obstruction
+    scene, planning, crossings = now.scene, now.planning, now.crossings
     s, d, heading, speed = car
     onward, front = speeds * where[2], s + scene.size[0]
     ahead, apart = where[0] - (s + scene.size[0] / 2), scene.reach[:, 1] + ROOM
