@@ -23,7 +23,7 @@ STEERING_SPEED = 3.0  # m/s, below which steering is not sharper than at this sp
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
-HASTE, HURRY = 3.0, 4.5  # m/s^2, to the desired speed, and where the robot crosses others' ways
+HASTE = 3.0  # m/s^2, to the desired speed
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 HEADWAY, STANDSTILL = 0.7, 2.0  # s and m, between bumpers, of the robot
 CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
@@ -97,7 +97,6 @@ def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
     """Return the lateral position that a plan goes to where its rear axle is at s."""
     passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
     own, goal = (interpolate(now.scene.lanes[lane], s) for lane in (1, plan.lane))
-    goal = jnp.where(plan.beyond, 2 * goal - own, goal)
     return jnp.where(passes, now.obstruction.sides[(plan.side > 0).astype(int)], goal)
 
 
@@ -140,9 +139,8 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, HEADWAY, STANDSTILL).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
 
-    haste, gain = (jnp.where(plan.yields > 0, HURRY, other) for other in (HASTE, 1.0))
-    free = gain * (COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed))
-    free = jnp.minimum(jnp.clip(free, -HASTE, haste), jnp.minimum(kept, haste))
+    free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
+    free = jnp.minimum(jnp.clip(free, -HASTE, HASTE), kept)
     acceleration = jnp.where(plan.follows, free, plan.rate)
     return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])
 

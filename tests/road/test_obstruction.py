@@ -146,7 +146,7 @@ def test_lanes_of_oncoming_traffic_are_left_out_but_by_plans_round_something_and
 def test_only_in_its_own_lane_a_plan_leaves_room_to_turn_round_what_cannot_move():
     scene = wrecked(wrecked(scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=[(40.0, 0, 0.0), (40.0, 1, 0.0)]), 0), 1)
     states = np.asarray(proposed(scene, no_plan(SLOW)).driven.states)
-    own, beside = (states[ALL.index((lane, 1.0, 0.0, True, False, 0.0, 0, False)), -1, 0] for lane in (1, 2))
+    own, beside = (states[ALL.index((lane, 1.0, 0.0, True, False, 0.0, 0)), -1, 0] for lane in (1, 2))
     assert own < beside - 1.0
 
 

@@ -44,7 +44,6 @@ def asked(*cars):
 
 
 SLOW, BESIDE = (25.0, 0, 12.0), [(place, lane, 14.0) for place in (0.0, 12.0) for lane in (-1, 1)]
-TOO_CLOSE = scene_of(robot=(0.0, 0.0, 0.0, 24.0), cars=[(20.0, 0, 22.0), (33.0, -1, 17.0)])
 CIRCLE = scene_of(bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)])
 SCENES = {  # and, on straight roads, lanes to the right where the robot goes, and its speed then
     "a free road": (scene_of(), 0, 29.2),
@@ -55,11 +54,6 @@ SCENES = {  # and, on straight roads, lanes to the right where the robot goes, a
     "a goal to the right": (asked(), 1, 29.2),
     "a goal to the right among others": (asked(*((place, 1, 20.0) for place in (-12.0, 0.0, 12.0))), 0, 29.2),
     "standing cars in all lanes": (scene_of(cars=[(70.0, lane, 0.0) for lane in (-1, 0, 1)]), 0, 14.3),
-    "cars ahead, here and beside, that brake too hard": (
-        between(accelerating(TOO_CLOSE, -6.0, -6.0), -2.5, 0.5),
-        -2,
-        None,
-    ),
     "a circle": (CIRCLE, None, None),
 }
 
