@@ -96,7 +96,7 @@ def simulate(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
 def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
     """Return the lateral position that a plan goes to where its rear axle is at s."""
     passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
-    own, goal = (interpolate(now.scene.lanes[lane], s) for lane in (1, plan.lane))
+    goal = interpolate(now.scene.lanes[plan.lane], s)
     return jnp.where(passes, now.obstruction.sides[(plan.side > 0).astype(int)], goal)
 
 
