@@ -121,5 +121,6 @@ def move_traffic(
     modelled = jnp.where(manners.given, ordered, modelled)
     acceleration = jnp.clip(modelled + surprise, -HARDEST, HARDEST)
     acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
-    acceleration = jnp.maximum(acceleration, -speeds / dt)  # never backwards
+    rolls = along_paths(now.scene)[1] < 0  # may go on so; others stop at most
+    acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
     return along + speeds * dt, speeds + acceleration * dt

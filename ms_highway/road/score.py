@@ -79,7 +79,7 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     return Scores(
         own=planning.time_step * per_second.sum(axis=1) - off_road + after.own,
         others=others + after.others,
-        answerable=jnp.where(now.leading < scene.size[1], 0.0, others),
+        answerable=jnp.where(now.leading, 0.0, others),
         intrusion=intrusion,
         impact=impact,
         leaves=leaves | closed,

@@ -97,7 +97,7 @@ class Situation(NamedTuple):
         weights: what counts.
         ways: of the traffic.
         crossings: of these ways and the route.
-        leading: how far aside of the robot vehicles are that are ahead and go its way [m], `FAR` for others.
+        leading: which vehicles are ahead of the robot, in its lane, and go its way.
         caps: see `speed_caps`.
         obstruction: of the robot's lane.
     """
@@ -107,32 +107,27 @@ class Situation(NamedTuple):
     weights: RoadWeights
     ways: Ways
     crossings: Crossings
-    leading: Traffic
+    leading: Flags
     caps: Knots
     obstruction: Obstruction
 
 
 def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights) -> Situation:
     """Compute what all plans of a step share."""
-    ways = ways_of(scene)
+    s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
+    ways = Ways(s, d, jnp.cos(turn))
     s, d, cosine = ways.at(scene.states[:, 0], scene.states[:, 1])
-    leads = (s > scene.robot[0]) & (cosine > CROSSING)
+    leading = (s > scene.robot[0]) & (cosine > CROSSING) & (jnp.abs(d - scene.robot[1]) < scene.size[1])
     return Situation(
         scene,
         planning,
         weights,
         ways,
         _crossings(scene, ways),
-        jnp.where(leads, jnp.abs(d - scene.robot[1]), FAR),
+        leading,
         speed_caps(scene, planning),
         obstruction_of(scene, weights),
     )
-
-
-def ways_of(scene: RoadScene) -> Ways:
-    """Project the paths of traffic on the robot's route."""
-    s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
-    return Ways(s, d, jnp.cos(turn))
 
 
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
