@@ -17,6 +17,7 @@ from ms_highway.runtime.arrays import Car
 FOLLOWED = 0.7  # cosine of the angle between paths, from which a car follows the robot ahead
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
+BACKWARDS = 0.3  # m/s, above which a car rolls backwards
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
 
 
@@ -121,6 +122,6 @@ def move_traffic(
     modelled = jnp.where(manners.given, ordered, modelled)
     acceleration = jnp.clip(modelled + surprise, -HARDEST, HARDEST)
     acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
-    rolls = along_paths(now.scene)[1] < 0  # may go on so; others stop at most
+    rolls = along_paths(now.scene)[1] < -BACKWARDS  # may go on so; others stop at most
     acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
     return along + speeds * dt, speeds + acceleration * dt
