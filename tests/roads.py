@@ -140,7 +140,7 @@ def execute(scene, planning, controls):
 def told(follows, given=NOBODY, acceleration=0.0):
     """Others who follow by IDM, keep their speed or do as told; arrays have the same shapes always, for one program."""
     nothing = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
-    return Manners(follows, given, nothing + np.float32(acceleration), nothing[0])
+    return Manners(follows, given, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
 
 
 @jit_quickly

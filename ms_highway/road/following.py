@@ -18,6 +18,7 @@ FOLLOWED = 0.7  # cosine of the angle between paths, from which a car follows th
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
 BACKWARDS = 0.3  # m/s, above which a car rolls backwards
+HARD, HELD = 3.0, 3.0  # m/s^2 and s: braking ahead from which it is expected to go on, and for how long
 FADES = 1.0  # s, in which others who do not do what their model says come back to it
 
 
@@ -29,29 +30,33 @@ class Manners(NamedTuple):
         given: whether its accelerations are given.
         accelerations: those, for every plan [m/s^2].
         surprise: what its last acceleration was above what its model says, which fades, in each step [m/s^2].
+        limit: its acceleration at most in each step [m/s^2].
     """
 
     follows: Flags
     given: Flags
     accelerations: EachStep
     surprise: EachStep
+    limit: EachStep
 
 
 def manners_of(now: Situation, models: Places, plans: int) -> Manners:
     """Return the manners of others who keep their speed, or follow.
 
     Vehicles that may cross the robot's way keep their speed: there they stop and start for others than the car ahead.
-    The part of an acceleration that the model does not explain fades.
+    The part of an acceleration that the model does not explain fades; hard braking ahead of the robot goes on.
     """
     scene, times = now.scene, now.planning.times
     follows = (models >= IDM) & scene.moving & ~now.crossings.exist
     expected = follows | ((models == TOM) & scene.moving)
     surprise = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
+    limit = jnp.where(now.leading & (scene.accelerations < -HARD), scene.accelerations, jnp.inf)[:, None]
     return Manners(
         follows,
         given=jnp.zeros_like(follows),
         accelerations=jnp.zeros((plans, len(models), len(times))),
         surprise=surprise[:, None] * jnp.exp(-times / FADES),
+        limit=jnp.where(times - now.planning.time_step / 2 < HELD, limit, jnp.inf),
     )
 
 
@@ -111,16 +116,16 @@ def move_traffic(
     Args:
         now: the situation.
         manners: how they move.
-        orders: their accelerations if these are given, and surprises in this step [2, traffic].
+        orders: their accelerations if these are given, surprises and limits in this step [3, traffic].
         where: see `follow_all`, also the rest.
         along: positions.
         speeds: of others.
         robot: its state.
     """
-    (ordered, surprise), dt = orders, now.planning.time_step
+    (ordered, surprise, limit), dt = orders, now.planning.time_step
     modelled = jnp.where(manners.follows, follow_all(now, where, along, speeds, robot), 0.0)
     modelled = jnp.where(manners.given, ordered, modelled)
-    acceleration = jnp.clip(modelled + surprise, -HARDEST, HARDEST)
+    acceleration = jnp.clip(jnp.minimum(modelled + surprise, limit), -HARDEST, HARDEST)
     acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
     rolls = along_paths(now.scene)[1] < -BACKWARDS  # may go on so; others stop at most
     acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))

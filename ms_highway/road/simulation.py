@@ -82,7 +82,7 @@ def simulate(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
             along, speeds = move_traffic(now, manners, orders, where, along, speeds, car)
             return (ahead, along, speeds), (ahead, control, along, speeds, *now.ways.at(along, sideways))
 
-        orders = jnp.stack([accelerations, manners.surprise]).T.swapaxes(1, 2)
+        orders = jnp.stack([accelerations, manners.surprise, manners.limit]).T.swapaxes(1, 2)
         return jax.lax.scan(go, (scene.robot, *traffic), (plan.controls, across.T, orders))[1]
 
     states, controls, *others = jax.vmap(one)(plans, manners.accelerations)

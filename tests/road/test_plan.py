@@ -108,6 +108,19 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
     assert final_place(beside, "tom") > braking + 1.0
 
 
+def test_who_brakes_hard_ahead_is_expected_to_stop_and_nobody_else():
+    ahead, behind, aside = (scene_of(cars=[(s, lane, 10.0)]) for s, lane in ((30.0, 0), (-15.0, 1), (30.0, 1)))
+
+    def covered(scene, acceleration, seconds=3.0):
+        plan = plan_of(accelerating(scene, acceleration))
+        return float(plan.predictions[0, round(seconds / PLANNING.time_step) - 1, 0] - scene.paths.x[0, ZERO])
+
+    assert covered(ahead, -6.0) == pytest.approx(10.0**2 / 12, abs=1.5)
+    assert covered(ahead, -6.0, 4.0) > covered(ahead, -6.0) + 0.5, "later, it goes on"
+    assert covered(ahead, -2.0) > 22.0
+    assert min(covered(behind, -6.0), covered(aside, -6.0)) > 12.0
+
+
 def test_who_may_cross_is_expected_to_keep_its_speed_and_not_to_follow_a_car_on_one_of_its_ways():
     led = crossing(0.0, 60.0)
     led.leaders[0], led.gaps[0], led.present[1], led.moving[1] = 1, 12.0, True, True
