@@ -32,8 +32,8 @@ class HumanVehicle(PlanningVehicle):
     first at constant speed. It does not run into a car that is slower by 8, 12 or 20 m/s, and stops from 30 m/s behind
     a standing one. On a ``RegulatedRoad``, such as that of intersection-v0, it yields only when the road tells it to.
 
-    Where all cars, the ego too, are humans, 0 of 20 episodes of merge-v0 have collisions (with highway-env's IDM 0), 3 of
-    roundabout-v0 (4), 2 of intersection-v0 (7), and 0 of 8 of highway-fast-v0 (0).
+    Where all cars, the ego too, are humans, 0 of 20 episodes of merge-v0 have collisions (with highway-env's IDM 0), 3
+    of roundabout-v0 (4), 2 of intersection-v0 (7), and 0 of 8 of highway-fast-v0 (0).
 
     It does not change lanes in dense traffic: in 20 s of highway-v0 among 150 cars, IDM cars change lanes 39 times,
     humans never. Longer horizons do not help: behind a car of 12 m/s beside an empty lane, it stays there with
