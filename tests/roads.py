@@ -7,11 +7,11 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
+from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
 from ms_highway.road.following import Manners, manners_of
 from ms_highway.road.plan import Judged, no_plan
 from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, proposals
-from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
 from ms_highway.road.score import score
 from ms_highway.road.simulation import advance, simulate
 from ms_highway.road.traffic import situation_of

@@ -4,7 +4,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from functools import cached_property, wraps
 from itertools import accumulate, islice
-from math import cos, hypot, inf, sin
+from math import cos, inf, sin
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 from weakref import WeakKeyDictionary, proxy
 
@@ -102,12 +102,6 @@ class Lane:
         return tuple(sorted(leading, key=lambda other: (other.joints[self].kink, other.index)))
 
     @cached_property
-    def touched(self) -> set[str]:
-        """Ends of the next roads of which a lane begins right where this one ends."""
-        nexts = [lane for lane in self.roads.lanes.values() if lane.start == self.end]
-        return {lane.end for lane in nexts if lane.joints[self].apart < REACH}
-
-    @cached_property
     def preceding(self) -> "Lane | None":
         """The lane that this one continues best."""
         best = min(self.joints, key=lambda other: self.joints[other].kink, default=None)
@@ -118,13 +112,6 @@ class Lane:
         """The nearest lane of the same road that goes on where this one ends, None if this one goes on or none does."""
         onward = () if self.following() else [other for other in self.siblings if other.following()]
         return min(onward, key=lambda other: abs(other.number - self.number), default=None)
-
-    @kept
-    def continued(self, end: str, number: int | None) -> "Lane":
-        """Return the lane of the road to a node that highway-env's drivers take, who may ask for the lane's number."""
-        last = self.shape.position(self.length, 0)
-        number, _ = self.roads.network.next_lane_given_next_road(*self.index, end, number, last)
-        return self.roads.lanes[self.end, end, number]
 
     def distance(self, vehicle: Vehicle) -> float:
         """Return how far a vehicle is from the lane, in position and heading."""
@@ -143,12 +130,11 @@ class Joint(NamedTuple):
     """How a lane continues another one.
 
     Attributes:
-        apart: distance from the other's end to its beginning, in widths.
-        aside: the same across the mean of both headings: an arc that touches both lanes has its chord along it.
+        aside: distance from the other's end to its beginning, in widths, across the mean of both headings: an arc that
+            touches both lanes has its chord along it.
         kink: how unevenly it goes on [m].
     """
 
-    apart: float
     aside: float
     kink: float
 
@@ -161,7 +147,7 @@ def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
     aside = abs(cos(mean) * y - sin(mean) * x)
     aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (inf if abs(turn) > SHARPEST_TURN else 0.0)
     later = wrapped(other.heading_at(min(other.length, BRIDGED)) - before)
-    return Joint(hypot(x, y) / width, aside / width, aside + TURN * (abs(turn) + abs(later) / 10))
+    return Joint(aside / width, aside + TURN * (abs(turn) + abs(later) / 10))
 
 
 class Chain:
@@ -198,7 +184,6 @@ class Goal:
 
     Attributes:
         towards: the node to go to from each node from which the destination can be reached.
-        leading: lanes from whose end a node of destination can be reached.
         spot: the destination, if that is one.
     """
 
@@ -214,7 +199,6 @@ class Goal:
                 if node in ends and start not in self.towards and start != destination:
                     self.towards[start] = node
                     queue.append(start)
-        self.leading = [lane for lane in roads.lanes.values() if lane.end in queue]
 
     def next(self, lane: Lane | None) -> Lane | None:
         """Return the lane to follow next: towards the goal if this lane leads there, None where a lane ends."""
@@ -289,27 +273,20 @@ class RoadMap:
         return Goal(self, destination)
 
     def paves(self, points: Points) -> Row:
-        """Return at which points there is a lane, whoever may drive there."""
-        tree, widest = self._surface
-        distances, _ = tree.query(np.pad(points, [(0, 0)] * (points.ndim - 1) + [(0, 1)]), distance_upper_bound=widest)
-        return np.isfinite(distances)
+        """Return at which points there is a lane, whoever may drive there: that of the nearest middle of a lane."""
+        tree, radii = self._surface
+        distances, nearest = tree.query(points)
+        return distances < radii[nearest]
 
     @cached_property
-    def _surface(self) -> tuple[cKDTree, float]:
-        """Points in the middle of all lanes, lifted, and the widest radius R of the circles that they pave.
-
-        Lifted by ``sqrt(R^2 - r^2)``, the middle of a circle of radius r is nearer than R to just the places in it, so
-        that a look for the nearest suffices, however wide lanes are.
-        """
-        parts = [samples(lane.shape, 0.0, lane.length) for lane in self.lanes.values()]
-        widths = [
-            np.array([lane.shape.width_at(place) for place in places])
-            for lane, (places, _, _) in zip(self.lanes.values(), parts, strict=True)
-        ]
-        radii = np.hypot(np.concatenate(widths), COARSE) / 2  # they meet at the lanes' edges
-        heights = np.sqrt(radii.max() ** 2 - radii**2)
-        middles = np.concatenate([points for _, points, _ in parts])
-        return cKDTree(np.column_stack([middles, heights])), float(radii.max())
+    def _surface(self) -> tuple[cKDTree, Row]:
+        """Points in the middle of all lanes, and the radii of the circles that they pave, which meet at the edges."""
+        middles, radii = [], []
+        for lane in self.lanes.values():
+            places, points, _ = samples(lane.shape, 0.0, lane.length)
+            middles.append(points)
+            radii += [np.hypot(lane.shape.width_at(place), COARSE) / 2 for place in places]
+        return cKDTree(np.concatenate(middles)), np.array(radii)
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # no state: a copy's network gets an equal map

@@ -18,12 +18,11 @@ from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.geometry.curve import Curve
 from ms_highway.numerics.damped_newton import SHARES, damped_factor, damped_solve
 from ms_highway.numerics.objective import best_of
 from ms_highway.numerics.second_derivatives import along_fields
+from ms_highway.perception.scene import RoadScene, Steps, World
 from ms_highway.road.constants import LANE, RoadPlanning
-from ms_highway.road.scene import RoadScene, Steps, World
 from ms_highway.road.simulation import earlier
 from ms_highway.runtime.arrays import Car, Index, Matrix, Numbers, Scalar, Vector
 
@@ -49,19 +48,17 @@ class Commuter:
 
     Attributes:
         planning: time step and number of steps.
-        path: of the human.
-        state: of the human on it.
+        state: of the human on its path.
         road: straight, with the size of all cars.
         reward: the commuters', with the speed limit of this human.
-        others: their motion after each step, None before it looks.
+        others: their motion after each step.
     """
 
     planning: RoadPlanning
-    path: Curve
     state: Car
     road: Scene
     reward: Reward
-    others: Motion | None = None
+    others: Motion
 
     def earned(self, scaled: Vector) -> Scalar:
         """Return the reward less the discomfort of accelerations."""
@@ -71,7 +68,6 @@ class Commuter:
         """Return the reward after each step, given s and speed there [2, steps]."""
         s, speed = motion
         own = Motion(s, self.aside, jnp.ones_like(s), jnp.zeros_like(s), speed)
-        assert self.others is not None  # it has looked
         return motion_reward(self.road, self.reward, own, self.others)
 
     def expand(self, scaled: Vector) -> tuple[Vector, Matrix]:
@@ -120,13 +116,6 @@ class Commuter:
         kept = jnp.stack([s + speed * self.planning.times, jnp.full_like(scaled, speed)])
         return kept + jnp.sum(self._effects * scaled, axis=-1)
 
-    def see(self, trajectories: World) -> Motion:
-        """Return the motions [cars, steps] of trajectories [4, cars, steps] in the coordinates of the path."""
-        x, y, heading, speed = trajectories
-        s, d, relative = self.path.project(x, y, heading)
-        cosine = jnp.cos(relative)
-        return Motion(s, d, cosine, jnp.sin(relative), speed * cosine)
-
     @property
     def aside(self) -> Steps:
         """Lateral position after each step."""
@@ -145,16 +134,6 @@ class Commuter:
         return self.reward.comfort[1] * (UNIT / PAPER_UNIT) ** 2
 
 
-def commuter_of(scene: RoadScene, planning: RoadPlanning, i: Index) -> Commuter:
-    """Return other car i as a commuter that has not looked at others yet."""
-    path, state, size, limit = jax.tree.map(
-        lambda field: jnp.asarray(field)[i], (scene.paths, scene.states, scene.sizes, scene.limits)
-    )
-    lane, nothing = jnp.zeros(1), jnp.zeros((0, 2))
-    road = Scene(lane, LANE, nothing, size, size, 0.5, 0.0, PAPER_UNIT)
-    return Commuter(planning, path, state, road, replace(_reward(), speed_limit=limit))
-
-
 def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World) -> Commuter:
     """Return other car i as a commuter among the robot and the `NEAREST` others.
 
@@ -166,10 +145,17 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
         others: predicted trajectories of all traffic; the car itself, other ways of its owner and absent cars are
             left out.
     """
-    human = commuter_of(scene, planning, i)
-    seen = human.see(jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0))
-    kept = human.state[0] + human.state[3] * planning.times
-    apart = ((seen.x - kept) ** 2 / ALONG_PER_ASIDE**2 + (seen.y - human.aside) ** 2).min(axis=1)[1:]
+    path, state, size, limit = jax.tree.map(
+        lambda field: jnp.asarray(field)[i], (scene.paths, scene.states, scene.sizes, scene.limits)
+    )
+    x, y, heading, speed = jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0)
+    s, d, relative = path.project(x, y, heading)
+    cosine = jnp.cos(relative)
+    seen = Motion(s, d, cosine, jnp.sin(relative), speed * cosine)
+    road = Scene(jnp.zeros(1), LANE, jnp.zeros((0, 2)), size, size, 0.5, 0.0, PAPER_UNIT)
+    human = Commuter(planning, state, road, replace(_reward(), speed_limit=limit), seen)
+    kept = state[0] + state[3] * planning.times
+    apart = ((s - kept) ** 2 / ALONG_PER_ASIDE**2 + (d - human.aside) ** 2).min(axis=1)[1:]
     matters = scene.present & (scene.owners != scene.owners[i])
     _, nearest = jax.lax.top_k(-jnp.where(matters, apart, jnp.inf), NEAREST)
     heeded = jnp.concatenate([jnp.zeros(1, int), 1 + nearest])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import jax
 from jax import numpy as jnp
 
-from ms_highway.road.scene import Steps
+from ms_highway.perception.scene import Steps
 from ms_highway.runtime.arrays import Scalar
 
 MODELS = "naive", "idm", "tom"

@@ -21,11 +21,10 @@ from highway_env.envs.common.action import (
 from ms_highway.envs.configuration import as_json
 from ms_highway.envs.game_env import GameEnv
 from ms_highway.envs.viewer import enable_pictures
-from ms_highway.road.constants import MODELS, RoadWeights
-from ms_highway.road.driver import RoadDriver
+from ms_highway.perception.scene import TRAFFIC
+from ms_highway.road.constants import MODELS
 from ms_highway.road.graphics import show
 from ms_highway.road.robot import PERIOD, RoadRobot
-from ms_highway.road.scene import TRAFFIC
 from ms_highway.road.settings import RoadSettings
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
 from ms_highway.road.timed_goal import destination_for
@@ -130,7 +129,6 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         check_drivable(env)
         self.settings = RoadSettings.read(config)
         self.robots: list[RoadRobot] = []
-        self._drivers: list[RoadDriver] = []  # kept, as each measures the costs of its models once
         show(env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -152,13 +150,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         planning = self.settings.planning(desired_speed_of(base))
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
-            if number == len(self._drivers):
-                self._drivers.append(self.settings.build(planning))
-            driver, goal = self._drivers[number], destination_of(base, number)
-            driver.planning, driver.weights = planning, RoadWeights()
-            driver.reset()
-            robot = replace_ego(base, RoadRobot.create_from, number)
-            robot.drive_with(driver, goal, self.settings.acceleration, self.settings.intentions)
+            goal, robot = destination_of(base, number), replace_ego(base, RoadRobot.create_from, number)
+            robot.drive_with(self.settings.build(planning), goal, self.settings.acceleration, self.settings.intentions)
             self.robots.append(robot)
         return observation, {**info, **self._told()}
 

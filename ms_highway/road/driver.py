@@ -1,6 +1,5 @@
 """Drive on a road: observe, choose how to predict each car, plan, follow the plan or fall back."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
@@ -12,12 +11,12 @@ from jaxtyping import Float
 from ms_highway.choice.rule import Rule, decide, first_memory
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.fallback import LATE, PLANNED, STATUSES, fallback_status
+from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
 from ms_highway.planning.car_following import HARDEST
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.road.constants import IDM, MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
-from ms_highway.road.plan import Proposed, RoadPlan, answer_road, no_plan, propose_road
+from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
+from ms_highway.road.plan import RoadPlan, answer_road, no_plan, propose_road
 from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
-from ms_highway.road.scene import TRAFFIC, Places, RoadScene
 from ms_highway.runtime.arrays import Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.forks import refuse_after_fork
@@ -28,7 +27,6 @@ SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]))
 
 BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
-REPEATS = 9  # plans that are timed for the costs of models
 
 proposed_for, answered_by, decided = jit_quickly(propose_road), jit_quickly(answer_road), jit_quickly(decide)
 """Proposals, answers to them and decisions, each compiled once for all scenes, models, limits and weights."""
@@ -74,25 +72,18 @@ class RoadDriver:
 
     Attributes:
         planning: limits and wishes; may be replaced between steps.
-        rule_at: returns the rule that chooses the models, given the costs of `MODELS`.
+        rule: chooses the models.
         weights: what counts.
-        costs: of models; None to measure them in the first step with others, which noise may change.
         budget: time of a decision and a plan [s].
     """
 
     planning: RoadPlanning
-    rule_at: Callable[[Costs], Rule]
+    rule: Rule
     weights: RoadWeights = field(default_factory=RoadWeights)
-    costs: Costs | None = SHIPPED_COSTS
     budget: float = np.inf
 
     def __post_init__(self) -> None:
-        self._rule = self.rule_at(self.costs or SHIPPED_COSTS)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the last plan, before a new episode."""
-        self._memory = first_memory(self._rule, TRAFFIC)
+        self._memory = first_memory(self.rule, TRAFFIC)
         self._last = no_plan(self.planning)
         self._left = 0  # controls of the last plan that are left, the executed one included
         self._speeds: dict[int, float] = {}  # of others at the last look, by their numbers
@@ -102,15 +93,22 @@ class RoadDriver:
         refuse_after_fork()
         start = perf_counter()
         scene = self._with_accelerations(scene)
-        _, compiling = timed(self._prepare, scene)
-        rule, gains = self._rule, np.full((TRAFFIC, len(MODELS)), np.nan)
-        first = models = self._models(scene, self._first_rungs())
-        proposed, proposing = timed(self._proposed, scene, models)
+        rule, memory, gains = self.rule, self._memory, np.full((TRAFFIC, len(MODELS)), np.nan)
+        compiling = warm_up(plan_of, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._last)
+        if rule.estimates:
+            compiling += warm_up(decided, rule, None, memory, np.zeros(TRAFFIC, np.float32))
+        else:
+            memory = rule.decide(None, memory, None).memory
+        first = models = self._models(scene, memory.rungs)
+        proposed, proposing = timed(proposed_for, scene, self.planning, self.weights, first, self._last)
         if rule.estimates:
             rule = rule.deciding_in(lambda: perf_counter() - start - compiling - proposing)
             gains[:, NAIVE + 1 :] = np.asarray(proposed.worth)[:, None]
-            models = self._models(scene, np.asarray(decided(rule, None, self._memory, proposed.worth).memory.rungs))
-        plan, answering = timed(self._answered, proposed, first, models)
+            models = self._models(scene, np.asarray(decided(rule, None, memory, proposed.worth).memory.rungs))
+        plan, answering = proposed.plan, 0.0
+        if (models != first).any() or (models == TOM).any():  # judge again
+            plan, answering = timed(answered_by, proposed, models)
+        plan = jax.tree.map(np.asarray, plan)
         planning = proposing + answering
         deciding = perf_counter() - start - compiling - planning
         controls, status, source = self._followed(plan, deciding + planning > self.budget)
@@ -142,41 +140,10 @@ class RoadDriver:
         accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
         return replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
 
-    def _first_rungs(self) -> Rungs:
-        """Return the rungs for judging proposals: the first of the ladder, or those of a fixed order."""
-        memory = self._memory
-        return memory.rungs if self._rule.estimates else self._rule.decide(None, memory, None).memory.rungs
-
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
         """Return the numbers of the models of all cars; those that cannot move are predicted by the first one."""
-        numbers = np.array([MODELS.index(model.name) for model in self._rule.ladder], np.int32)
+        numbers = np.array([MODELS.index(model.name) for model in self.rule.ladder], np.int32)
         return np.where(scene.moving, numbers[rungs], NAIVE).astype(np.int32)
-
-    def _proposed(self, scene: RoadScene, models: Rungs) -> Proposed:
-        return proposed_for(scene, self.planning, self.weights, models, self._last)
-
-    def _answered(self, proposed: Proposed, first: Rungs, models: Rungs) -> RoadPlan:
-        """Return the best plan, judged again where models are not those of the proposals or somebody optimises."""
-        again = (models != first).any() or (models == TOM).any()
-        return jax.tree.map(np.asarray, answered_by(proposed, models) if again else proposed.plan)
-
-    def _prepare(self, scene: RoadScene) -> None:
-        """Compile and, for a rule that estimates gains, measure what models cost once there are others."""
-        models = np.outer(range(len(MODELS)), scene.moving).astype(np.int32)
-        warm_up(plan_of, scene, self.planning, self.weights, models[0], self._last)
-        if self.costs is None and self._rule.estimates and models.any():
-
-            def planned(each: Rungs) -> RoadPlan:
-                return self._answered(self._proposed(scene, each), each, each)
-
-            # Noise only adds to times, and not to all repeats.
-            seconds = np.min([[timed(planned, each)[1] for each in models] for _ in range(REPEATS)], axis=0)
-            seconds[: IDM + 1] = seconds[: IDM + 1].min()  # one program
-            self.costs = Costs(float(seconds[0]), np.maximum.accumulate(seconds - seconds[0]) / models[1].sum())
-            self._rule = self.rule_at(self.costs)
-            self._memory = first_memory(self._rule, TRAFFIC)
-        if self._rule.estimates:
-            warm_up(decided, self._rule, None, self._memory, np.zeros(TRAFFIC, np.float32))
 
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
         """Return the controls to follow, the number of their status and their source; keep what is left of the plan."""

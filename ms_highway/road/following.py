@@ -8,9 +8,9 @@ from typing import NamedTuple
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Pose
+from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
 from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
-from ms_highway.road.constants import IDM, LANE, TOM
-from ms_highway.road.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
+from ms_highway.road.constants import IDM, TOM
 from ms_highway.road.traffic import ROOM, Situation
 from ms_highway.runtime.arrays import Car
 
@@ -18,9 +18,8 @@ FOLLOWED = 0.7  # cosine of the angle between paths, from which a car follows th
 SETTLING = 1.0  # s, in which cars move to the middle of their path
 SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
 BACKWARDS = 0.3  # m/s, above which a car rolls backwards
-FADES = 1.0  # s, in which others who do not do what their model says come back to it
 HARD, HELD = 3.0, 3.0  # m/s^2 and s: braking ahead from which it is expected to go on, and for how long
-BESIDE = 1.5  # lanes aside, up to which that matters
+FADES = 1.0  # s, in which others who do not do what their model says come back to it
 
 
 class Manners(NamedTuple):
@@ -51,8 +50,7 @@ def manners_of(now: Situation, models: Places, plans: int) -> Manners:
     follows = (models >= IDM) & scene.moving & ~now.crossings.exist
     expected = follows | ((models == TOM) & scene.moving)
     surprise = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
-    brakes = (now.leading < BESIDE * LANE) & (scene.accelerations < -HARD)
-    limit = jnp.where(brakes, scene.accelerations, jnp.inf)[:, None]
+    limit = jnp.where(now.leading & (scene.accelerations < -HARD), scene.accelerations, jnp.inf)[:, None]
     return Manners(
         follows,
         given=jnp.zeros_like(follows),

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pygame
-from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.envs.viewer import INK, PAPER, Viewer, model_color, words
 from ms_highway.road.constants import MODELS
@@ -14,7 +13,6 @@ from ms_highway.road.driver import RoadStep
 
 PANEL, SIZE, GAP = 24, 13, 10  # px: height of the line of text, of its letters, and between its parts
 MEANINGS = {"proposal": "proposal: planned now", "last plan": "last plan: planned earlier"}
-NEAR = 8.0  # m, within which a prediction begins from the car that it is of
 
 
 def show(env: Any) -> None:
@@ -57,16 +55,15 @@ class RoadViewer(Viewer):
     def _draw_thoughts(self, step: RoadStep) -> None:
         """Draw predictions as dots and their cars in the colours of the rungs, the plan as a line."""
         ego, surface = self.env.vehicle, self.sim_surface
-        others = [car for car in self.env.road.vehicles if car is not ego and not car.crashed]
-        predictions = np.asarray(step.humans, dtype=float)
+        known, predictions = list(ego.road_memory.numbers), np.asarray(step.humans, dtype=float)
         thoughts = [
-            (MODELS.index(rung), _car_of(path, others), path)
-            for rung, path in zip(step.models, predictions, strict=True)
+            (MODELS.index(rung), known[owner], path)
+            for rung, owner, path in zip(step.models, step.owners, predictions, strict=True)
             if rung
         ]
         for rung, car, path in sorted(thoughts, key=itemgetter(0)):  # a car's most expensive rung colours it
             color = model_color(MODELS[rung])
-            if car is not None:
+            if not getattr(car, "crashed", True):
                 pygame.draw.polygon(surface, color, [surface.vec2pix(corner) for corner in car.polygon()])
             for point in path[1::2]:
                 pygame.draw.circle(surface, PAPER, surface.vec2pix(point), 3)
@@ -94,9 +91,3 @@ class RoadViewer(Viewer):
         label = words(text, SIZE, INK)
         self.picture.blit(label, label.get_rect(midleft=(place, self.picture.get_height() - PANEL // 2)))
         return place + label.get_width() + GAP
-
-
-def _car_of(path: np.ndarray, cars: list[Vehicle]) -> Vehicle | None:
-    """Return the car whose prediction a path is, None where there is none near its begin."""
-    car = min(cars, key=lambda each: np.linalg.norm(each.position - path[0]), default=None)
-    return car if car is not None and np.linalg.norm(car.position - path[0]) < NEAR else None

@@ -11,11 +11,11 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Traffic
 from ms_highway.road.best_responses import UNIT, commuter_among
 from ms_highway.road.constants import TOM, RoadPlanning, RoadWeights
 from ms_highway.road.following import manners_of
 from ms_highway.road.proposals import PROPOSALS, LastPlan, Profiles, proposals
-from ms_highway.road.scene import EachStep, Flags, Places, RoadScene, Traffic
 from ms_highway.road.score import Scores, score
 from ms_highway.road.simulation import DrivenPlans, simulate
 from ms_highway.road.traffic import Situation, situation_of

@@ -6,7 +6,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import interpolate
-from ms_highway.road.scene import LANES, Lane, PlanFlags, Plans
+from ms_highway.perception.scene import LANES, Lane, PlanFlags, Plans
 from ms_highway.road.traffic import Situation
 from ms_highway.runtime.arrays import Controls, Index, ManyControls, Vector
 
@@ -19,13 +19,12 @@ IN_EACH_LANE = (  # share of the desired speed, acceleration, whether it follows
     *((1.0, acceleration, False, False) for acceleration in STEADY),
 )
 ALL = (
-    *((lane, *profile, 0.0, 0, False) for lane in range(LANES) for profile in IN_EACH_LANE),
-    *((lane, 1.0, min(STEADY), False, False, 0.0, 0, True) for lane in (0, LANES - 1)),
-    *((1, 1.0, 0.0, True, False, seconds, 0, False) for seconds in YIELDING),
-    *((1, share, 0.0, True, False, 0.0, side, False) for share in ROUND for side in (-1, 1)),
-    (1, 1.0, 0.0, False, False, 0.0, 0, False),  # the rest of the last plan
+    *((lane, *profile, 0.0, 0) for lane in range(LANES) for profile in IN_EACH_LANE),
+    *((1, 1.0, 0.0, True, False, seconds, 0) for seconds in YIELDING),
+    *((1, share, 0.0, True, False, 0.0, side) for share in ROUND for side in (-1, 1)),
+    (1, 1.0, 0.0, False, False, 0.0, 0),  # the rest of the last plan
 )
-"""Profiles of all proposals: the fields of `Profiles` up to ``beyond``."""
+"""Profiles of all proposals: the fields of `Profiles` up to ``side``."""
 
 PROPOSALS = len(ALL)
 LAST_PLAN = PROPOSALS - 1
@@ -64,7 +63,6 @@ class Profiles(NamedTuple):
         closes: whether it closes up as it follows.
         yields: it lets all cars pass that come to where they cross its route within this time [s].
         side: on which it goes round what cannot move in the robot's lane: -1, left; 1, right; 0, it does not.
-        beyond: whether it goes on to the lane beyond.
         given: whether its controls are given.
         controls: those.
     """
@@ -76,7 +74,6 @@ class Profiles(NamedTuple):
     closes: PlanFlags
     yields: Plans
     side: Lane
-    beyond: PlanFlags
     given: PlanFlags
     controls: ManyControls
 

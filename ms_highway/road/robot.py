@@ -11,9 +11,9 @@ from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.lane_paths import Point
+from ms_highway.perception.observation import observe_road
+from ms_highway.perception.scene import RoadScene
 from ms_highway.road.driver import RoadDriver, RoadStep
-from ms_highway.road.observation import observe_road
-from ms_highway.road.scene import RoadScene
 from ms_highway.road.simulation import SLIP
 from ms_highway.road.timed_goal import RobotGoal, TimedGoal, destination_for
 from ms_highway.vehicle.bicycle import OfferedSpeeds

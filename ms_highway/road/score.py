@@ -7,10 +7,10 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Knots, Pose, interpolate, rotated
+from ms_highway.perception.scene import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans, World
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.scene import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans, World
 from ms_highway.road.simulation import DrivenPlans, aim, earlier
 from ms_highway.road.terminal_value import terminal_value
 from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING, Situation, lane_of
@@ -79,7 +79,7 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     return Scores(
         own=planning.time_step * per_second.sum(axis=1) - off_road + after.own,
         others=others + after.others,
-        answerable=jnp.where(now.leading < scene.size[1], 0.0, others),
+        answerable=jnp.where(now.leading, 0.0, others),
         intrusion=intrusion,
         impact=impact,
         leaves=leaves | closed,

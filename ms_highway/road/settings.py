@@ -22,7 +22,7 @@ DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in 
 """What drives, as in ``config["driver"]``."""
 
 Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
-COSTS = "say 'shipped', 'measured', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
+COSTS = "say 'shipped', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
 IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, {MODELS[0]} among them"
 
 
@@ -34,9 +34,8 @@ class RoadSettings(Struct, frozen=True):
             with the number; ``"fixed:RUNG"``, the same rung for all cars.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
-        costs: ``"shipped"``; ``"measured"`` in the first step among others; or milliseconds that each rung adds to a
-            plan per car, by name, 0 where left out. Unless they are measured, episodes at a price can be repeated
-            exactly; a budget counts the time of decisions.
+        costs: ``"shipped"``, or milliseconds that each rung adds to a plan per car, by name, 0 where left out. Episodes
+            at a price can be repeated exactly; a budget counts the time of decisions.
         ladder: rungs to choose from, of `ms_highway.road.constants.MODELS` in their order.
         desired_speed: [m/s]; None for what the scene rewards.
         acceleration: total acceleration at most [m/s^2].
@@ -51,7 +50,7 @@ class RoadSettings(Struct, frozen=True):
     driver: Annotated[str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")] = "priced"
     price: NotNegative = 1.0
     budget: Wish = None
-    costs: Annotated[Literal["shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
+    costs: Annotated[Literal["shipped"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
     ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = MODELS
     desired_speed: Wish = None
     acceleration: Positive = 5.0
@@ -123,8 +122,8 @@ class RoadSettings(Struct, frozen=True):
     def build(self, planning: RoadPlanning) -> RoadDriver:
         """Return a driver with these limits and wishes."""
         kind, value = self._choice()
-        costs = SHIPPED_COSTS if self.costs == "shipped" else None
+        costs = SHIPPED_COSTS
         if isinstance(self.costs, dict):
             costs = Costs(0.0, np.array([self.costs.get(model, 0.0) / 1e3 for model in MODELS]))
         budget = value / 1e3 if kind == "budget" else np.inf
-        return RoadDriver(planning, self.rule, costs=costs, budget=budget)
+        return RoadDriver(planning, self.rule(costs), budget=budget)

@@ -6,11 +6,11 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Curve, Pose, interpolate
+from ms_highway.perception.scene import EachStep, RoadScene, States, Steps, Traffic, World
 from ms_highway.planning.car_following import FAR, idm_acceleration, lowest
 from ms_highway.road.constants import RoadPlanning
 from ms_highway.road.following import Manners, along_paths, aside, move_traffic
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.scene import EachStep, RoadScene, States, Steps, Traffic, World
 from ms_highway.road.traffic import ROOM, WAITING, Situation
 from ms_highway.runtime.arrays import Car, Control, Flag, ManyControls, Numbers, Scalar
 
@@ -23,14 +23,12 @@ STEERING_SPEED = 3.0  # m/s, below which steering is not sharper than at this sp
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
-HASTE, HURRY = 3.0, 4.5  # m/s^2, to the desired speed, and where the robot crosses others' ways
+HASTE = 3.0  # m/s^2, to the desired speed
 EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
 HEADWAY, STANDSTILL = 0.7, 2.0  # s and m, between bumpers, of the robot
 CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 CREEPING = 3.0  # m/s, at which crossing cars come that stand
 
-NEARLY = 0.3  # m, beside its way round what cannot move, up to which a robot is on it
-SECONDS_ASIDE = 1.2  # s, least time to reach an obstacle for a robot that is not yet beside it
 TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
 CLEAR, OVERTAKING = 0.5, 3.0  # m around others and s before it passes them, in which a plan changes no lane
 
@@ -80,7 +78,7 @@ def simulate(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
             (car, along, speeds), (held, sideways, orders) = carry, step
             where = now.ways.at(along, sideways)
             control = jnp.where(plan.given, held, _control(now, plan, car, along, where, speeds))
-            ahead, control = advance(scene, planning, car, control, BRAKING_FIRST)
+            ahead, control = advance(scene, planning, car, control)
             along, speeds = move_traffic(now, manners, orders, where, along, speeds, car)
             return (ahead, along, speeds), (ahead, control, along, speeds, *now.ways.at(along, sideways))
 
@@ -98,8 +96,7 @@ def simulate(now: Situation, manners: Manners, plans: Profiles) -> DrivenPlans:
 def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
     """Return the lateral position that a plan goes to where its rear axle is at s."""
     passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
-    own, goal = (interpolate(now.scene.lanes[lane], s) for lane in (1, plan.lane))
-    goal = jnp.where(plan.beyond, 2 * goal - own, goal)
+    goal = interpolate(now.scene.lanes[plan.lane], s)
     return jnp.where(passes, now.obstruction.sides[(plan.side > 0).astype(int)], goal)
 
 
@@ -111,7 +108,7 @@ def _slip(scene: RoadScene, along: EachStep) -> EachStep:
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
     """Return the robot's control in a step of a plan."""
-    scene, planning, crossings, obstruction = now.scene, now.planning, now.crossings, now.obstruction
+    scene, planning, crossings = now.scene, now.planning, now.crossings
     s, d, heading, speed = car
     onward, front = speeds * where[2], s + scene.size[0]
     ahead, apart = where[0] - (s + scene.size[0] / 2), scene.reach[:, 1] + ROOM
@@ -133,11 +130,6 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     waiting = jnp.sqrt(2 * planning.stopping * planning.grip * jnp.maximum(left, 0.0))
     cap = jnp.minimum(interpolate(now.caps, s + PREVIEW * speed), waiting)
 
-    # slowly towards what cannot move, until the robot is aside of it
-    slowly = (plan.side != 0) & (jnp.abs(d - target) > NEARLY) & (front < obstruction.begin)
-    slow = jnp.maximum((obstruction.begin - front) / SECONDS_ASIDE, STEERING_SPEED)
-    cap = jnp.where(slowly, jnp.minimum(cap, slow), cap)
-
     # behind whoever is ahead, here or in the lane that the robot goes to
     beside = (where[1] > jnp.minimum(d, target) - apart) & (where[1] < jnp.maximum(d, target) + apart)
     beside = beside & (scene.moving | (plan.side == 0))
@@ -147,9 +139,8 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, HEADWAY, STANDSTILL).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
 
-    haste, gain = (jnp.where(plan.yields > 0, HURRY, other) for other in (HASTE, 1.0))
-    free = gain * (COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed))
-    free = jnp.minimum(jnp.clip(free, -HASTE, haste), jnp.minimum(kept, haste))
+    free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
+    free = jnp.minimum(jnp.clip(free, -HASTE, HASTE), kept)
     acceleration = jnp.where(plan.follows, free, plan.rate)
     return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])
 
@@ -169,14 +160,14 @@ def _waits(now: Situation, plan: Profiles, car: Car, lane: Scalar, where: Pose, 
     return beside.any() & (now.crossings.come & (where[0] > s)).any()
 
 
-def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control, reserved: float = 0.0) -> Control:
+def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control) -> Control:
     """Limit curvature and acceleration to the friction circle, to the sharpest curve, and to a stop, never backwards.
 
-    Braking takes up to ``reserved``, a share of the grip, first: ``b = min(-a, reserved grip)``. Then the curve: ``(v^2
-    k)^2 <= grip^2 - b^2``. Then all acceleration: ``a^2 <= grip^2 - (v^2 k)^2``.
+    Braking takes up to a share of the grip first: ``b = min(-a, share grip)``. Then the curve: ``(v^2 k)^2 <= grip^2 -
+    b^2``. Then all acceleration: ``a^2 <= grip^2 - (v^2 k)^2``.
     """
     squared = jnp.maximum(speed, LIMITED_SPEED) ** 2
-    braking = jnp.clip(-control[..., 1], 0.0, reserved * planning.grip)
+    braking = jnp.clip(-control[..., 1], 0.0, BRAKING_FIRST * planning.grip)
     sharpest = jnp.minimum(planning.curvature, jnp.sqrt(planning.grip**2 - braking**2) / squared)
     curvature = jnp.clip(control[..., 0], -sharpest, sharpest)
     left = jnp.sqrt(jnp.maximum(planning.grip**2 - (squared * curvature) ** 2, 1e-6))
@@ -184,9 +175,7 @@ def within_tyres(planning: RoadPlanning, speed: Numbers, control: Control, reser
     return jnp.stack([curvature, acceleration], axis=-1)
 
 
-def advance(
-    scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control, reserved: float = 0.0
-) -> tuple[Car, Control]:
+def advance(scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control) -> tuple[Car, Control]:
     """Return the state one time step later, and the control within tyres, see `within_tyres`.
 
     With old values on the right-hand side and the road's curvature k_r::
@@ -196,7 +185,7 @@ def advance(
     The speed v is the centre's. With its slip angle beta, ``sin(beta) = k length / 2``, the rear axle moves with ``u =
     v cos(beta)``.
     """
-    control = within_tyres(planning, state[3], wanted, reserved)
+    control = within_tyres(planning, state[3], wanted)
     s, d, heading, speed = state
     bend = interpolate(scene.route.curvature, s)
     rear = speed * jnp.sqrt(jnp.maximum(1 - (control[0] * scene.size[0] / 2) ** 2, 0.1))

@@ -8,9 +8,9 @@ from jax import numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 
 from ms_highway.geometry.curve import interpolate
+from ms_highway.perception.scene import EachCar, EachFlag, Lane, Plans, Values
 from ms_highway.planning.car_following import FAR
 from ms_highway.road.constants import LANE
-from ms_highway.road.scene import EachCar, EachFlag, Lane, Plans, Values
 from ms_highway.road.simulation import DrivenPlans
 from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING, Situation, lane_of
 from ms_highway.runtime.arrays import Scalar

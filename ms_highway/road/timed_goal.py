@@ -99,7 +99,7 @@ RobotGoal: TypeAlias = str | TimedGoal | None
 
 
 def destination_for(goal: RobotGoal) -> str | Spot | None:
-    """Return where a goal lies, for `ms_highway.road.observation.observe_road`."""
+    """Return where a goal lies, for `ms_highway.perception.observation.observe_road`."""
     return goal.spot if isinstance(goal, TimedGoal) else goal
 
 

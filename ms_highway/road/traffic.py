@@ -7,9 +7,9 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
+from ms_highway.perception.scene import Flags, Lane, RoadScene, Steps, Traffic
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
-from ms_highway.road.scene import Flags, Lane, RoadScene, Steps, Traffic
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 
 STANDING = 1.0
@@ -25,8 +25,6 @@ and does not cross its way."""
 PASSED = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
 BEND_BRAKING = 2.5  # m/s^2, before bends
 SIGHT = 30.0  # m ahead, in which obstacles are gone round
-BESIDE = 5.0  # m along the route, up to which obstacles lie beside each other
-ROUNDS = 2  # in which obstacles are added that lie beside those found
 KNOTS_IN_SIGHT = int((BEHIND + SIGHT + 10.0) / SPACING)  # of the route, 10 m more: on a loop, not the next lap
 STRIDE = 0.5  # m, between places on ways that may cross: knots move with cars, and lines would jump with knots
 
@@ -99,7 +97,7 @@ class Situation(NamedTuple):
         weights: what counts.
         ways: of the traffic.
         crossings: of these ways and the route.
-        leading: how far aside of the robot vehicles are that are ahead and go its way [m], `FAR` for others.
+        leading: which vehicles are ahead of the robot, in its lane, and go its way.
         caps: see `speed_caps`.
         obstruction: of the robot's lane.
     """
@@ -109,32 +107,27 @@ class Situation(NamedTuple):
     weights: RoadWeights
     ways: Ways
     crossings: Crossings
-    leading: Traffic
+    leading: Flags
     caps: Knots
     obstruction: Obstruction
 
 
 def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights) -> Situation:
     """Compute what all plans of a step share."""
-    ways = ways_of(scene)
+    s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
+    ways = Ways(s, d, jnp.cos(turn))
     s, d, cosine = ways.at(scene.states[:, 0], scene.states[:, 1])
-    leads = (s > scene.robot[0]) & (cosine > CROSSING)
+    leading = (s > scene.robot[0]) & (cosine > CROSSING) & (jnp.abs(d - scene.robot[1]) < scene.size[1])
     return Situation(
         scene,
         planning,
         weights,
         ways,
         _crossings(scene, ways),
-        jnp.where(leads, jnp.abs(d - scene.robot[1]), FAR),
+        leading,
         speed_caps(scene, planning),
         obstruction_of(scene, weights),
     )
-
-
-def ways_of(scene: RoadScene) -> Ways:
-    """Project the paths of traffic on the robot's route."""
-    s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
-    return Ways(s, d, jnp.cos(turn))
 
 
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
@@ -177,8 +170,7 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Knots:
 def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     """Return what cannot move in the robot's lane, by the corners of bodies in the coordinates of its route.
 
-    Bodies are where they are, and where they will have slid to: ``v' = -v``. Those in the lane count together, and so
-    does whoever lies beside them and leaves no room for the robot in between.
+    Bodies are where they are, and where they will have slid to: ``v' = -v``. Those in the lane count together.
     """
     along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
     slid = speed * jnp.array([0.0, 1.0])
@@ -192,14 +184,7 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     needed = scene.size[1] + 2 * weights.comfortable
     own = interpolate(scene.lanes[1], first)
     near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + SIGHT)
-    found = in_lane = near & (left < own + needed / 2) & (right > own - needed / 2)
+    found = near & (left < own + needed / 2) & (right > own - needed / 2)
 
-    def extent(found: Flags) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-        return lowest(first, found), highest(last, found), lowest(left, found), highest(right, found)
-
-    for _ in range(ROUNDS):
-        begin, end, low, high = extent(found)
-        beside = (first < end + BESIDE) & (last > begin - BESIDE) & (left < high + needed) & (right > low - needed)
-        found = found | (near & beside)
-    begin, end, low, high = extent(found)
-    return Obstruction(in_lane.any(), jnp.stack([low - needed / 2, high + needed / 2]), begin, end)
+    sides = jnp.stack([lowest(left, found) - needed / 2, highest(right, found) + needed / 2])
+    return Obstruction(found.any(), sides, lowest(first, found), highest(last, found))

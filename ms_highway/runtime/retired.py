@@ -46,6 +46,7 @@ DRIVERS = {
     "fixed:turn": ROADS,
     "traits": NULL,
     "belief": NULL,
+    "measured": "say 'shipped', or give milliseconds by model",
 }
 """Drivers of roads, keys of their configuration, and a model."""
 

@@ -5,20 +5,27 @@ from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
-from highway_env.road.road import Road
+from highway_env.road.road import Road, Route
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.dynamics import within_grip
 from ms_highway.game.game import Game
-from ms_highway.game.neighbours import far_behind, headways
+from ms_highway.game.neighbours import headways
 from ms_highway.geometry.road_map import LIMIT
 from ms_highway.loop.controller import Controller, ControlStep
 from ms_highway.loop.driver import Driver
 from ms_highway.loop.fallback import braking_control
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds
-from ms_highway.vehicle.road_view import RoadView, Route, at_constant_speed, look, states_of
+from ms_highway.vehicle.road_view import (
+    RoadView,
+    at_constant_speed,
+    in_the_world,
+    look,
+    states_of,
+    straightened,
+)
 
 STEADINESS = 0.5  # s, by which a neighbour's time gap must be shorter than the partner's to replace it
 
@@ -53,7 +60,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         partner: the other player, None if none is in sight.
         last_step: record of the controller's last step, None before the first.
         last_state: states that the controller planned in then, [cars, 4].
-        route: roads to follow, None to follow whichever it is on; those behind it are dropped.
+        route: roads to follow, None to follow whichever it is on.
         target_lane_index: the lane that it is on.
     """
 
@@ -63,15 +70,14 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self.target_speed = None
         self.last_step: ControlStep | None = None
         self.last_state: State | None = None
-        self._before: dict[int, State] = {}  # states of itself and of its neighbours a step ago, by their row
+        self._before: State | None = None  # of itself and of its neighbours a step ago, in highway-env's coordinates
         self.drive_with(None)
 
     @classmethod
     def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
         """Replace another vehicle by a car of this class, on the same route; its target speed is forgotten."""
         car = cls(vehicle.road, vehicle.position, vehicle.heading, vehicle.speed, **options)
-        route = getattr(vehicle, "route", None)
-        car.route = route and list(route)
+        car.route = getattr(vehicle, "route", None)
         return car
 
     @property
@@ -117,33 +123,23 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     def _drive_on_road(self, controller: Controller) -> RoadView:
         """Plan as if the lane were straight, and add its bend to the plan's first control; return the view."""
-        view = look(self, self.route)
-        self.route = self.route and view.route
+        view = look(self)
         controller.game = _at(view, controller.game, self.desired_speed(view))
         if self.target_speed <= 0:
-            control, self._before = braking_control(controller.game, view.states[0]), {}
+            control, self._before = braking_control(controller.game, view.states[0]), None
         else:
             place = self._partners_place(view)
-            if view.cars[place] is not self.partner or not self._before:
+            if view.cars[place] is not self.partner or self._before is None:
                 controller.reset_partner()
-                self.partner, self._before = view.cars[place], {}
-            order = [place, *(other for other in range(len(view.cars)) if other != place)]
-            self.last_state = view.states[[0, *(number + 1 for number in order)]]
-            self.last_step = controller.step(self.last_state, self._seen_before(view))
-            cars = [self, *(view.cars[number] for number in order)]
-            self._before = {row: states_of([car])[0] for row, car in enumerate(cars) if car is not None}
+                self.partner, self._before = view.cars[place], None
+            order = [0, 1 + place, *(row for row in range(1, len(view.states)) if row != 1 + place)]
+            self.last_state = view.states[order]
+            before = None if self._before is None else straightened(view.seen.route, self._before)
+            self.last_step = controller.step(self.last_state, before)
+            self._before = in_the_world(view.seen.route, self.last_state)
             control = self.last_step.control
-        self.execute(control + np.array([view.bend, 0.0]))
+        self.execute(control + np.array([view.scene.bend, 0.0]))
         return view
-
-    def _seen_before(self, view: RoadView) -> State | None:
-        """Return the states of a step ago in the coordinates of a view, absent neighbours far behind."""
-        if not self._before:
-            return None
-        straight = view.straightened(np.array(list(self._before.values())))
-        states = np.tile(far_behind(straight[0]), (len(view.states), 1))
-        states[list(self._before)] = straight
-        return states
 
     def desired_speed(self, view: RoadView) -> float:
         """Return the speed at which its reward of speed is highest [m/s]: the road's limit, at most `target_speed`."""

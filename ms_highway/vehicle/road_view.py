@@ -1,35 +1,26 @@
-"""View a highway-env road from a driver: its surroundings, straightened along the smooth curve of the lanes ahead.
+"""View a highway-env road from a driver as a game: what the robot sees of it, straightened along the driver's route.
 
 Views have arrays of the same shapes for all roads and any number of vehicles, so that plans are compiled once.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import dist
-from typing import TypeAlias
 
 import numpy as np
-from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
-from highway_env.vehicle.objects import Landmark
+from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.neighbours import FAR_AWAY, far_behind, places
+from ms_highway.game.neighbours import far_behind, places
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.geometry.curve import Curve
-from ms_highway.geometry.lane_paths import FINE, Point, Row
-from ms_highway.geometry.road_map import BLOCK, Chain, Lane, Lanes, road_map
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve, interpolate
+from ms_highway.geometry.lane_paths import Point, Row
+from ms_highway.geometry.road_map import LIMIT, road_map
+from ms_highway.perception.observation import observe_road
+from ms_highway.perception.scene import RoadScene
+from ms_highway.planning.car_following import idm_acceleration
 from ms_highway.runtime.arrays import State
 
-Route: TypeAlias = list[tuple[str, str, int | None]]
-"""Roads to follow in order, as in highway-env's vehicles; the lane of a road may be None."""
-
-MAX_LANES = 6
-MAX_OBSTACLES = 4
-
-SIGHT = 100.0  # m, in which cars are looked for: to stop from 30 m/s takes 75 m
-BACKWARDS = 50.0  # m, of the curve behind the driver
-OBSTACLE_SIGHT = (-10.0, 60.0)  # m, behind and ahead, of obstacles
 TAPER = (80.0, 20.0)  # m before the end of a lane that ends, between which it merges with its neighbour
 BENDS_SEEN = 60.0  # m ahead
 STRAIGHT = 1e-6  # 1/m, the curvature of a straight road
@@ -37,176 +28,124 @@ CORNERING = 6.0  # m/s^2, lateral, in bends ahead: less than tyres hold, so that
 SLOWING = 3.0  # m/s^2, deceleration before them
 SLOWEST = 3.0  # m/s, in any bend
 
+HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
+BESIDE = 0.3  # m between sides, below which others are in the way
+WATCHED = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s from now, at which others may be in the way
+FREE = 1e3  # m/s, so high that no desired speed limits the acceleration
+
 
 @dataclass(frozen=True)
 class RoadView:
-    """Surroundings of a driver in the coordinates of its curve: x along it from the driver on, y to the right.
+    """Surroundings of a driver in the coordinates of its route: s along it, d to its right.
 
     Attributes:
-        scene: `MAX_LANES` lanes, missing ones repeat the rightmost, and `MAX_OBSTACLES` obstacles, missing ones are far
-            behind. The target lane is that of the route or else the nearest.
-        states: of the driver and its neighbours.
+        seen: what a robot would see in the driver's place.
+        others: states of others on all their ways at the times `WATCHED` from now, at constant speed [traffic, times,
+            4]; what has crashed stays where it is.
+        scene: the lanes left of the driver's, its own, and right of it; those that are closed repeat its own. Where a
+            lane ends, its centre moves to that of the target lane, so that its followers merge.
+        states: of the driver and its neighbours; obstacles count as cars that stand.
         cars: the neighbours, None where there is none.
         speed_limit: of the lane, reduced before bends [m/s].
-        route: the driver's, from its present road on; without a route, this road only.
-        curve: along the lanes near the driver; where its own lane ends, along the nearest one that goes on.
-        place: position of the driver along the curve [m].
     """
 
+    seen: RoadScene
+    others: State
     scene: Scene
     states: State
-    cars: tuple[Vehicle | None, ...]
+    cars: tuple[RoadObject | None, ...]
     speed_limit: float
-    route: Route
-    curve: Curve
-    place: float
 
-    @property
-    def bend(self) -> float:
-        """Curvature of the road at the driver [1/m], positive to the right."""
-        return float(self.scene.bend or 0.0)
+    def clear_acceleration(self, times: int) -> float:
+        """Return the highest acceleration that keeps clear of others by the Intelligent Driver Model, or infinity.
 
-    def straightened(self, states: State) -> State:
-        """Transform states of cars from highway-env's coordinates to those of the curve."""
-        return _straightened(self.curve, self.place, states)
+        A vehicle that is in the driver's path, or will be at one of the first ``times`` of `WATCHED` and before the
+        driver, counts as the car ahead.
+        """
+        seen, (own, aside, _, speed) = self.seen, self.states[0]
+        (s, d, turned, speeds), watched = np.moveaxis(self.others[:, :times], -1, 0), WATCHED[:times]
+        across = np.abs(np.sin(turned))
+        length, width = ((seen.sizes + seen.size) / 2).T[..., None]
+        in_way = np.abs(d - np.where(watched > 0.0, 0.0, aside)) < width + BESIDE + across * (length - width)
+        gap = s - own - length + across * (length - width)
+        first = gap > max(speed, 1.0) * watched - length
+        along = np.maximum(speeds * np.cos(turned), 0.0)
+        bound = idm_acceleration(speed, FREE, gap - along * watched, along, HEADWAY, STANDSTILL)
+        return float(bound.min(initial=np.inf, where=in_way & (s > own) & first & seen.present[:, None]))
 
 
-def states_of(cars: Iterable[Vehicle]) -> State:
+def states_of(cars: Iterable[RoadObject]) -> State:
     """Return ``(x, y, heading, speed)`` of highway-env vehicles."""
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
-def look(driver: Vehicle, route: Route | None = None) -> RoadView:
-    """View the road from a driver now.
+def straightened(route: Curve, states: State) -> State:
+    """Transform states of cars from highway-env's coordinates to those of a route."""
+    x, y, heading, speed = states.T
+    return np.stack([*route.project(x, y, heading), speed], axis=-1)
 
-    Cars further away than 100 m and `Landmark` objects, which are not solid, are left out.
 
-    Args:
-        driver: whose size is assumed for all cars.
-        route: roads that it follows, None to follow whichever road it is on.
-    """
-    lane = followed_lane(driver, route)
-    left = remaining_route(route or [(lane.start, lane.end, None)], lane.index)
-    onward = _leading_on(lane, left)
-    curve, place = _curve_along(min(onward or [lane], key=lambda side: abs(side.number - lane.number)), left, driver)
-    seen = [car for car in driver.road.vehicles if car is not driver and dist(car.position, driver.position) < SIGHT]
-    # at least one other, which is not there
-    own, *others = _straightened(curve, place, states_of([driver, *seen, driver]))
-    width = float(lane.shape.width_at(lane.shape.local_coordinates(driver.position)[0]))
-    numbers, taken = places(own, np.array(others), np.arange(len(others)) < len(seen), np.array(width))
-    obstacles, obstacle_size = _solid(curve, place, driver)
-    centres = _centres(curve, lane, onward, driver.position)
-    nearest = sorted(centres, key=lambda centre: abs(centre - own[1]))
-    lanes = sorted(nearest[:MAX_LANES])
+def in_the_world(route: Curve, states: State) -> State:
+    """Transform states of cars from the coordinates of a route to highway-env's: the inverse of `straightened`."""
+    s, d, turned, speed = states.T
+    x, y, heading = route.place(s, d)
+    return np.stack([x, y, heading + turned, speed], axis=-1)
+
+
+def look(driver: Vehicle) -> RoadView:
+    """View the road from a driver now, whose size is assumed for all; it follows its ``route``, if it has one."""
+    seen = observe_road(driver)
+    (own,), others = straightened(seen.route, states_of([driver])), _others(seen)
+    lanes, wanted, (first, last) = interpolate(seen.lanes, own[0]), 1 + int(np.sign(seen.changes[1])), TAPER
+    lanes[1] += (lanes[wanted] - lanes[1]) * np.clip((first - seen.room) / (first - last), 0.0, 1.0)
+    lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
+    width = float(driver.lane.width_at(0.0))
+    numbers, taken = places(own, others[:, 0], seen.present, np.array(width))
+    known = list(driver.road_memory.numbers)
     scene = Scene(
-        lanes=np.array(lanes + lanes[-1:] * (MAX_LANES - len(lanes))),
+        lanes=lanes,
         lane_width=width,
-        obstacles=obstacles,
-        obstacle_size=obstacle_size,
+        obstacles=np.zeros((0, 2)),
+        obstacle_size=np.ones(2),
         car_size=np.array([driver.LENGTH, driver.WIDTH]),
         corner=0.5,
-        target_lane=nearest[0] if left[0][2] is None else centres[left[0][2]],
+        target_lane=lanes[wanted],
         length_unit=PAPER_UNIT,
-        bend=float(curve.bend(place)),
+        bend=float(seen.route.bend(own[0])),
     )
     return RoadView(
+        seen,
+        others,
         scene,
-        np.stack([own, *np.where(taken[:, None], np.array(others)[numbers], far_behind(own))]),
-        tuple(seen[number] if there else None for number, there in zip(numbers, taken, strict=True)),
-        min(lane.limit, _limit_before_bends(curve, place)),
-        left,
-        curve,
-        place,
+        np.stack([own, *np.where(taken[:, None], others[numbers, 0], far_behind(own))]),
+        tuple(known[seen.owners[n]] if there else None for n, there in zip(numbers, taken, strict=True)),
+        min(driver.lane.speed_limit or LIMIT, _limit_before_bends(seen.route, own[0])),
     )
 
 
-def followed_lane(driver: Vehicle, route: Route | None) -> Lane:
-    """Return the lane of a driver; with a route, the nearest lane on it."""
-    roads = road_map(driver.road.network)
-    on_route = [lane for start, end, _ in route or () for lane in roads.road(start, end)]
-    return min(on_route or [roads.lanes[driver.lane_index]], key=lambda lane: lane.distance(driver))
-
-
-def remaining_route(route: Route, index: LaneIndex) -> Route:
-    """Return the rest of a route from a lane on; only this lane, if it does not lead to the route."""
-    own = [route[number:] for number, leg in enumerate(route) if leg[:2] == index[:2]]
-    next_own = [[index, *route[number:]] for number, leg in enumerate(route) if leg[0] == index[1]]
-    return [*own, *next_own, [index]][0]
-
-
-def route_ahead(lane: Lane, route: Route) -> Chain:
-    """Return the lanes of a driver on a route, which begins with its road."""
-    lanes = [lane]
-    for _, end, number in route[1:]:
-        lanes.append(lanes[-1].continued(end, number))
-    return lane.roads.chain(tuple(lanes))
+def _others(seen: RoadScene) -> State:
+    """Return states of others at the times `WATCHED` in the coordinates of the route [traffic, times, 4]."""
+    along, aside, turned, speed = (values[:, None] for values in seen.states.T)
+    times = np.where(seen.moving[:, None], WATCHED, 0.0)
+    x, y, heading = seen.paths.place(along + speed * times, aside + 0.0 * times)
+    straight = seen.route.project(x, y, heading + np.where(times > 0.0, 0.0, turned))
+    return np.stack([*straight, speed + 0.0 * times], axis=-1)
 
 
 def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[float]]:
-    """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lane and route."""
-    lane = followed_lane(vehicle, None)
-    chain = route_ahead(lane, remaining_route(getattr(vehicle, "route", None) or [lane.index], lane.index))
-    place, _ = lane.shape.local_coordinates(vehicle.position)
-    positions, headings = zip(*map(chain.at, place + vehicle.speed * np.asarray(times)), strict=True)
+    """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lanes."""
+    if "road_memory" not in vars(vehicle):
+        observe_road(vehicle)
+    roads = road_map(vehicle.road.network)
+    chain = roads.chain(tuple(roads.lanes[index] for index in vehicle.road_memory.lanes))
+    lane, start = min(zip(chain.lanes, chain.starts, strict=False), key=lambda each: each[0].distance(vehicle))
+    way = start + float(lane.shape.local_coordinates(vehicle.position)[0])
+    positions, headings = zip(*map(chain.at, way + vehicle.speed * np.asarray(times)), strict=True)
     return list(positions), list(headings)
 
 
-def _leading_on(lane: Lane, route: Route) -> Lanes:
-    """Return the lanes of a lane's road that lead to the next road of a route, or without one to any."""
-    wanted = {leg[1] for leg in route[1:2]}
-    return tuple(side for side in lane.siblings if (side.touched & wanted if wanted else side.touched))
-
-
-def _curve_along(lane: Lane, route: Route, driver: Vehicle) -> tuple[Curve, float]:
-    """Return the curve along a lane and the route after it, near a driver, and the driver's place on it [m]."""
-    behind = lane.behind(BACKWARDS)
-    chain = lane.roads.chain((*behind, *route_ahead(lane, route).lanes))
-    way = chain.starts[len(behind)] + float(lane.shape.local_coordinates(driver.position)[0])
-    whole = chain.curve(way // BLOCK)
-    place, _, _ = whole.project(driver.position, driver.heading, way)
-    first = max(int((place - BACKWARDS) / FINE), 0)
-    return whole.curve.part(first, int((place + SIGHT) / FINE)), place
-
-
-def _limit_before_bends(curve: Curve, place: float) -> float:
+def _limit_before_bends(route: Curve, place: float) -> float:
     """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead of a place [m]."""
     ahead = np.arange(0.0, BENDS_SEEN)
-    bends = np.maximum(np.abs(curve.bend(place + ahead)), STRAIGHT)
+    bends = np.maximum(np.abs(route.bend(place + ahead)), STRAIGHT)
     return float(np.sqrt(np.maximum(CORNERING / bends, SLOWEST**2) + 2 * SLOWING * ahead).min())
-
-
-def _straightened(curve: Curve, place: float, states: State) -> State:
-    """Transform states of cars from highway-env's coordinates to those of a curve, with x from ``place`` on."""
-    x, y, heading, speed = states.T
-    s, d, turned = curve.project(x, y, heading)
-    return np.stack([s - place, d, turned, speed], axis=-1)
-
-
-def _solid(curve: Curve, place: float, driver: Vehicle) -> tuple[State, Point]:
-    """Return where the nearest obstacles are in the coordinates of a curve, and the largest size, assumed for all."""
-    solid = [item for item in driver.road.objects if not isinstance(item, Landmark)]
-    s, d = curve.locate(np.array([item.position for item in solid]).reshape(-1, 2))
-    placed = [(x, y, item.LENGTH, item.WIDTH) for x, y, item in zip(s - place, d, solid, strict=True)]
-    near = [item for item in placed if OBSTACLE_SIGHT[0] < item[0] < OBSTACLE_SIGHT[1]]
-    absent = [(-FAR_AWAY, 0.0, 1.0, 1.0)] * MAX_OBSTACLES
-    table = np.array([*sorted(near, key=lambda item: abs(item[0])), *absent][:MAX_OBSTACLES])
-    return table[:, :2], table[:, 2:].max(axis=0)
-
-
-def _centres(curve: Curve, lane: Lane, onward: Lanes, position: Point) -> list[float]:
-    """Return the centres of the road's lanes beside a position, in the coordinates of a curve.
-
-    A lane that ends where the road continues, such as a ramp, tapers: towards its end its centre moves to that of the
-    nearest lane that continues, so that its followers merge.
-    """
-    along = [side.shape.local_coordinates(position)[0] for side in lane.siblings]
-    middles = [side.shape.position(x, 0) for side, x in zip(lane.siblings, along, strict=True)]
-    centres = curve.locate(np.array(middles))[1].tolist()
-    kept = [centres[side.number] for side in onward]
-    first, last = TAPER
-    for side, x in zip(lane.siblings, along, strict=True):
-        if kept and side not in onward:
-            centre = centres[side.number]
-            share = np.clip((first - side.length + x) / (first - last), 0.0, 1.0)
-            centres[side.number] += share * (min(kept, key=lambda other: abs(other - centre)) - centre)
-    return centres

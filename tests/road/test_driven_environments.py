@@ -1,7 +1,5 @@
 """The robot in highway-env's own environments."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import gymnasium as gym
@@ -11,8 +9,8 @@ from gymnasium.envs.registration import registry
 
 import ms_highway
 from ms_highway.envs.viewer import PAPER, model_color
+from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.graphics import PANEL
-from ms_highway.road.scene import TRAFFIC
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -52,7 +50,7 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_leaves_the
     assert road["source"] in ("proposal", "last plan", "braking")
     frames = int(rates["simulation_frequency"] // rates["policy_frequency"])
     assert len(env.robots[0].actions) == frames
-    assert 0.0 < road["acceleration"] <= 5.0
+    assert 0.0 <= road["acceleration"] <= 5.0
 
 
 @pytest.mark.slow
@@ -179,18 +177,6 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
     env.close()
 
 
-def test_videos_show_the_panel_in_every_frame(tmp_path):
-    pytest.importorskip("moviepy", reason="moviepy, which Gymnasium records with, is not installed")
-    env = driven("merge-v0", render_mode="rgb_array")
-    env = gym.wrappers.RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
-    env.unwrapped.set_record_video_wrapper(env)
-    env.reset(seed=0)
-    env.step(1)
-    assert [frame.shape for frame in env.recorded_frames] == [(150 + PANEL, 600, 3)] * 16
-    env.close()
-    assert list(tmp_path.glob("films/*.mp4"))
-
-
 def test_vector_environments_go_on_where_some_episodes_end_before_others():
     envs = gym.vector.SyncVectorEnv([lambda: driven("intersection-v0", config={"duration": 2})] * 2)
     envs.reset(seed=[1, 2])
@@ -200,7 +186,7 @@ def test_vector_environments_go_on_where_some_episodes_end_before_others():
 
 
 @pytest.mark.filterwarnings("ignore:`.*` is set to None:UserWarning")
-@pytest.mark.parametrize("name", ["highway-fast-v0", "intersection-v0", "ms-highway/recorded-v0"])
+@pytest.mark.parametrize("name", ["intersection-v0", "ms-highway/recorded-v0"])
 def test_minari_records_all_that_info_says(name, tmp_path, monkeypatch):
     minari = pytest.importorskip("minari", reason="minari is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
@@ -212,39 +198,3 @@ def test_minari_records_all_that_info_says(name, tmp_path, monkeypatch):
     assert {key: gains.shape for key, gains in episode.infos["road"]["gains"].items()} == dict.fromkeys(
         ("naive", "idm", "tom"), (4, TRAFFIC)
     )
-
-
-WORKERS = """
-import warnings
-import gymnasium as gym
-import ms_highway
-from jax import numpy as jnp
-
-def make():
-    ms_highway.keep_compilations()
-    return ms_highway.drive(gym.make("highway-fast-v0"), {"driver": "fixed:naive"})
-
-if __name__ == "__main__":
-    envs = gym.vector.AsyncVectorEnv([make], context="spawn")
-    envs.reset(seed=[5])
-    *_, infos = envs.step(envs.action_space.sample())
-    envs.close()
-    assert (infos["road"]["planning_seconds"] > 0).all()
-    jnp.ones(3).sum()
-    warnings.simplefilter("ignore")  # JAX and Python warn of the fork
-    envs = gym.vector.AsyncVectorEnv([make], context="fork")
-    envs.reset(seed=[5])
-    try:
-        envs.step(envs.action_space.sample())
-    except RuntimeError as error:
-        print(error)
-"""
-
-
-@pytest.mark.slow
-def test_spawned_workers_drive_and_forked_ones_say_how_to_start_them_instead_of_waiting_for_ever(tmp_path):
-    script = tmp_path / "workers.py"
-    script.write_text(WORKERS)
-    done = subprocess.run([sys.executable, script], timeout=600, capture_output=True, text=True)
-    assert done.returncode == 0
-    assert "start it with context='forkserver' or 'spawn'" in done.stdout

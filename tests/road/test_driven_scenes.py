@@ -88,7 +88,7 @@ def test_where_a_road_moves_on_before_anybody_acts_all_keep_their_velocity(name)
         ({"ladder": ("tom", "naive")}, "give rungs of naive, idm, tom in this order"),
         (
             {"costs": {"naive": 1, "tom": -1}},
-            r"config\['costs'\] is {'naive': 1, 'tom': -1}; say 'shipped', 'measured', or give mill",
+            r"config\['costs'\] is {'naive': 1, 'tom': -1}; say 'shipped', or give mill",
         ),
         ({"desired_speed": float("nan")}, "is nan; it must be a positive number, or None"),
     ],

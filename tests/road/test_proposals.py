@@ -23,8 +23,8 @@ from roads import (
 )
 
 from ms_highway.geometry.curve import SPACING, interpolate
+from ms_highway.perception.scene import KNOTS, TRAFFIC
 from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, PROPOSALS
-from ms_highway.road.scene import KNOTS, TRAFFIC
 
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
 FOLLOWING = np.ones(TRAFFIC, bool)

@@ -6,11 +6,11 @@ import numpy as np
 from roads import PLANNING, WEIGHTS, scene_of
 
 from ms_highway.choice.rule import first_memory
+from ms_highway.perception.scene import TRAFFIC
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.road.constants import IDM, MODELS, TOM
 from ms_highway.road.driver import decided, proposed_for
 from ms_highway.road.plan import no_plan
-from ms_highway.road.scene import TRAFFIC
 from ms_highway.road.settings import RoadSettings
 
 COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.003]))

@@ -7,7 +7,7 @@ import pytest
 from roads import NOBODY, PLANNING, crossing, judged, now_in, on_path, scene_of, wrecked
 
 from ms_highway.geometry.curve import BEHIND, SPACING
-from ms_highway.road.scene import TRAFFIC_KNOTS
+from ms_highway.perception.scene import TRAFFIC_KNOTS
 from ms_highway.road.score import blocks
 from ms_highway.runtime.compilation import jit_quickly
 

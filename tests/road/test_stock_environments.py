@@ -6,6 +6,7 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
+from highway_env.vehicle.behavior import IDMVehicle
 
 from ms_highway.choice.quadratic import Switching
 from ms_highway.game.scenario import driving_game
@@ -14,6 +15,7 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import ladder
 from ms_highway.road.stock import replace_ego
 from ms_highway.vehicle import HumanVehicle, RobotVehicle
+from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.road_view import look
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -80,6 +82,23 @@ def test_humans_plan_in_every_stock_environment(name):
         assert all(np.isfinite(human.state).all() for human in humans)
         assert {human.last_step.status for human in humans if human.last_step} <= {"planned"}
     assert planned > 0
+
+
+def collisions(name, kind, seeds):
+    """Episodes of cars of one kind only, the ego too, in which some of them collide."""
+    environment, found = humans_in(name, other_vehicles_type=f"{kind.__module__}.{kind.__name__}"), 0
+    for seed in range(seeds):
+        environment.reset(seed=seed)
+        replace_ego(environment, type("Ego", (OfferedSpeeds, kind), {}).create_from)
+        *_, _ = drive(environment, 15)
+        found += any(car.crashed for car in environment.road.vehicles)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["roundabout-v0", "intersection-v0"])
+def test_humans_among_themselves_collide_less_often_than_highway_envs_drivers(name):
+    assert collisions(name, HumanVehicle, 4) < collisions(name, IDMVehicle, 4)
 
 
 def test_an_environment_with_humans_in_it_can_be_copied():

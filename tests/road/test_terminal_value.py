@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from roads import NOBODY, PLANNING, PLANS, coming, now_in, proposals_of, scene_of
 
+from ms_highway.perception.scene import KNOTS, TRAFFIC
 from ms_highway.road.constants import IDM
 from ms_highway.road.plan import no_plan
 from ms_highway.road.proposals import ALL
-from ms_highway.road.scene import KNOTS, TRAFFIC
 from ms_highway.road.terminal_value import missing_room, speed_lost
 from ms_highway.runtime.compilation import jit_quickly
 

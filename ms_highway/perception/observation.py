@@ -1,7 +1,7 @@
 """See the road from a vehicle as a `RoadScene`."""
 
 from dataclasses import dataclass, field
-from math import cos, inf
+from math import inf
 
 import numpy as np
 from highway_env.road.road import LaneIndex
@@ -11,15 +11,12 @@ from highway_env.vehicle.objects import RoadObject
 from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.geometry.lane_paths import Point
 from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, road_map
-from ms_highway.road.corridor import corridor
-from ms_highway.road.scene import KNOTS, RoadScene
-from ms_highway.road.traffic import SHARING
-from ms_highway.road.traffic_paths import traffic_of
+from ms_highway.perception.corridor import corridor
+from ms_highway.perception.scene import KNOTS, RoadScene
+from ms_highway.perception.traffic_paths import traffic_of
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
 NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead, at least, and when they are looked up anew
-FARTHEST, ASTRAY = 6.0, 0.8  # m aside of the route, over lanes that lead another way, and rad off it
-UNSURE = 1.5  # m, by which a lane that leads to the goal may be farther than the nearest one
 
 
 @dataclass
@@ -78,26 +75,20 @@ def observe_road(
         size=np.array([vehicle.LENGTH, vehicle.WIDTH], dtype=np.float32),
         applied=np.array(applied, dtype=np.float32),
         **around.at(s - BEHIND + SPACING * np.arange(KNOTS)),
-        **traffic_of(vehicle, roads, route, memory.numbers, intentions),
+        **traffic_of(vehicle, roads, memory.numbers, intentions),
     )
 
 
 def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> tuple[Chain, float] | None:
-    """Return the lanes to follow and the way along them now; None if a robot has changed lanes or left them."""
+    """Return the lanes to follow and the way along them now; None if a robot has changed lanes."""
     chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
     curve = corridor(chain, goal, memory.way // BLOCK).curve
     s, _, _ = curve.project(rear, vehicle.heading, memory.way)
     way = curve.way(s)
-    _, d, heading = curve.project(vehicle.position, vehicle.heading, way)
     leg = chain.leg(way + vehicle.LENGTH / 2)
     near, index = [lane.index for lane in chain.lanes[max(leg - 1, 0) : leg + 2]], vehicle.lane_index
-    if index not in near:
-        changed = any(other[:2] == index[:2] for other in near)
-        own = vehicle.lane
-        turned = own.heading_at(own.local_coordinates(vehicle.position)[0]) - vehicle.heading
-        farthest = chain.lanes[leg].shape.width_at(0.0) / 2 if cos(turned) > SHARING else FARTHEST
-        if changed or abs(d) > farthest or abs(heading) > ASTRAY:
-            return None
+    if index not in near and any(other[:2] == index[:2] for other in near):
+        return None
     if chain.starts[-1] - way > NEEDED:
         return chain, way
     first = chain.leg(way - KEPT_BEHIND)
@@ -107,20 +98,11 @@ def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> tup
 
 def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
     """Return the lanes to follow from a robot's present lane on, with the lanes behind it, and its way along them."""
-    lane = _own_lane(vehicle, goal)
+    lane = goal.roads.lanes[vehicle.lane_index]
     place = float(lane.shape.local_coordinates(rear)[0])
     behind = lane.behind(KEPT_BEHIND - place)
     chain = goal.roads.chain(behind + goal.ahead(lane, PLANNED + place))
     return chain, chain.starts[len(behind)] + place
-
-
-def _own_lane(vehicle: Vehicle, goal: Goal) -> Lane:
-    """Return the lane of a robot: the nearest one, or one hardly farther that leads to the node of the goal."""
-    nearest = goal.roads.lanes[vehicle.lane_index]
-    if nearest in goal.leading or not goal.leading:
-        return nearest
-    best = min(goal.leading, key=lambda lane: lane.distance(vehicle))
-    return best if best.distance(vehicle) < nearest.distance(vehicle) + UNSURE else nearest
 
 
 def _changes(own: Lane, goal: Goal, place: float) -> tuple[list[int], float]:

@@ -12,8 +12,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
-from ms_highway.road.observation import observe_road
-from ms_highway.road.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS
+from ms_highway.perception.observation import observe_road
+from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 

@@ -11,7 +11,7 @@ from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
 from ms_highway.geometry.lane_paths import Points, Row
 from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
-from ms_highway.road.scene import TRAFFIC, TRAFFIC_KNOTS, Places
+from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 from ms_highway.runtime.arrays import Car
 
 AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, in which others are seen ahead, coming, and behind
@@ -23,10 +23,8 @@ TENS = 10.0  # m, in steps of which the rest of a lane is counted
 CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
 ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
-NEAR_ROUTE, CROSSING = 6.0, 3.0  # m between ways, up to which others matter, also oncoming ones
 SLOWEST = 0.1  # m/s, of what may move
 FAR = -1e4  # m, coordinates of unused paths
-EVERY = 2  # knots, compared
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
 AWAY = np.stack([LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE])
 """An unused path: its x, y, heading and curvature."""
@@ -49,23 +47,20 @@ class Way(NamedTuple):
 
 
 def traffic_of(
-    vehicle: Vehicle, roads: RoadMap, route: Curve, numbers: dict[RoadObject, int], intentions: bool = False
+    vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool = False
 ) -> dict[str, Any]:
-    """Return what a ``RoadScene`` has of others, nearest first; of more than `TRAFFIC`, those near the route first.
+    """Return what a ``RoadScene`` has of others, nearest first.
 
     Args:
         vehicle: the robot.
         roads: of its network.
-        route: its path.
         numbers: of all vehicles seen so far; those seen first now are added.
         intentions: whether others show which way they take.
     """
     seen = _in_sight(vehicle)
     for car in seen:
         numbers.setdefault(car, len(numbers))
-    ways = [way for car in seen for way in _ways(car, roads, intentions)]
-    if len(ways) > TRAFFIC:
-        ways = sorted(ways, key=lambda way: not _meets(way.path, route))[:TRAFFIC]
+    ways = [way for car in seen for way in _ways(car, roads, intentions)][:TRAFFIC]
     owners = _padded([numbers[way.car] for way in ways], -1, np.int32)
     fields = [(way.path.x, way.path.y, way.path.heading, way.path.curvature) for way in ways]
     paths = Curve(*_padded(fields, AWAY).swapaxes(0, 1))
@@ -110,7 +105,7 @@ def _drives(car: RoadObject) -> bool:
 def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
     """Return the ways that a vehicle may take, as far as they can be told from its position, heading and lane.
 
-    Where it shows its intentions, these are the ways from all lanes of the road from which most of its route follows.
+    Where it shows its intentions, these are the ways that have most of its route.
     """
     found, own = [], roads.lanes[car.lane_index]
     if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
@@ -123,9 +118,7 @@ def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
         chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
         found += [(number, place, chain) for number, chain in enumerate(chains)]
     shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
-    most = max(shown)
-    roads_shown = {chain.lanes[0].index[:2] for (*_, chain), number in zip(found, shown, strict=True) if number == most}
-    found = [item for item in found if item[2].lanes[0].index[:2] in roads_shown]
+    found = [item for item, number in zip(found, shown, strict=True) if number == max(shown)]
     found.sort(key=lambda item: item[0])
     ways = []
     for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:
@@ -173,14 +166,6 @@ def _chains_from(lane: Lane, tens: int, legs: frozenset[tuple[str, str]]) -> lis
         if not nexts:
             found.append(lane.roads.chain(lanes))
     return found
-
-
-def _meets(path: Curve, route: Curve) -> bool:
-    """Return whether a path comes near the route; oncoming traffic that keeps to its own lane does not."""
-    ahead = slice(int(BEHIND / SPACING) - 2, None, EVERY)
-    distances = np.hypot(path.x[ahead, None] - route.x[None, ahead], path.y[ahead, None] - route.y[None, ahead])
-    oncoming = np.cos(path.heading[ahead, None] - route.heading[None, ahead]) < 0
-    return bool(((distances < CROSSING) | ((distances < NEAR_ROUTE) & ~oncoming)).any())
 
 
 def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row]:

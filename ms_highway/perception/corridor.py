@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from ms_highway.geometry.curve import Curve, Rows
 from ms_highway.geometry.lane_paths import COARSE, FINE, LaneCurve, Row, samples
 from ms_highway.geometry.road_map import Chain, Goal, Lane, kept
-from ms_highway.road.scene import LANES
+from ms_highway.perception.scene import LANES
 
 AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 STEEPEST = 0.7  # cosine of the angle between a lane and the route, below which it counts as this
