@@ -262,7 +262,10 @@ def controller_config(text: str) -> Config:
         kind, rest = AGENT, name
     if kind not in CONTROLLERS:
         gone = retired.replacement(retired.CONTROLLERS, kind)
-        known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
+        known = (
+            f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}; "
+            "--import the module that adds your own"
+        )
         raise ValueError(gone or f"unknown controller {text!r}; {known}")
     config = CONTROLLERS[kind].parse(rest) | ({"belief": True} if name != text else {})
     try:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -22,16 +22,29 @@ SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
 
 class StateObservation(ObservationType):
-    """Observe the states of all cars, [cars, columns], within finite bounds; the same of many environments at once."""
+    """Observe the states of all cars, [cars, columns], within finite bounds; the same of many environments at once.
+
+    Attributes:
+        FASTEST: speed of cars at most [m/s], which says how far they come in an episode.
+        WIDEST: distance to the side at most [m].
+    """
+
+    FASTEST: ClassVar[float]
+    WIDEST: ClassVar[float]
 
     def __init__(self, env: Any, **_: Any) -> None:
         super().__init__(env)
         low, high = self.bounds()
         self.low, self.high = (np.tile(np.array(end, np.float32), (env.cars, 1)) for end in (low, high))
 
-    def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
+    def bounds(self) -> tuple[list[float], list[float]]:
         """Return the lowest and the highest value of each column."""
         raise NotImplementedError
+
+    def reached(self) -> list[float]:
+        """Return the highest values of `_scaled_states` that cars reach in an episode."""
+        farthest = 100.0 + self.FASTEST * self.env.config["duration"]
+        return (np.array([farthest, self.WIDEST, self.FASTEST, self.FASTEST, 1.0, 1.0]) / SCALES).tolist()
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
         """Return the columns, arrays [..., cars], of states [..., cars, 4] and the share of the episode's time left."""
@@ -70,10 +83,11 @@ class CarStates(StateObservation):
     sees where it is.
     """
 
-    def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
-        """See `StateObservation`: nothing in the paper's scenes, with accelerations up to 50 m/s^2, goes beyond."""
-        high = [1000.0, 1000.0, 100.0, 100.0, 1.0, 1.0]
-        return np.negative(high).tolist(), high
+    FASTEST, WIDEST = 400.0, 1000.0  # in the paper's scenes, cars accelerate by up to 50 m/s^2
+
+    def bounds(self) -> tuple[list[float], list[float]]:
+        """See `StateObservation`."""
+        return [-each for each in self.reached()], self.reached()
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
         """See `StateObservation`."""
@@ -88,14 +102,12 @@ class SceneStates(StateObservation):
     so near; and ``time_left``, the share of the episode's time that is left, the same in all rows.
     """
 
-    FASTEST = 80.0  # m/s
-    WIDEST = 100.0  # m to the side
+    FASTEST, WIDEST = 80.0, 100.0
 
-    def bounds(self) -> tuple[Sequence[float], Sequence[float]]:
-        """See `StateObservation`: positions that are reached at 80 m/s within an episode."""
-        farthest = 100.0 + self.FASTEST * self.env.config["duration"]
-        places = np.array([farthest, self.WIDEST, self.FASTEST, self.FASTEST]) / SCALES[:4]
-        return [0.0, *-places, -1.0, -1.0, 0.0, 0.0], [1.0, *places, 1.0, 1.0, 1.0, 1.0]
+    def bounds(self) -> tuple[list[float], list[float]]:
+        """See `StateObservation`."""
+        states = self.reached()
+        return [0.0, *(-each for each in states), 0.0, 0.0], [1.0, *states, 1.0, 1.0]
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
         """See `StateObservation`."""

@@ -61,8 +61,9 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Return the summary of one scenario, to be printed; its title says which controllers' T(M) is not known."""
     said = scenario
-    unknown = summaries.query("scenario == @scenario and counted_ms.isna()")["controller"]
-    if len(unknown):
+    rows = summaries.query("scenario == @scenario and counted_ms.isna()")
+    unknown = [row["controller"] for _, row in rows.iterrows() if row["kind"] not in ("agent", "driver")]  # have none
+    if unknown:
         remedy = "put its model on the ladder, or give its seconds by costs"
         said += f"\nT(M) is not known of {', '.join(unknown)}; {remedy}"
     return grid(said, cells(summaries, scenario).replace(" / ", "/", regex=True))
