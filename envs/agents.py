@@ -47,7 +47,8 @@ def agent_config(name: str) -> Config:
     config = AGENTS[name].config if name in AGENTS else {}
     space = getattr(_agent(name), "action_space", None)
     chooses = isinstance(space, (spaces.Discrete, spaces.MultiDiscrete))
-    return {"action": {"type": "HumanModelAction" if chooses else "ContinuousAction"}, **config}
+    action = {"type": "HumanModelAction", "lambda": 0.0} if chooses else {"type": "ContinuousAction"}
+    return {"action": action, **config}
 
 
 def policy_of(name: str) -> Policy:

@@ -171,7 +171,7 @@ class FunctionalEnv:
 class InteractionVectorEnv(VectorEnv):
     """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed.
 
-    ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type": "HumanModelAction"}})`` makes one.
+    ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type": "ContinuousAction"}})`` makes one.
     Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision``; unless the agent drives,
     ``status``, ``model``, the most expensive of the humans' models, and ``counted_seconds``; and in scenarios with
     streams, ``success``; each with its mask, such as ``_collision``. Nothing is drawn: make a single environment for
