@@ -199,6 +199,7 @@ def zipper(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:the values of computation")
 def test_specifications_are_json_of_which_the_same_environment_is_made(zipper):
     limit = {"controller": NAN_MODEL, "control_limit": np.array([0.2, 9.0]), "grip": np.float32(8)}
     ladder = {"driver": "priced", "ladder": np.array(["naive", "idm"])}
@@ -278,3 +279,22 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
 def test_a_rule_of_ones_own_needs_a_name_of_its_own_and_makes_a_rule(rule, message):
     with pytest.raises(ValueError, match=message):
         add_rule(rule)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "config", "told"),
+    [
+        ("merger-v1", {"horizon": 15}, "not in merger-v1, horizon 15.*values learn merger-v1 --set horizon=15"),
+        ("merger", {"semantics": "released"}, "not in merger, semantics released"),
+        ("dense_merge", {"controller": "budget:20", "solver": "newton"}, "solver newton"),
+    ],
+)
+def test_learned_values_say_where_they_were_not_learned(scenario, config, told):
+    with pytest.warns(UserWarning, match=f"the values of computation were learned in .*{told}"):
+        gym.make(environment_id(scenario), config=config)
+
+
+@pytest.mark.parametrize("scenario", ["merger", "merger-v1", "crossing_crowd"])
+def test_learned_values_say_nothing_where_they_were_learned(scenario, recwarn):
+    gym.make(environment_id(scenario), config={"controller": "learned:0.1"})
+    assert not [warning for warning in recwarn if "values of computation" in str(warning.message)]

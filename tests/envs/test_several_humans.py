@@ -52,6 +52,7 @@ def test_after_a_collision_there_is_no_success():
     assert all(info["success"] for info in infos)
 
 
+@pytest.mark.filterwarnings("ignore:the values of computation")
 def test_a_robot_that_is_too_late_for_its_budget_drives_on_with_what_it_has_and_says_so():
     for scenario, shape in (("merger", (352, 960, 3)), ("dense_merge", (380, 1280, 3))):
         env = make(scenario, "budget:0.001", "rgb_array", duration=0.3)
