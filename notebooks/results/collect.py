@@ -39,12 +39,9 @@ PHYSICAL = {  # in the project's README
     "give-way-v1": ["naive", "tom", "learned:1", "switching:0.1"],
     "stay-back-v1": ["naive", "turn", "learned:1", "switching:0.1"],
 }
-SHOWN = {  # below it
-    "merger": ["tom", "learned:1", "switching:0.1"],
-    "give_way": ["tom", "learned:1", "switching:0.01"],
-}
-
-SHOWN_COLUMNS = ["reward per step (90 % interval)", "counted ms", "plan ms", "decide ms", "naive / turn / tom %"]
+SHOWN_COLUMNS = [
+    *("reward per step (90 % interval)", "plan ms", "naive / turn / tom %", "episodes with a collision"),
+]
 
 
 def collect(results: Path) -> None:
@@ -91,15 +88,12 @@ def kept_table(name: str, run: str) -> pd.DataFrame:
 
 def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
-    whole, physical = overview(compare=""), overview(physical="")
+    physical = overview(physical="")
     limits = overview(
         limit_50=", 0.2 and 50 control limit", limit_9=", 0.2 and 9 control limit", limit_6=", 0.1 and 6 control limit"
     )
     shown_tables = {
-        "physical": rows_of(
-            physical, PHYSICAL, [*SHOWN_COLUMNS[:1], "plan ms", *SHOWN_COLUMNS[-1:], "episodes with a collision"]
-        ),
-        "shown": rows_of(whole, SHOWN, [*SHOWN_COLUMNS[:2], SHOWN_COLUMNS[-1]]),
+        "physical": rows_of(physical, PHYSICAL, SHOWN_COLUMNS),
         "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
         "human rewards": brief(overview(compare=", learned human reward", published=", published human reward")),
         **{name: brief(overview(**{name.replace(" ", "_"): ""})) for name in ("worth", "crowd", "crowd peers")},

@@ -27,7 +27,7 @@ def summaries(run, scenario):
 def test_every_table_with_a_name_is_that_of_the_files():
     tables = COLLECTED.tables()
     for name, table in tables.items():
-        assert f"<!-- table: {name} -->\n{table}\n\n" in TEXTS[README if name in ("physical", "shown") else RESULTS]
+        assert f"<!-- table: {name} -->\n{table}\n\n" in TEXTS[README if name == "physical" else RESULTS]
     assert (TEXTS[README] + TEXTS[RESULTS]).count("<!-- table:") == len(tables)
 
 
