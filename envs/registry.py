@@ -176,7 +176,7 @@ def add_rule(settings: type[ControllerSettings]) -> None:
 
 
 def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
-    """Make an agent or a planner known by a name, to `compare`, `video` and `bench road` of this process.
+    """Make an agent or a planner known by a name, to ``compare``, ``video`` and ``bench road`` of this process.
 
     Files that stable-baselines3 has saved need not be added: their paths stand for them in every command.
 

@@ -38,5 +38,5 @@ Random: TypeAlias = np.random.Generator | TracedRandom
 
 
 def namespace(random: Random) -> Any:
-    """Return the module, `numpy` or `jax.numpy`, that computes with what is drawn."""
+    """Return the module, NumPy or JAX's, that computes with what is drawn."""
     return jnp if isinstance(random, TracedRandom) else np

@@ -8,7 +8,7 @@ model knows that. Run it, or make both known to any command::
       --set ladder=naive,expects_politeness,tom --set costs=naive=0.0007,expects_politeness=0.0007,tom=0.0011 \
       --controllers naive expects_politeness tom --out results/polite
 
-Prints what each model earns per step; theory of mind counts on a response that does not come, and collides::
+Theory of mind counts on a response that does not come, and collides. Prints::
 
                controller  reward
     0               naive    5.27
@@ -58,4 +58,5 @@ if __name__ == "__main__":
     seconds = {"naive": 0.0007, "expects_politeness": 0.0007, "tom": 0.0011}
     config = {"human_driver": "polite", "ladder": list(seconds), "costs": seconds}
     comparison = Comparison({"merger-v1": list(seconds)}, seeds=30, config=config)
+    print("reward per step")
     print(summary(simulated(comparison))[["controller", "reward"]].round(2))

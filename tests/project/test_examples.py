@@ -11,6 +11,7 @@ import pytest
 
 DIRECTORY = Path(__file__).parents[2] / "notebooks" / "examples"
 LEARNING, TRAINING = AGENTS = "learn_to_choose", "train_peers"  # which need stable-baselines3
+LONG = "train_in_jax"
 EXAMPLES = {path.stem: path.read_text() for path in sorted(DIRECTORY.glob("*.py"))}
 
 PROGRAM = """
@@ -26,7 +27,7 @@ for example in sys.argv[1:]:
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory):
     """What each example prints, by name; all run in one process, as they change what this one knows."""
-    names = [name for name in EXAMPLES if name not in AGENTS]
+    names = [name for name in EXAMPLES if name not in (*AGENTS, LONG)]
     command = [sys.executable, "-c", PROGRAM, *(str(DIRECTORY / f"{name}.py") for name in names)]
     run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path_factory.mktemp("examples"))
     assert run.returncode == 0, run.stderr
@@ -44,21 +45,31 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
     assert printed["work_zone"].strip().endswith("False")  # nobody has crashed
 
 
-GUIDES = "zipper", "brief", "rule", "imitate", "learn_to_choose", "recorded", "predict"
+GUIDES = "zipper", "brief", "own_human", "agents", "rule", "imitate", "learn_to_choose", "recorded", "predict"
 
 
 @pytest.mark.parametrize("name", GUIDES)
-def test_a_guide_is_a_page_that_the_map_names(name):
-    assert EXAMPLES[name].count("\n") <= 60
+def test_a_guide_is_a_page_that_the_guide_names(name):
+    assert EXAMPLES[name].count("\n") <= 65
     assert f"](examples/{name}.py)" in (DIRECTORY.parent / "MAP.md").read_text()
 
 
 @pytest.mark.slow
-def test_an_agent_learns_to_choose_and_is_set_beside_switching_and_tom():
-    pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
-    command = [sys.executable, str(DIRECTORY / f"{LEARNING}.py"), "merger", "--steps", "450", "--episodes", "1"]
+@pytest.mark.parametrize("scenario", [["merger-v1"], ["dense_merge", "--set", "humans=2", "--set", "duration=1"]])
+def test_an_agent_learns_in_jax_and_is_set_beside_random_choice_naive_and_learned_values(scenario):
+    command = [sys.executable, str(DIRECTORY / f"{LONG}.py"), *scenario, "--updates", "1", "--environments", "8"]
     run = subprocess.run(command, check=True, capture_output=True, text=True)
-    assert [line.split()[0] for line in run.stdout.splitlines()[1:]] == ["dqn", "learned:3", "switching:0.1", "tom"]
+    assert [line.split()[0] for line in run.stdout.splitlines()[1:]] == ["agent", "random", "learned:1", "naive"]
+
+
+@pytest.mark.slow
+def test_an_agent_learns_to_choose_and_is_set_beside_random_choice_naive_and_learned_values(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
+    program, agent = str(DIRECTORY / f"{LEARNING}.py"), str(tmp_path / "agent.zip")
+    command = [sys.executable, program, "merger-v1", "--steps", "800", "--episodes", "1", "--out", agent]
+    run = subprocess.run(command, check=True, capture_output=True, text=True)
+    found = [line.split()[0] for line in run.stdout.partition("reward per step less that")[2].splitlines()[1:]]
+    assert found == [agent, "random", "naive", "learned"]
 
 
 @pytest.mark.slow
