@@ -1,171 +1,27 @@
-"""Thousands of environments at once in JAX: as pure functions, and as a vector environment of Gymnasium."""
+"""Step thousands of environments at once in JAX, as a vector environment of Gymnasium."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, refuse_unknown
-from ms_highway.envs.controllers import RandomSettings
-from ms_highway.envs.simulation import draw_start, shared_loop, stack_episodes
-from ms_highway.envs.spaces import Autopilot, HumanModelAction, StateObservation, executed_controls
-from ms_highway.game.random import TracedRandom
-from ms_highway.game.scenario import REACHED
+from ms_highway.envs.simulation import Simulated, draw_start, stack_episodes
 from ms_highway.loop.batch import Given, Now, Own, begin_episode, step_episodes
 from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
-from ms_highway.planning.compiled_plans import Costs
-from ms_highway.runtime.arrays import Index, Rungs, State
+from ms_highway.runtime.arrays import State
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import cores
-
-
-class Simulated:
-    """An environment that JAX simulates, and what its simulations share.
-
-    Args:
-        scenario: its name, such as ``merger-v1``, or the class of an environment.
-        config: of the environment.
-
-    Raises:
-        ValueError: for an unknown scenario, a configuration that is not simulated, other actions than ``Autopilot``,
-            ``HumanModelAction`` and a ``ContinuousAction`` of both axes, or other observations than ``CarStates`` and
-            ``SceneStates``.
-    """
-
-    def __init__(self, scenario: str | type[InteractionEnv], config: Config | None = None) -> None:
-        if isinstance(scenario, str):
-            environment_id(scenario)
-            scenario = ENVIRONMENTS[scenario]
-        self.environment = scenario(config)
-        settings, kind = self.environment.settings, self.environment.action_type
-        self.agent_drives = isinstance(kind, ContinuousAction)
-        self.agent_chooses = isinstance(kind, HumanModelAction)
-        if not ((type(kind) is ContinuousAction and kind.size == 2) or isinstance(kind, Autopilot)):
-            known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
-            raise ValueError(f"config['action'] is {self.environment.config['action']}; what is simulated is {known}")
-        if not isinstance(self.environment.observation_type, StateObservation):
-            place = f"config['observation'] is {self.environment.config['observation']}"
-            raise ValueError(f"{place}; what is simulated is CarStates or SceneStates")
-        self.controller, self.steps = settings.controller, self.environment.episode_steps
-        loop = shared_loop(self.environment, [self.controller])
-        if self.controller.chooses and not (self.agent_drives or self.agent_chooses):
-            start = settings.start(settings.seconds, self.steps, np.random.default_rng())
-            loop = replace(loop, rule=self.controller.rule(start))
-        self.loop: Loop = replace(loop, belief=self.controller.belief and not self.agent_drives)
-        seconds = [settings.seconds.get(model.name, np.nan) for model in loop.models]
-        self.costs = Costs.of(seconds, settings.humans)
-        self.price = float(self.environment.config["action"].get("lambda", 0.0))
-
-    def given(self, episodes: Episodes, places: Any, now: State, actions: Any) -> Given:
-        """Return what is given for a step of episodes [n]: models of the humans, or the robot's controls.
-
-        Args:
-            episodes: with a schedule of each.
-            places: number of the step in each episode.
-            now: states of all cars.
-            actions: of the agent.
-        """
-        schedules = episodes.schedules
-        scheduled = schedules[np.arange(len(schedules)), places.clip(max=self.steps - 1)]
-        if self.agent_drives:
-            kind, world = self.environment.action_type, self.loop.game.world
-            controls = executed_controls(kind, world, actions, now[:, 0])
-            return Given(scheduled, controls=controls.astype(np.float32))
-        if self.agent_chooses:
-            scheduled = actions.reshape(scheduled.shape).astype(np.int32)
-        return Given(scheduled)
-
-    def reward(self, records: Records) -> Any:
-        """Return the reward of a step: the robot's, less lambda T where the agent chooses the models."""
-        return records.reward - self.price * self.counted_seconds(records) if self.price else records.reward
-
-    def counted_seconds(self, records: Records) -> Any:
-        """Return T of the plans of a step [s]."""
-        xp = records.rungs.__array_namespace__()
-        return self.costs.base + xp.sum(xp.asarray(self.costs.each)[records.rungs], axis=-1)
-
-    def observe(self, states: State, places: Any) -> Any:
-        """Return what is observed in states [n, cars, 4], after so many steps of the episodes."""
-        return self.environment.observation_type.of(states, 1 - places / self.steps)
-
-    def success(self, states: State) -> Any:
-        """Return whether the robot is in the target lane."""
-        return abs(states[..., 0, 1] - float(self.loop.game.scene.target_lane)) < REACHED
-
-
-class EnvState(NamedTuple):
-    """The state of a `FunctionalEnv`.
-
-    Attributes:
-        now: what the episode carries from step to step.
-        own: the episode's own numbers.
-        schedule: number of the model of each human in each step, where a controller's order says so.
-        step: number of steps done.
-    """
-
-    now: Now
-    own: Own
-    schedule: Rungs
-    step: Index
-
-
-class FunctionalEnv:
-    """One environment as pure functions of JAX, which can be jitted, vmapped and scanned.
-
-    To step a thousand of them, `InteractionVectorEnv` is faster: it computes a human model for those environments only
-    that use it.
-
-    Attributes:
-        observation_space, action_space: as those of the environment of Gymnasium.
-
-    Args:
-        scenario: its name, such as ``merger-v1``, or the class of an environment.
-        config: of the environment, see `ms_highway.InteractionEnv`.
-    """
-
-    def __init__(self, scenario: str | type[InteractionEnv], config: Config | None = None) -> None:
-        self._simulated = simulated = Simulated(scenario, config)
-        if isinstance(simulated.controller, RandomSettings):
-            raise ValueError("JAX does not trace the controller 'random'; choose another, or the vector environment")
-        self._loop = replace(simulated.loop, chunk=1)
-        self.observation_space = simulated.environment.observation_space
-        self.action_space = simulated.environment.action_space
-
-    def reset(self, key: jax.Array) -> tuple[EnvState, jax.Array]:
-        """Start an episode that is drawn by a key of `jax.random`; return its state and the observation."""
-        simulated = self._simulated
-        parts = draw_start(simulated.environment, self._loop, simulated.controller, TracedRandom(key))
-        start, price, schedule, robot, weights, drivers = (jnp.asarray(part)[None] for part in parts)
-        own = Own(price, robot, weights, drivers)
-        now = jax.vmap(partial(begin_episode, self._loop))(start)
-        return EnvState(now, own, schedule, jnp.int32(0)), simulated.observe(start, jnp.zeros(1))[0]
-
-    def step(
-        self, state: EnvState, action: Any
-    ) -> tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
-        """Return state, observation, reward, terminated, truncated and info after an action."""
-        simulated = self._simulated
-        episodes = Episodes(state.now.state, state.own.price, state.schedule, *state.own[1:])
-        given = simulated.given(episodes, state.step[None], state.now.state, jnp.asarray(action)[None])
-        now, records = step_episodes(self._loop, state.own, state.now, given)
-        done, collision = state.step + 1, records.collision[0]
-        info = {"collision": collision, "states": records.states[0]}
-        observation = simulated.observe(now.state, jnp.asarray(done)[None])[0]
-        terminated = collision & bool(simulated.environment.config["terminate_on_collision"])
-        rewards = simulated.reward(records)[0]
-        return state._replace(now=now, step=done), observation, rewards, terminated, done >= simulated.steps, info
 
 
 class InteractionVectorEnv(VectorEnv):

@@ -31,6 +31,7 @@ from .envs.base import InteractionEnv as InteractionEnv
 from .envs.controllers import ControllerSettings as ControllerSettings
 from .envs.registry import add_agent as add_agent
 from .envs.registry import add_rule as add_rule
+from .envs.simulation import FunctionalEnv as FunctionalEnv
 from .envs.spaces import Autopilot as Autopilot
 from .game.game import Game as Game
 from .game.reward import add_feature as add_feature

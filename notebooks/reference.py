@@ -48,7 +48,7 @@ metres, times in seconds, angles in radians; x is along the road, y to the right
 ```python
 env = gym.make("ms-highway/merger-v1", config={{...}})  # one environment
 envs = gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={{...}})  # many, in JAX; no films
-functions = ms_highway.envs.vector.FunctionalEnv("merger-v1", {{...}})  # reset(key), step(state, action), to jit
+functions = ms_highway.FunctionalEnv("merger-v1", {{...}})  # reset(key), step(state, action), to jit
 ```
 
 ## Actions

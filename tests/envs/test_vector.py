@@ -7,7 +7,7 @@ import pytest
 from episodes import TWO
 from gymnasium.vector import AutoresetMode
 
-from ms_highway.envs.vector import FunctionalEnv
+from ms_highway import FunctionalEnv
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}}
 DRIVING = {"action": {"type": "ContinuousAction"}}
