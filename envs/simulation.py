@@ -186,8 +186,8 @@ class EnvState(NamedTuple):
 class FunctionalEnv:
     """One environment as pure functions of JAX, which can be jitted, vmapped and scanned.
 
-    To step a thousand of them, `ms_highway.envs.vector.InteractionVectorEnv` is faster: it computes a human model for those environments only
-    that use it.
+    To step a thousand of them, `ms_highway.envs.vector.InteractionVectorEnv` is faster: it computes a human model for
+    those environments only that use it.
 
     Attributes:
         observation_space, action_space: as those of the environment of Gymnasium.
