@@ -36,7 +36,8 @@ SCENARIO_NAMES = (
 
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
-    "period:MODEL=STEPS,..., random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K"
+    "period:MODEL=STEPS,..., random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K; "
+    "your own: functions of add_driver, agents of add_agent, and files of stable-baselines3 (AGENT.zip)"
 )
 """What controllers are called on the command line, for help texts."""
 
