@@ -14,7 +14,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.curvature import Blocks, curvature
+from ms_highway.game.curvature import curvature
 from ms_highway.game.dynamics import (
     Dynamics,
     Motion,
@@ -295,15 +295,17 @@ def _bends(*arguments: Any) -> Bends:
     return Bends(slope, *bends)
 
 
-def trajectory_curvature(game: Game, own: Trajectory, others: Trajectories) -> Blocks:
+def trajectory_curvature(game: Game, own: Trajectory, others: Trajectories) -> Float[Any, "fields fields steps"]:
     """Return how `trajectory_reward` bends, see `ms_highway.game.curvature`."""
     _, *weighed = _weighed(game)
     return _curvature(*weighed, own, others)
 
 
 @jax.jit
-def _curvature(scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories) -> Blocks:
-    return curvature(scene, reward, Motion(*own), Motion(*jnp.moveaxis(others, 1, 0)), braking)
+def _curvature(
+    scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories
+) -> Float[Any, "fields fields steps"]:
+    return curvature(scene, reward, own, Motion(*jnp.moveaxis(others, 1, 0)), braking)
 
 
 def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> Scalar:

@@ -80,8 +80,7 @@ def expand(objective: Objective, controls: Controls, slope: Trajectory | None = 
     """
     assert objective.curvature is not None
     path, jacobian = objective.path(controls), objective.jacobian(controls)
-    blocks = jnp.moveaxis(objective.curvature(path), 0, -1)
-    bent = jnp.sum(blocks[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
+    bent = jnp.sum(objective.curvature(path)[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
     flat = jacobian.reshape(-1, controls.size)
     marginal, diagonal = jax.jvp(jax.grad(objective.cost), (controls,), (jnp.ones_like(controls),))
     curvature = flat.T @ bent.reshape(-1, controls.size) + jnp.diag(diagonal.ravel() + DAMPING)

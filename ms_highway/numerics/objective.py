@@ -30,7 +30,7 @@ class Objective(NamedTuple):
     cost: Callable[[Controls], Scalar]
     bounded: Callable[[ManyControls], ManyControls]
     slope: Callable[[Trajectory], Trajectory] | None = None
-    curvature: Callable[[Trajectory], Float[Any, "steps fields fields"]] | None = None
+    curvature: Callable[[Trajectory], Float[Any, "fields fields steps"]] | None = None
     path_jacobian: Callable[[Controls], Float[Any, "fields steps controls"]] | None = None
 
     def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:

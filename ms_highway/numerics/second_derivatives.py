@@ -71,7 +71,8 @@ def along_fields(function: Callable[[Trajectory], Numbers], steps: Trajectory) -
 
     One direction per field serves all steps at once.
     """
-    directions = jnp.broadcast_to(jnp.eye(len(steps))[..., None], (len(steps), *steps.shape))
+    each = jnp.eye(len(steps)).reshape(len(steps), len(steps), *[1] * (steps.ndim - 1))
+    directions = jnp.broadcast_to(each, (len(steps), *steps.shape))
     along = jax.vmap(lambda direction: jax.jvp(function, (steps,), (direction,)), out_axes=(None, 0))
     return along(directions)
 
