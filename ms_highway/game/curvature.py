@@ -25,6 +25,7 @@ from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.runtime.arrays import Scalar, Trajectory
 
 Bends = Float[jax.Array, "fields fields steps"]
+Points = Float[jax.Array, "2 points steps"]
 
 
 def curvature(
@@ -42,19 +43,18 @@ def curvature(
         others: motion of all others, arrays [others, steps].
         braking: deceleration that `ms_highway.game.stopping` counts on; None where it costs nothing.
     """
-    _, slopes = along_fields(partial(_residuals, scene, parameters, others, braking), own)
     along, aside = body_points(jnp.asarray(scene.car_size), scene.corner).T[..., None]
 
-    def places(path: Trajectory) -> Float[jax.Array, "2 points steps"]:
+    def body(path: Trajectory) -> Points:
         x, y, cosine, sine, _ = path
         return jnp.stack([x + cosine * along - sine * aside, y + sine * along + cosine * aside])
 
-    points, moved = along_fields(places, own)
-    prices = parameters.price("collision_risk"), parameters.price("collision")
-    closer = jax.grad(partial(_closeness, bodies_around(scene, others), *prices, points))
-    _, bends = along_fields(closer, points)
-    bent = jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)
-    return bent + 2 * jnp.einsum("fjt,gjt->fgt", slopes, slopes)
+    points, moved = along_fields(body, own)
+    _, slopes = along_fields(partial(_closeness, parameters, bodies_around(scene, others)), points)
+    bends = jnp.sum(slopes[:, None] * slopes, axis=(2, 3))  # one kernel, unlike an einsum
+    close = jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)
+    _, slopes = along_fields(partial(_residuals, scene, parameters, others, braking), own)
+    return 2 * (close + jnp.sum(slopes[:, None] * slopes, axis=2))
 
 
 def _residuals(
@@ -82,24 +82,16 @@ def _residuals(
     return jnp.concatenate([residuals, late])
 
 
-def _closeness(
-    bodies: Bodies,
-    risk: Scalar,
-    contact: Scalar,
-    now: Float[jax.Array, "2 points steps"],
-    points: Float[jax.Array, "2 points steps"],
-) -> Scalar:
-    """Return what points of the body pay for distances D around where they are ``now``, ``|c'| D + c'' (D - D_now)^2 / 2``.
-    """
-
-    def distances(points: Float[jax.Array, "2 points steps"]) -> Float[jax.Array, "bodies points steps"]:
-        other = Motion(*(field[:, None] for field in bodies.motion))
-        dx, dy = points[0] - other.x, points[1] - other.y
-        ahead, across = other.cosine * dx + other.sine * dy, other.cosine * dy - other.sine * dx
-        return (2 * ahead / bodies.length) ** 2 + (2 * across / bodies.width) ** 2 - 1
-
-    near, distance = distances(now), distances(points)
-    close, depth = risk * bodies.share * jnp.exp(-bodies.sharpness * near), jnp.maximum(NEAR - near, 0.0)
-    fall = bodies.sharpness * close + 3 * CONTACT * contact * depth**2
-    bend = bodies.sharpness**2 * close + 6 * CONTACT * contact * depth
-    return jnp.sum(fall * distance + bend * (distance - near) ** 2 / 2)
+def _closeness(parameters: Reward, bodies: Bodies, points: Points) -> Float[jax.Array, "3 bodies points steps"]:
+    """Return quantities whose squares bend as closeness does: two of the offset from a body, and the distance D."""
+    other = Motion(*(field[:, None] for field in bodies.motion))
+    dx, dy = points[0] - other.x, points[1] - other.y
+    ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
+    across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
+    distance = ahead**2 + across**2 - 1
+    near = jax.lax.stop_gradient(distance)
+    close = parameters.price("collision_risk") * bodies.share * jnp.exp(-bodies.sharpness * near)
+    contact, depth = CONTACT * parameters.price("collision"), jnp.maximum(NEAR - near, 0.0)
+    fall = jnp.sqrt(bodies.sharpness * close + 3 * contact * depth**2)
+    bend = jnp.sqrt(bodies.sharpness**2 * close / 2 + 3 * contact * depth)
+    return jnp.stack([fall * ahead, fall * across, bend * distance])
