@@ -16,7 +16,6 @@ from ms_highway.game.game import (
     discomfort,
     move,
     move_all,
-    move_jacobian,
     reward_slopes,
     trajectory_curvature,
     trajectory_reward,
@@ -77,7 +76,6 @@ def driving(game: Game, car: Car, others: Trajectories) -> Objective:
         partial(bounded, game, car),
         lambda own: reward_slopes(game, own, others)[0],
         lambda own: trajectory_curvature(game, own, others),
-        partial(move_jacobian, game, car),
     )
 
 
