@@ -15,6 +15,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.curvature import Bends
 from ms_highway.game.game import (
     Game,
     bounded,
@@ -22,8 +23,6 @@ from ms_highway.game.game import (
     move,
     move_all,
     others_of,
-    reward_bends,
-    reward_slopes,
     swap_roles,
     with_scripted,
 )
@@ -106,12 +105,12 @@ def _direction(who: Answering, plan: Plan) -> Plan:
     robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
     humans, pull_humans = jax.vjp(partial(move_all, game, state[1 : 1 + game.number]), plan.humans)
     others = with_scripted(game, state, humans)
-    along_robot, along_others = reward_slopes(game, robot, others)
+    along_robot, along_others = game.payoff.slopes(robot, others)
     pulled = pull_humans(along_others[: game.number])[0]
 
     def respond(human: Index, slopes: Plan) -> Plan:
         own, car = swap_roles(game, human), state[1 + human]
-        slope, bends, mixed = reward_bends(own, others[human], who.around(human, robot, others))
+        slope, bends, mixed = own.payoff.second_order(others[human], who.around(human, robot, others))
         cost = partial(discomfort, own, car)
         expansion = second_order_expansion(partial(move, own, car), plan.humans[human], slope, bends, cost)
         pushed = response(game.influence, expansion.hessian, pulled[human].ravel())
@@ -127,7 +126,7 @@ def _put(values: HumansControls, human: Index, value: Controls) -> HumansControl
     return value[None] if len(values) == 1 else values.at[human].set(value)
 
 
-def _mixed(moved: Trajectory, bends: Float[jax.Array, "fields fields steps"]) -> Trajectory:
+def _mixed(moved: Trajectory, bends: Bends) -> Trajectory:
     """Return how the slope in one trajectory changes if the other one moves, from mixed second derivatives."""
     return jnp.sum(bends * moved[:, None], axis=0)
 
@@ -145,7 +144,7 @@ def _newton_step(who: Answering, plan: Plan, others: Trajectories) -> tuple[Plan
     """Take a step of the robot and of the humans who answer, from a plan and the others' trajectories under it."""
     game, state, number = who.game, who.state, who.game.number
     path, driver = move(game, state[0], plan.robot), driving(game, state[0], others)
-    along_robot, along_others = reward_slopes(game, path, others)
+    along_robot, along_others = game.payoff.slopes(path, others)
     robot = expand(driver, plan.robot, along_robot)
 
     def answer(human: Index, answers: _Answers) -> _Answers:
@@ -187,17 +186,17 @@ def _newton_step(who: Answering, plan: Plan, others: Trajectories) -> tuple[Plan
     (whole, reached), (none, held) = after(jnp.ones(())), after(jnp.zeros(()))
     gone = whole.robot - none.robot
     path, moved = jax.jvp(driver.path, (whole.robot,), (gone,))
-    along_robot, along_others = reward_slopes(game, path, reached)
+    along_robot, along_others = game.payoff.slopes(path, reached)
     gain = jnp.sum(along_robot * moved) + jnp.sum(along_others * (reached - held))
     gain -= jnp.sum(jax.grad(driver.cost)(whole.robot) * gone)
     return after(share(answers.slope @ gone.ravel(), gain))
 
 
-def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Float[jax.Array, "fields fields steps"]:
+def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
     """Return the second derivatives of a human's reward in its trajectory, then in the robot's.
 
     The package's features add up over the other cars, so that these are left out; users' own need not.
     """
-    if game.robot.own:
-        return reward_bends(game, own, others).partner
-    return reward_bends(replace(game, scene=game.scene.of_pair()), own, others[:1]).partner
+    if not game.robot.own:
+        game, others = replace(game, scene=game.scene.of_pair()), others[:1]
+    return game.payoff.second_order(own, others).partner
