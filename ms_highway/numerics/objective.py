@@ -39,10 +39,6 @@ class Objective(NamedTuple):
         """Return the derivative of the reward in a trajectory."""
         return jax.grad(self.reward)(path) if self.slope is None else self.slope(path)
 
-    def jacobian(self, controls: Controls) -> Float[Any, "fields steps controls"]:
-        """Return the derivative of the path in the ravelled controls."""
-        return jax.jacfwd(lambda point: self.path(point.reshape(-1, 2)))(controls.ravel())
-
     def gradient(self, controls: Controls) -> Controls:
         """Return the derivative of `earned`."""
         path, pull_back = jax.vjp(self.path, controls)

@@ -31,7 +31,6 @@ from ms_highway.numerics.second_derivatives import response, second_order_expans
 from ms_highway.numerics.solvers import projected_ascent
 from ms_highway.planning.plans import Plan, best_start, driving, within_limits
 from ms_highway.runtime.arrays import (
-    Controls,
     HumansControls,
     Index,
     Rungs,
@@ -114,16 +113,12 @@ def _direction(who: Answering, plan: Plan) -> Plan:
         cost = partial(discomfort, own, car)
         expansion = second_order_expansion(partial(move, own, car), plan.humans[human], slope, bends, cost)
         pushed = response(game.influence, expansion.hessian, pulled[human].ravel())
-        answer = _put(slopes.humans, human, expansion.gradient.reshape(-1, 2))
+        answer = slopes.humans.at[human].set(expansion.gradient.reshape(-1, 2))
         return Plan(slopes.robot + _mixed(expansion.jacobian @ pushed, mixed), answer)
 
     along, answers = who.fold(respond, Plan(along_robot, jnp.zeros_like(plan.humans)))
     eased = pull_robot(along)[0] - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
     return Plan(eased, answers)
-
-
-def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
-    return value[None] if len(values) == 1 else values.at[human].set(value)
 
 
 def _mixed(moved: Trajectory, bends: Bends) -> Trajectory:
@@ -166,21 +161,16 @@ def _newton_step(who: Answering, plan: Plan, others: Trajectories) -> tuple[Plan
     step = robot.step(answers.slope)
     ahead = robot.jacobian @ step
 
-    def react(human: Index, reactions: HumansControls) -> HumansControls:
-        own = jax.tree.map(lambda part: part[human], answers.local)
-        change = _mixed(ahead, jnp.swapaxes(answers.mixed[human], 0, 1))
-        wanted = own.step(change.ravel() @ own.jacobian.reshape(change.size, -1))
-        return reactions.at[human].set(wanted.reshape(-1, 2))
-
-    reactions = who.fold(react, jnp.zeros_like(plan.humans))
-
     def after(part: Scalar) -> tuple[Plan, Trajectories]:
-        def put(human: Index, sides: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
+        def react(human: Index, sides: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
+            local, mixed = jax.tree.map(lambda each: each[human], (answers.local, answers.mixed))
+            change = _mixed(ahead, jnp.swapaxes(mixed, 0, 1))
+            reaction = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1)).reshape(-1, 2)
             car = state[1 + human]
-            own = bounded(game, car, answers.humans[human] + part * reactions[human])
+            own = bounded(game, car, answers.humans[human] + part * reaction)
             return sides[0].at[human].set(own), sides[1].at[human].set(move(game, car, own))
 
-        sides, paths = who.fold(put, (plan.humans, others))
+        sides, paths = who.fold(react, (plan.humans, others))
         return Plan(bounded(game, state[0], plan.robot + part * step.reshape(-1, 2)), sides), paths
 
     (whole, reached), (none, held) = after(jnp.ones(())), after(jnp.zeros(()))
