@@ -48,13 +48,15 @@ def test_without_a_leader_a_gap_bends_nothing():
 
 def test_closeness_bends_no_further_up_or_down_than_its_curvature_nor_much_less():
     reward, random = linear_reward({"collision_risk": -1.0, "collision": -100.0}, 20.0), np.random.default_rng(0)
+    larger = []
     for _ in range(20):
         own = motion(random.uniform(-4, 1), random.normal(0, 0.2), x=random.uniform(50, 66))
         near = observe(random.normal((60, -1.5, 0, 20), (6, 2, 0.1, 3), size=(2, 1, 4)).astype(np.float32))
         bent, exact = bends(GAME.scene, reward, own, near), np.asarray(hessian(GAME.scene, reward, own, near))
         assert np.linalg.eigvalsh(bent - exact)[0] > -1e-4 * np.abs(bent).max() - 1e-4
         assert np.linalg.eigvalsh(bent + exact)[0] > -1e-4 * np.abs(bent).max() - 1e-4
-        assert np.linalg.eigvalsh(bent)[-1] < 4 * np.abs(np.linalg.eigvalsh(exact)).max() + 1e-4
+        larger.append(np.linalg.eigvalsh(bent)[-1] / np.abs(np.linalg.eigvalsh(exact)).max())
+    assert np.median(larger) < 2.5
 
 
 def test_no_reward_bends_upwards_whatever_its_weights():
