@@ -95,7 +95,8 @@ def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collisio
     def lateness(fields):
         return np.sqrt(float(stopping_cost(SCENE, GRIP, Motion(*own.at[:, HALF].set(fields))).sum()))
 
-    assert free.total(own, nobody) - payoff.total(own, nobody) == pytest.approx(100 * lateness(own[:, HALF]) ** 2, 2e-3, 1e-3)
+    price = 100 * lateness(own[:, HALF]) ** 2
+    assert free.total(own, nobody) - payoff.total(own, nobody) == pytest.approx(price, 2e-3, 1e-3)
     bumps = 0.02 * np.eye(5, dtype=np.float32)
     slopes = np.array([(lateness(own[:, HALF] + bump) - lateness(own[:, HALF] - bump)) / 0.04 for bump in bumps])
     bent = np.moveaxis(payoff.curvature(own, nobody) - free.curvature(own, nobody), -1, 0)
