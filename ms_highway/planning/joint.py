@@ -161,16 +161,21 @@ def _newton_step(who: Answering, plan: Plan, others: Trajectories) -> tuple[Plan
     step = robot.step(answers.slope)
     ahead = robot.jacobian @ step
 
+    def react(human: Index, reactions: HumansControls) -> HumansControls:
+        local, mixed = jax.tree.map(lambda each: each[human], (answers.local, answers.mixed))
+        change = _mixed(ahead, jnp.swapaxes(mixed, 0, 1))
+        wanted = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1))
+        return reactions.at[human].set(wanted.reshape(-1, 2))
+
+    reactions = who.fold(react, jnp.zeros_like(plan.humans))
+
     def after(part: Scalar) -> tuple[Plan, Trajectories]:
-        def react(human: Index, sides: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
-            local, mixed = jax.tree.map(lambda each: each[human], (answers.local, answers.mixed))
-            change = _mixed(ahead, jnp.swapaxes(mixed, 0, 1))
-            reaction = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1)).reshape(-1, 2)
+        def put(human: Index, sides: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
             car = state[1 + human]
-            own = bounded(game, car, answers.humans[human] + part * reaction)
+            own = bounded(game, car, answers.humans[human] + part * reactions[human])
             return sides[0].at[human].set(own), sides[1].at[human].set(move(game, car, own))
 
-        sides, paths = who.fold(react, (plan.humans, others))
+        sides, paths = who.fold(put, (plan.humans, others))
         return Plan(bounded(game, state[0], plan.robot + part * step.reshape(-1, 2)), sides), paths
 
     (whole, reached), (none, held) = after(jnp.ones(())), after(jnp.zeros(()))

@@ -78,17 +78,6 @@ def test_downward_checks_of_a_rung_wait_for_the_cooldown(played):
     assert checked == [True, False, False, True, False, False, True, False]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rung", [0, 1, 2])
-def test_over_a_horizon_of_one_step_both_estimates_are_the_same(played, rung):
-    for seed in range(5):
-        rules = made(0.1), made(0.1, WholeHorizon)
-        near, whole = (decided(rule, played, on(rule, rung), steps=1, seed=seed) for rule in rules)
-        assert np.isfinite(np.asarray(near.gains)).any()
-        np.testing.assert_allclose(whole.gains, near.gains, rtol=1e-3, atol=1e-3)
-        jax.tree.map(np.testing.assert_array_equal, whole.memory, near.memory)
-
-
 def test_the_expansion_is_that_of_both_rewards_over_the_whole_plan(played):
     game, state = played("merger", seed=2)
     both = jnp.concatenate([part.ravel() for part in any_plan(5)])
