@@ -126,21 +126,15 @@ def speeds(
     return _accumulate(speed, accelerations * dynamics.time_step, left)
 
 
-def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar | None = None) -> jax.Array:
-    """Add the changes of all steps to an initial value. Each step multiplies the sum by ``left``, if given.
+def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar = 1.0) -> jax.Array:
+    """Add the changes of all steps to an initial value; each step multiplies the sum by ``left``.
 
     Unlike a small matrix product, XLA fuses this.
     """
-    shares = _shares(changes.shape[-1], left)
-    return jnp.sum(shares * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
-
-
-def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
-    """Return, for each state, the weights of the initial value and of each change."""
-    terms = np.arange(1 + steps)
+    terms = np.arange(1 + changes.shape[-1])
     age = terms[:, None] - terms  # below 0: not yet
-    there = (age >= 0).astype(float)
-    return there if left is None else there * left ** np.maximum(age, 0.0)
+    shares = (age >= 0) * left ** np.maximum(age, 0.0)
+    return jnp.sum(shares * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
 
 
 def within_grip(
