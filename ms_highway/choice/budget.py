@@ -2,16 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.choice.quadratic import Quadratic, change_of_control, expand, total
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, with_human
-from ms_highway.game.game import Game, constant_velocity, each_human
+from ms_highway.choice.quadratic import Quadratic
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule
+from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
@@ -66,10 +65,10 @@ class Budget(Rule):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class OneStepGains(Rule):
-    """Estimate what the top of the ladder gains over naive for every human, as Algorithm 1 does, in every step.
+    """Estimate in every step what the top of the ladder gains over its first rung for every human, by Algorithm 1.
 
-    The quadratic expansion of Algorithm 1 around the executed controls tells what the robot would have earned in the
-    last step under the other of the two. Rungs between are not estimated: their prediction takes as long as a plan.
+    Algorithm 1 on a ladder of these two, free and without a cooldown, tells what the robot would have earned in the
+    last step under the other of them. Rungs between are not estimated: their prediction takes as long as a plan.
     Nothing is chosen; for `Budget`.
 
     Attributes:
@@ -85,28 +84,16 @@ class OneStepGains(Rule):
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
         """Estimate the gains, and keep the rungs; before the first step, the gains are unknown."""
-        top = len(self.ladder) - 1
-
-        def one(human: Index) -> Scalar:
-            return self._gain(*with_human(game, outcome, human), jnp.asarray(memory.rungs)[human] == top)
-
-        unknown = jnp.full(game.number, NOT_ESTIMATED)
-        over_naive = jax.lax.cond(memory.step > 0, lambda: each_human(game, one), lambda: unknown)
-        gains = jnp.full(jnp.shape(memory.last_check), NOT_ESTIMATED)
-        gains = gains.at[:, 0].set(jnp.where(jnp.isfinite(over_naive), 0.0, NOT_ESTIMATED)).at[:, -1].set(over_naive)
-        return Decision(memory, gains, jnp.bool(False))
-
-    def _gain(self, game: Game, seen: Outcome, uses_top: Any) -> Scalar:
-        """Return what the robot earns with the top rung in the last step, less what it earns naively."""
-        before, robot, human, reward = self.switching.executed(game, seen)
-        expansion = expand(game, before, robot, human)
-        kept = constant_velocity(game, before[1])[0]
-        expected = jnp.where(uses_top, kept, human)  # by the other model
-        answers = ~uses_top & self.ladder[-1].responds
-        influence = jnp.where(answers, expansion.influence, 0.0)
-        change = change_of_control(expansion, human, expected, influence, self.switching)
-        earned = total(game, before, robot + change, human + expansion.influence @ change)
-        return jnp.where(uses_top, reward - earned, earned - reward)
+        two, free = (self.ladder[0], self.ladder[-1]), Costs(0.0, np.zeros(2))
+        rule = replace(self.switching, costs=free, price=0.0, ladder=two, cooldown=0)
+        on_top = jnp.asarray(memory.rungs) == len(self.ladder) - 1
+        first = memory._replace(rungs=on_top.astype(int), last_check=memory.last_check[:, :2])
+        down, up = jnp.moveaxis(rule.decide(game, first, outcome).gains, 1, 0)
+        gains = jnp.where(on_top, -down, up)
+        known = jnp.isfinite(gains)
+        estimates = jnp.full(jnp.shape(memory.last_check), NOT_ESTIMATED)
+        estimates = estimates.at[:, -1].set(jnp.where(known, gains, NOT_ESTIMATED))
+        return Decision(memory, estimates.at[:, 0].set(jnp.where(known, 0.0, NOT_ESTIMATED)), jnp.bool(False))
 
 
 def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) -> Rungs:

@@ -7,7 +7,7 @@ steps numbers of each player.
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
@@ -18,7 +18,6 @@ from ms_highway.game.game import (
     Game,
     each_human,
     move,
-    reward_slopes,
     step_rewards,
     swap_players,
     total_reward,
@@ -29,7 +28,7 @@ from ms_highway.numerics.second_derivatives import along_fields, response, secon
 from ms_highway.numerics.trust_region import trust_region_step
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, scaled_prediction
-from ms_highway.runtime.arrays import Control, Controls, Index, Matrix, Scalar, State, Trajectory, Vector
+from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Trajectory, Vector
 
 TRUST_TOLERANCE = 1e-3
 """Share of the trust radius within which the length of a step is found."""
@@ -92,18 +91,21 @@ class Quadratic(Rule):
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
         """Take a step that gains: to the top of the ladder, or one rung down."""
-
-        def one(human: Index) -> Control:
-            return self._gains(*with_human(game, outcome, human), jnp.asarray(memory.rungs)[human], memory, human)
-
-        up, down = jnp.moveaxis(each_human(game, one), 1, 0)
         rungs, top = jnp.asarray(memory.rungs), len(self.ladder) - 1
+        humans, places = jnp.arange(len(rungs)), jnp.arange(top + 1)
+        waited = memory.step + 1 - jnp.asarray(memory.last_check)[humans, rungs]
+        climbs = (rungs < top) & (memory.step > 0)
+        checks = (rungs > 0) & (memory.step > 0) & (waited >= self.cooldown)
+
+        def one(human: Index) -> tuple[Scalar, Scalar]:
+            return self._gains(*with_human(game, outcome, human), rungs[human], climbs[human], checks[human])
+
+        up, down = each_human(game, one)
         chosen = jnp.where(up > 0, top, jnp.where(down > 0, rungs - 1, rungs))
-        below, places = rungs[:, None], jnp.arange(top + 1)
-        checked = (self._checks_below(memory, jnp.arange(len(rungs))) & ~(up > 0))[:, None] & (places == below)
+        checked = (checks & ~(up > 0))[:, None] & (places == rungs[:, None])
         last_check = jnp.where(checked, memory.step + 1, memory.last_check)
-        up_gains = jnp.where((places == top) & (below < top), up[:, None], NOT_ESTIMATED)
-        gains = jnp.where(places == below - 1, down[:, None], up_gains)
+        ups = jnp.where(climbs[:, None] & (places == top), up[:, None], NOT_ESTIMATED)
+        gains = jnp.where(places == rungs[:, None] - 1, down[:, None], ups)
         return Decision(memory._replace(rungs=chosen, last_check=last_check), gains, jnp.bool(False))
 
     def check(self) -> None:
@@ -112,60 +114,37 @@ class Quadratic(Rule):
         if self.steps is not None and self.steps < 1:
             raise ValueError(f"Quadratic.steps is {self.steps}; give a number of steps from 1 on, or None for all")
 
-    def _checks_below(self, memory: Memory, human: Any) -> Any:
-        """Return whether the rung below a human's may be checked now."""
-        rung = jnp.asarray(memory.rungs)[human]
-        last_check = jnp.asarray(memory.last_check)[human, rung]
-        return (rung > 0) & (memory.step > 0) & (memory.step + 1 - last_check >= self.cooldown)
-
-    def _gains(self, game: Game, outcome: Outcome, rung: Index, memory: Memory, human: Index) -> Control:
+    def _gains(self, game: Game, outcome: Outcome, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
         """Estimate the gains of going up and down about one human; `NOT_ESTIMATED` where none is needed."""
-        ladder, costs, top = self.ladder, jnp.asarray(self.costs.each), len(self.ladder) - 1
-        climbs, checks = (rung < top) & (memory.step > 0), self._checks_below(memory, human)
-        not_estimated = jnp.float32(NOT_ESTIMATED)
+        ladder, costs, none = self.ladder, jnp.asarray(self.costs.each), jnp.float32(NOT_ESTIMATED)
+        state, plan, observed = jnp.asarray(outcome.before), outcome.plan, _observed(game)
 
         def estimate() -> tuple[Scalar, Scalar]:
-            state, robot, own, earned = self.executed(game, outcome)
-            expansion = expand(game, state, robot, own)
-            none = jnp.zeros_like(expansion.influence)
+            robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
+            human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
+            later = step_rewards(observed, state, robot, human[None])[1:] if self.steps != 1 else jnp.zeros(0)
+            earned = outcome.reward + jnp.sum(later)
+            expansion = expand(game, state, robot.ravel(), human.ravel())
 
-            def gain(expected: Vector, influence: Matrix, alternative: Index) -> Scalar:
+            def gain(expected: Controls, responds: bool, alternative: Index) -> Scalar:
+                influence = expansion.influence if responds else jnp.zeros_like(expansion.influence)
+                change = change_of_control(expansion, (expected - human).ravel(), influence, self)
+                response = (expansion.influence @ change).reshape(human.shape)
+                better = total_reward(observed, state, robot + change.reshape(robot.shape), (human + response)[None])
                 saved = costs[rung] - costs[alternative]
-                change = change_of_control(expansion, own, expected, influence, self)
-                better = total(game, state, robot + change, own + expansion.influence @ change) - earned
-                return jnp.where(jnp.isnan(saved), not_estimated, better + len(robot) / 2 * self.price * saved)
+                return jnp.where(jnp.isnan(saved), none, better - earned + len(robot) * self.price * saved)
 
             def gain_down() -> Scalar:
                 below = jnp.maximum(rung - 1, 0)
-                predictions = [
-                    partial(scaled_prediction, model, model.within(game), state) for model in ladder[: max(top, 1)]
+                models = [
+                    partial(scaled_prediction, model, model.within(game), state) for model in ladder[:-1] or ladder
                 ]
-                return gain(jax.lax.switch(below, predictions).ravel()[: len(robot)], none, below)
+                return gain(jax.lax.switch(below, models)[: len(robot)], False, below)
 
-            influence = expansion.influence if ladder[top].responds else none
-            up = jax.lax.cond(climbs, lambda: gain(own, influence, top), lambda: not_estimated)
-            return up, jax.lax.cond(checks & ~(up > 0), gain_down, lambda: not_estimated)
+            up = jax.lax.cond(climbs, lambda: gain(human, ladder[-1].responds, len(ladder) - 1), lambda: none)
+            return up, jax.lax.cond(checks & ~(up > 0), gain_down, lambda: none)
 
-        return jnp.stack(jax.lax.cond(climbs | checks, estimate, lambda: (not_estimated, not_estimated)))
-
-    def executed(self, game: Game, outcome: Outcome) -> tuple[State, Vector, Vector, Scalar]:
-        """Return the state before the last step, the controls of robot and human to expand around, and their reward."""
-        state, plan = jnp.asarray(outcome.before), outcome.plan
-        robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot).ravel()
-        human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0]).ravel()
-        later = _rewards(game, state, robot, human)[1:] if self.steps != 1 else jnp.zeros(0)
-        return state, robot, human, outcome.reward + jnp.sum(later)
-
-
-def _rewards(game: Game, state: State, robot: Vector, human: Vector) -> Float[Any, "steps"]:
-    """Return what the robot earns after each step."""
-    others = with_scripted(game, state, move(game, state[1], human.reshape(-1, 2))[None])
-    return step_rewards(_observed(game), move(game, state[0], robot.reshape(-1, 2)), others)
-
-
-def total(game: Game, state: State, robot: Vector, human: Vector) -> Scalar:
-    """Return what the robot earns over the steps of these controls."""
-    return total_reward(_observed(game), state, robot.reshape(-1, 2), human.reshape(1, -1, 2))
+        return jax.lax.cond(climbs | checks, estimate, lambda: (none, none))
 
 
 def _observed(game: Game) -> Game:
@@ -176,7 +155,7 @@ def _observed(game: Game) -> Game:
 @jax.jit
 def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
     """Expand both rewards in the controls of both, in one batch, each from its own car's side."""
-    game, number = _observed(game), len(robot)
+    payoff, n = _observed(game).payoff, len(robot)
 
     def derivatives(driver: Reward, state: State, both: Float[jax.Array, "players n"]) -> tuple[Vector, Matrix]:
         def paths(controls: Controls) -> Trajectory:
@@ -186,7 +165,7 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
         def slope(paths: Trajectory) -> Trajectory:
             own, partner = jnp.split(paths, 2)
             others = with_scripted(game, state, partner[None])
-            own_slope, slopes = reward_slopes(replace(game, robot=driver), own, others)
+            own_slope, slopes = replace(payoff, reward=driver).slopes(own, others)
             return jnp.concatenate([own_slope, slopes[0]])
 
         controls = both.reshape(-1, 2)
@@ -195,24 +174,19 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
     rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human())
     states = jnp.stack([state, swap_players(game, state)[1]])
     controls = jnp.stack([jnp.stack([robot, human]), jnp.stack([human, robot])])
-    slopes, bends = jax.vmap(derivatives)(rewards, states, controls)
-    n = number
-    human_bend = bends[1, :n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), n // 2))
-    influence = response(game.influence, human_bend, bends[1, :n, n:])
-    bend = bends[0]
+    slopes, (bend, mirrored) = jax.vmap(derivatives)(rewards, states, controls)
+    human_bend = mirrored[:n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), n // 2))
+    influence = response(game.influence, human_bend, mirrored[:n, n:])
     return RewardExpansion(slopes[0, :n], slopes[0, n:], bend[:n, :n], bend[:n, n:], bend[n:, n:], influence)
 
 
-def change_of_control(
-    expansion: RewardExpansion, human: Vector, expected: Vector, influence: Matrix, rule: Quadratic
-) -> Vector:
+def change_of_control(expansion: RewardExpansion, surprise: Vector, influence: Matrix, rule: Quadratic) -> Vector:
     """Return the best controls under another model, less the present ones: ``delta u``.
 
-    With d = u' - u_H and J' the model's influence, the expansion is ``du^T A du / 2 + B du`` with
-    ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``,
-    subscripts being derivatives of r_R.
+    With d the human controls that the model expects less u_H, and J' its influence, the expansion is
+    ``du^T A du / 2 + B du`` with ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and
+    ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``, subscripts being derivatives of r_R.
     """
-    surprise = expected - human
     cross = expansion.robot_human @ influence
     quadratic = expansion.robot_robot + cross + cross.T + influence.T @ expansion.human_human @ influence
     linear = expansion.robot + expansion.robot_human @ surprise

@@ -1,7 +1,5 @@
 """Describe the situation of every human by numbers that do not depend on the scene, for values of computation."""
 
-from functools import partial
-
 import jax
 from jax import numpy as jnp
 from jaxtyping import Float
@@ -59,21 +57,13 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
 
 
 def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
-    state = jnp.asarray(state)
     unit, limit = jnp.asarray(game.scene.length_unit), jnp.asarray(game.robot.speed_limit)
-    x, y, heading, speed = jnp.moveaxis(state, -1, 0)
-    times = jnp.asarray(LOOKAHEADS)[:, None]
-    coasted = jnp.stack(
-        jnp.broadcast_arrays(
-            x + times * speed * jnp.cos(heading), y + times * speed * jnp.sin(heading), heading, speed
-        ),
-        axis=-1,
-    )
-    sides = jnp.stack([coasted, jnp.concatenate([coasted[:, 1::-1], coasted[:, 2:]], axis=1)])
-    rewards = jax.tree.map(
-        lambda *numbers: jnp.stack([jnp.asarray(number) for number in numbers]), game.robot, game.human()
-    )
-    terms = jax.vmap(partial(_terms, game))(rewards, sides)
+    _, y, heading, speed = jnp.moveaxis(state, -1, 0)
+    none = jnp.zeros_like(speed)
+    velocity = jnp.stack([speed * jnp.cos(heading), speed * jnp.sin(heading), none, none], axis=-1)
+    coasted = state + jnp.asarray(LOOKAHEADS)[:, None, None] * velocity
+    mirrored = jnp.concatenate([coasted[:, 1::-1], coasted[:, 2:]], axis=1)
+    terms = jnp.stack([_terms(game, game.robot, coasted), _terms(game, game.human(), mirrored)])
     relative = (state[0] - state[1]) / jnp.stack([unit, unit, jnp.ones_like(unit), limit])
     aside = (y[:2] - game.scene.target_lane) / unit
     own = jnp.stack([heading[:2], speed[:2] / limit, aside], axis=1)
@@ -85,10 +75,7 @@ def _terms(game: Game, driver: Reward, states: Float[jax.Array, "times cars 4"])
     """Return the weighted features of one driver, car 0, and its reward's derivatives in both cars' states."""
     weighted = features(game.scene, driver, states) * driver.weights
     papers, other = weighted[:, : len(PAPER_FEATURES)], weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True)
-    pair = states[:, :2]
-    slopes = jax.grad(lambda pair: reward(game.scene, driver, jnp.concatenate([pair, states[:, 2:]], axis=1)).sum())(
-        pair
-    )
+    slopes = jax.grad(lambda states: reward(game.scene, driver, states).sum())(states)[:, :2]
     unit = jnp.asarray(game.scene.length_unit)
     slopes = slopes * jnp.stack([unit, unit, jnp.ones_like(unit), unit])
     return jnp.concatenate([papers, other, slopes.reshape(len(states), -1)], axis=1)

@@ -7,33 +7,28 @@ them to curvatures and accelerations.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.game.curvature import Blocks, curvature
 from ms_highway.game.dynamics import (
     Dynamics,
-    Motion,
     coast,
     keep_velocity,
     rollout,
-    rollout_jacobian,
     speeds,
     within_grip,
 )
-from ms_highway.game.features import motion_reward
+from ms_highway.game.payoff import Payoff
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.game.stopping import stopping_cost
-from ms_highway.numerics.second_derivatives import Influence, along_fields
+from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import Planner, project
 from ms_highway.runtime.arrays import (
     Car,
-    Control,
     Controls,
     HumansControls,
     Index,
@@ -78,13 +73,13 @@ class Game:
         return int(np.shape(self.humans.weights)[0])
 
     @property
-    def braking(self) -> Scalar | None:
-        """Deceleration by which plans of a smooth reward keep room to stop before obstacles; None for others."""
-        planner = self.planner
-        if not planner.smooth or len(self.scene.obstacles) == 0:
-            return None
-        limit = jnp.asarray(planner.control_limit)[1]
-        return limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip))
+    def payoff(self) -> Payoff:
+        """What trajectories of the robot earn; where its reward is smooth, it keeps room to stop before obstacles."""
+        planner, braking = self.planner, None
+        if planner.smooth and len(self.scene.obstacles):
+            limit = jnp.asarray(planner.control_limit)[1]
+            braking = limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip))
+        return Payoff(self.scene, self.robot, braking, planner.smooth)
 
     def human(self, human: Index = 0) -> Reward:
         """Return the reward of a human."""
@@ -189,16 +184,6 @@ def _move(dynamics: Dynamics, car: Car, controls: Controls) -> Trajectory:
     return jnp.stack(rollout(dynamics, car, controls))
 
 
-def move_jacobian(game: Game, car: Car, controls: Controls) -> Float[jax.Array, "fields steps controls"]:
-    """Return the derivative of `move` in the ravelled scaled controls."""
-    return _moved_by(game.dynamics, jnp.asarray(game.planner.control_scale), car, controls)
-
-
-@jax.jit
-def _moved_by(dynamics: Dynamics, scale: Control, car: Car, controls: Controls) -> jax.Array:
-    return rollout_jacobian(dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
-
-
 def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:
     """Return the trajectories of some cars under scaled controls."""
     if len(cars) == 1:
@@ -218,108 +203,12 @@ def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectori
     return jnp.concatenate([players, jnp.stack(scripted, axis=1)])
 
 
-def trajectory_reward(game: Game, own: Trajectory, others: Trajectories) -> Scalar:
-    """Sum car 0's reward over its trajectory, among the trajectories of all others; see `step_rewards`."""
-    return _summed(*_weighed(game), own, others)
-
-
-def reward_slopes(game: Game, own: Trajectory, others: Trajectories) -> tuple[Trajectory, Trajectories]:
-    """Differentiate `trajectory_reward` in car 0's trajectory, and in those of all others."""
-    return _slopes(*_weighed(game), own, others)
-
-
-class Bends(NamedTuple):
-    """Derivatives of car 0's reward at every step of its trajectory.
-
-    Attributes:
-        slope: in its own fields.
-        own: twice in its own fields, [fields, fields, steps].
-        partner: in its own fields, then in those of its partner.
-    """
-
-    slope: Trajectory
-    own: Float[jax.Array, "fields fields steps"]
-    partner: Float[jax.Array, "fields fields steps"]
-
-
-def reward_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
-    """Differentiate `trajectory_reward` twice, in as many directions as a motion has fields."""
-    return _bends(*_weighed(game), own, others)
-
-
-def step_rewards(game: Game, own: Trajectory, others: Trajectories) -> Float[Any, "steps"]:
-    """Compute car 0's reward after each step.
-
-    Where the planner wants it smooth, the car also pays for leaving no room to stop before obstacles, at the price of
-    a collision, see `ms_highway.game.stopping.stopping_cost`.
-    """
-    return _rewards(*_weighed(game), own, others)
-
-
-def _weighed(game: Game) -> tuple[bool, Scene, Reward, Scalar | None]:
-    """Return the arguments of a trajectory's reward. They are few, so that all plans share one trace."""
-    return game.planner.smooth, game.scene, game.robot, game.braking
-
-
-def _rewards(
-    smooth: bool, scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories
-) -> Float[Any, "steps"]:
-    motion = Motion(*own)
-    rewards = motion_reward(scene, reward, motion, Motion(*jnp.moveaxis(others, 1, 0)), smooth)
-    if braking is None:
-        return rewards
-    return rewards - reward.price("collision") * stopping_cost(scene, braking, motion)
-
-
-@partial(jax.jit, static_argnums=0)
-def _summed(
-    smooth: bool, scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories
-) -> Scalar:
-    return jnp.sum(_rewards(smooth, scene, reward, braking, own, others))
-
-
-@partial(jax.jit, static_argnums=0)
-def _slopes(*arguments: Any) -> tuple[Trajectory, Trajectories]:
-    return jax.grad(_summed, argnums=(4, 5))(*arguments)
-
-
-@partial(jax.jit, static_argnums=0)
-def _bends(*arguments: Any) -> Bends:
-    *weighed, own, others = arguments
-
-    def slopes(own: Trajectory) -> tuple[Trajectory, Trajectory]:
-        slope, around = _slopes(*weighed, own, others)
-        return slope, around[0]
-
-    (slope, _), bends = along_fields(slopes, own)
-    return Bends(slope, *bends)
-
-
-def trajectory_curvature(game: Game, own: Trajectory, others: Trajectories) -> Blocks:
-    """Return how `trajectory_reward` bends, see `ms_highway.game.curvature`."""
-    _, *weighed = _weighed(game)
-    return _curvature(*weighed, own, others)
-
-
-@jax.jit
-def _curvature(scene: Scene, reward: Reward, braking: Scalar | None, own: Trajectory, others: Trajectories) -> Blocks:
-    return curvature(scene, reward, Motion(*own), Motion(*jnp.moveaxis(others, 1, 0)), braking)
-
-
-def rollout_reward(game: Game, car: Car, controls: Controls, others: Motion) -> Scalar:
-    """Sum car 0's reward over a rollout of its controls among others of given motion; subtract its discomfort.
-
-    Args:
-        game: reward and dynamics.
-        car: car 0 now.
-        controls: its scaled controls.
-        others: motion of all others after each step, arrays [others, steps].
-    """
-    own = Motion(*move(game, car, controls))
-    return jnp.sum(motion_reward(game.scene, game.robot, own, others)) - discomfort(game, car, controls)
+def step_rewards(game: Game, state: State, robot: Controls, humans: HumansControls) -> Float[jax.Array, "steps"]:
+    """Return what the robot earns after each step under controls of all; they are scaled."""
+    paths = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
+    return game.payoff.steps(move(game, state[0], robot), paths)
 
 
 def total_reward(game: Game, state: State, robot: Controls, humans: HumansControls) -> Scalar:
-    """Return the robot's `trajectory_reward` under controls of all, R_R(x, u_R, u_H); they are scaled."""
-    paths = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
-    return trajectory_reward(game, move(game, state[0], robot), paths)
+    """Return the sum of `step_rewards`, R_R(x, u_R, u_H)."""
+    return jnp.sum(step_rewards(game, state, robot, humans))

@@ -4,9 +4,8 @@ A horizon ends before an obstacle matters: without this cost a car drives as fas
 tyres allow, and stands too close to the obstacle to steer around it.
 """
 
-from functools import partial
-
 import jax
+import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
@@ -37,33 +36,18 @@ def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
     Returns:
         An array [steps], zero but for the step half-way.
     """
-    half = _half_way(own)
-    cost = jnp.sum(_lateness(scene, braking, jnp.stack(own)[:, half]) ** 2)
-    return jnp.where(jnp.arange(len(own.x)) == half, cost, 0.0)
+    return jnp.sum(lateness(scene, braking, own) ** 2, axis=0)
 
 
-def stopping_curvature(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "steps 5 5"]:
-    """Return the Gauss-Newton form ``sum 2 dr dr^T`` of `stopping_cost`, in x, y, cosine, sine and speed of each step.
-
-    It is zero but for the step half-way, and a continuous function of the motion, as r is smooth where it begins.
-    """
-    half = _half_way(own)
-    slopes = jax.jacfwd(partial(_lateness, scene, braking))(jnp.stack(own)[:, half])
-    return jnp.zeros((len(own.x), 5, 5)).at[half].set(2 * slopes.T @ slopes)
-
-
-def _half_way(own: Motion) -> int:
-    return (len(own.x) - 1) // 2
-
-
-def _lateness(scene: Scene, braking: Scalar, moment: Float[jax.Array, "5"]) -> Float[jax.Array, "obstacles"]:
-    """Return r for every obstacle."""
-    x, y, _, _, speed = moment
-    obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T
+def lateness(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "obstacles steps"]:
+    """Return r of `stopping_cost` for every obstacle, zero but for the step half-way."""
+    obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T[..., None]
     car_length, car_width = jnp.asarray(scene.car_size)
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
-    gap = obstacle_x - x
-    late = soft_positive((speed**2 / (2 * braking) + length - gap) / car_length + ROOM, SOFT)
-    aligned = soft_positive(1 - ((y - obstacle_y) / (width + ASIDE * car_width)) ** 2, SOFT)
+    gap = obstacle_x - own.x
+    late = soft_positive((own.speed**2 / (2 * braking) + length - gap) / car_length + ROOM, SOFT)
+    aligned = soft_positive(1 - ((own.y - obstacle_y) / (width + ASIDE * car_width)) ** 2, SOFT)
     ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
-    return late * aligned * ahead**2 * (3 - 2 * ahead)
+    steps = own.x.shape[-1]
+    half_way = np.arange(steps) == (steps - 1) // 2
+    return half_way * late * aligned * ahead**2 * (3 - 2 * ahead)

@@ -1,7 +1,7 @@
 """The simulated demonstrator, which knows the other cars' future motion and draws its controls by a known reward.
 
 It plans a segment of the planner's horizon, executes all of it, and plans the next. A segment earns R_H, the sum of the
-reward over its steps less the discomfort of its controls, see `rollout_reward`.
+reward over its steps less the discomfort of its controls, see `segment`.
 """
 
 from functools import partial
@@ -12,7 +12,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
-from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move, rollout_reward
+from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.recording import Controls, States
 from ms_highway.numerics.newton import Optimum, find_optimum
@@ -44,9 +44,8 @@ def seen_from(car: States, routes: States) -> tuple[States, Motion]:
     return jnp.asarray(car - ahead, dtype=jnp.float32), observe((routes - ahead).astype(np.float32))
 
 
-@jax.jit
-def optimal(game: Game, car: States, others: Motion) -> Optimum:
-    """Find the local optimum of a segment that is uphill from keeping the velocity, see `find_optimum`.
+def segment(game: Game, car: States, others: Motion) -> Objective:
+    """Return what a segment earns.
 
     Args:
         game: whose reward and motion; car 0 is driven.
@@ -58,7 +57,13 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
     path, cost, within = (partial(function, game, car) for function in (move, discomfort, bounded))
-    return find_optimum(Objective(path, reward, cost, within), constant_velocity(game, car), FLOOR)
+    return Objective(path, reward, cost, within)
+
+
+@jax.jit
+def optimal(game: Game, car: States, others: Motion) -> Optimum:
+    """Find the local optimum of a `segment` that is uphill from keeping the velocity, see `find_optimum`."""
+    return find_optimum(segment(game, car, others), constant_velocity(game, car), FLOOR)
 
 
 @jax.jit
@@ -81,7 +86,7 @@ def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature:
     proposing, accepting = jax.random.split(key)
     normal = jax.random.normal(proposing, (DRAWS, len(values))).at[0].set(0.0)
     proposals = best.controls + (normal @ spread.T).reshape(DRAWS, *best.controls.shape)
-    earned = jax.vmap(lambda controls: rollout_reward(game, car, controls, others))(proposals)
+    earned = jax.vmap(segment(game, car, others).earned)(proposals)
     inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
     excess = earned / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
     excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(excess[0])

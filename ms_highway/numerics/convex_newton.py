@@ -15,6 +15,7 @@ from jax.scipy.linalg import cho_solve
 from jaxtyping import Float, PyTree
 
 from ms_highway.numerics.objective import Objective
+from ms_highway.numerics.second_derivatives import second_order_expansion
 from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, Trajectory, Vector
 
 Point = TypeVar("Point", bound=PyTree)
@@ -79,14 +80,12 @@ def expand(objective: Objective, controls: Controls, slope: Trajectory | None = 
         slope: of the reward in the trajectory, where it is known.
     """
     assert objective.curvature is not None
-    path, jacobian = objective.path(controls), objective.jacobian(controls)
-    blocks = jnp.moveaxis(objective.curvature(path), 0, -1)
-    bent = jnp.sum(blocks[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
-    flat = jacobian.reshape(-1, controls.size)
-    marginal, diagonal = jax.jvp(jax.grad(objective.cost), (controls,), (jnp.ones_like(controls),))
-    curvature = flat.T @ bent.reshape(-1, controls.size) + jnp.diag(diagonal.ravel() + DAMPING)
-    slope = objective.along(path) if slope is None else slope
-    gradient = slope.ravel() @ flat - marginal.ravel()
+    path = objective.path(controls)
+    slope, bends = objective.along(path) if slope is None else slope, -objective.curvature(path)
+    gradient, hessian, jacobian = second_order_expansion(
+        objective.path, controls, slope, bends, objective.cost, linear=True
+    )
+    curvature = DAMPING * jnp.eye(controls.size) - hessian
     return Local(gradient, jnp.linalg.cholesky(curvature, symmetrize_input=False), jacobian)
 
 

@@ -32,6 +32,7 @@ def second_order_expansion(
     slope: Trajectory,
     bends: Float[jax.Array, "fields fields steps"],
     cost: Callable[[Controls], Scalar] | None = None,
+    linear: bool = False,
 ) -> Expansion:
     """Return gradient and Hessian in the controls, by the chain rule, of a sum over steps, less a cost.
 
@@ -48,6 +49,7 @@ def second_order_expansion(
         slope: g of all steps.
         bends: Q of all steps.
         cost: of the controls themselves, a sum over them; None for none.
+        linear: whether the trajectory counts as linear in the controls (Gauss-Newton), ``d2s_k / du2 = 0``.
     """
 
     def ravelled(controls: Vector) -> Trajectory:
@@ -55,10 +57,11 @@ def second_order_expansion(
 
     point = controls.ravel()
     jacobian = jax.jacfwd(ravelled)(point)
-    bent = jnp.einsum("dfk,dkn->fkn", bends, jacobian)
-    bending = jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](slope)[0])(point)
-    hessian = jacobian.reshape(-1, point.size).T @ bent.reshape(-1, point.size) + bending
-    gradient = jnp.sum(jacobian * slope[..., None], axis=(0, 1))
+    flat = jacobian.reshape(-1, point.size)
+    bent = jnp.sum(bends[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
+    gradient, hessian = slope.ravel() @ flat, flat.T @ bent.reshape(-1, point.size)
+    if not linear:
+        hessian += jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](slope)[0])(point)
     if cost is None:
         return Expansion(gradient, hessian, jacobian)
     # Of a sum over controls, the derivative along all of them at once is the diagonal of the Hessian.
@@ -71,7 +74,8 @@ def along_fields(function: Callable[[Trajectory], Numbers], steps: Trajectory) -
 
     One direction per field serves all steps at once.
     """
-    directions = jnp.broadcast_to(jnp.eye(len(steps))[..., None], (len(steps), *steps.shape))
+    each = jnp.eye(len(steps)).reshape(len(steps), len(steps), *[1] * (steps.ndim - 1))
+    directions = jnp.broadcast_to(each, (len(steps), *steps.shape))
     along = jax.vmap(lambda direction: jax.jvp(function, (steps,), (direction,)), out_axes=(None, 0))
     return along(directions)
 

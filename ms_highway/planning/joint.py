@@ -15,6 +15,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.curvature import Bends
 from ms_highway.game.game import (
     Game,
     bounded,
@@ -22,8 +23,6 @@ from ms_highway.game.game import (
     move,
     move_all,
     others_of,
-    reward_bends,
-    reward_slopes,
     swap_roles,
     with_scripted,
 )
@@ -32,7 +31,6 @@ from ms_highway.numerics.second_derivatives import response, second_order_expans
 from ms_highway.numerics.solvers import projected_ascent
 from ms_highway.planning.plans import Plan, best_start, driving, within_limits
 from ms_highway.runtime.arrays import (
-    Controls,
     HumansControls,
     Index,
     Rungs,
@@ -106,16 +104,16 @@ def _direction(who: Answering, plan: Plan) -> Plan:
     robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
     humans, pull_humans = jax.vjp(partial(move_all, game, state[1 : 1 + game.number]), plan.humans)
     others = with_scripted(game, state, humans)
-    along_robot, along_others = reward_slopes(game, robot, others)
+    along_robot, along_others = game.payoff.slopes(robot, others)
     pulled = pull_humans(along_others[: game.number])[0]
 
     def respond(human: Index, slopes: Plan) -> Plan:
         own, car = swap_roles(game, human), state[1 + human]
-        slope, bends, mixed = reward_bends(own, others[human], who.around(human, robot, others))
+        slope, bends, mixed = own.payoff.second_order(others[human], who.around(human, robot, others))
         cost = partial(discomfort, own, car)
         expansion = second_order_expansion(partial(move, own, car), plan.humans[human], slope, bends, cost)
         pushed = response(game.influence, expansion.hessian, pulled[human].ravel())
-        answer = _put(slopes.humans, human, expansion.gradient.reshape(-1, 2))
+        answer = slopes.humans.at[human].set(expansion.gradient.reshape(-1, 2))
         return Plan(slopes.robot + _mixed(expansion.jacobian @ pushed, mixed), answer)
 
     along, answers = who.fold(respond, Plan(along_robot, jnp.zeros_like(plan.humans)))
@@ -123,11 +121,7 @@ def _direction(who: Answering, plan: Plan) -> Plan:
     return Plan(eased, answers)
 
 
-def _put(values: HumansControls, human: Index, value: Controls) -> HumansControls:
-    return value[None] if len(values) == 1 else values.at[human].set(value)
-
-
-def _mixed(moved: Trajectory, bends: Float[jax.Array, "fields fields steps"]) -> Trajectory:
+def _mixed(moved: Trajectory, bends: Bends) -> Trajectory:
     """Return how the slope in one trajectory changes if the other one moves, from mixed second derivatives."""
     return jnp.sum(bends * moved[:, None], axis=0)
 
@@ -145,7 +139,7 @@ def _newton_step(who: Answering, plan: Plan, others: Trajectories) -> tuple[Plan
     """Take a step of the robot and of the humans who answer, from a plan and the others' trajectories under it."""
     game, state, number = who.game, who.state, who.game.number
     path, driver = move(game, state[0], plan.robot), driving(game, state[0], others)
-    along_robot, along_others = reward_slopes(game, path, others)
+    along_robot, along_others = game.payoff.slopes(path, others)
     robot = expand(driver, plan.robot, along_robot)
 
     def answer(human: Index, answers: _Answers) -> _Answers:
@@ -168,9 +162,9 @@ def _newton_step(who: Answering, plan: Plan, others: Trajectories) -> tuple[Plan
     ahead = robot.jacobian @ step
 
     def react(human: Index, reactions: HumansControls) -> HumansControls:
-        own = jax.tree.map(lambda part: part[human], answers.local)
-        change = _mixed(ahead, jnp.swapaxes(answers.mixed[human], 0, 1))
-        wanted = own.step(change.ravel() @ own.jacobian.reshape(change.size, -1))
+        local, mixed = jax.tree.map(lambda each: each[human], (answers.local, answers.mixed))
+        change = _mixed(ahead, jnp.swapaxes(mixed, 0, 1))
+        wanted = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1))
         return reactions.at[human].set(wanted.reshape(-1, 2))
 
     reactions = who.fold(react, jnp.zeros_like(plan.humans))
@@ -187,17 +181,17 @@ def _newton_step(who: Answering, plan: Plan, others: Trajectories) -> tuple[Plan
     (whole, reached), (none, held) = after(jnp.ones(())), after(jnp.zeros(()))
     gone = whole.robot - none.robot
     path, moved = jax.jvp(driver.path, (whole.robot,), (gone,))
-    along_robot, along_others = reward_slopes(game, path, reached)
+    along_robot, along_others = game.payoff.slopes(path, reached)
     gain = jnp.sum(along_robot * moved) + jnp.sum(along_others * (reached - held))
     gain -= jnp.sum(jax.grad(driver.cost)(whole.robot) * gone)
     return after(share(answers.slope @ gone.ravel(), gain))
 
 
-def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Float[jax.Array, "fields fields steps"]:
+def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
     """Return the second derivatives of a human's reward in its trajectory, then in the robot's.
 
     The package's features add up over the other cars, so that these are left out; users' own need not.
     """
-    if game.robot.own:
-        return reward_bends(game, own, others).partner
-    return reward_bends(replace(game, scene=game.scene.of_pair()), own, others[:1]).partner
+    if not game.robot.own:
+        game, others = replace(game, scene=game.scene.of_pair()), others[:1]
+    return game.payoff.second_order(own, others).partner

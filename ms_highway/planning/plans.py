@@ -16,10 +16,6 @@ from ms_highway.game.game import (
     discomfort,
     move,
     move_all,
-    move_jacobian,
-    reward_slopes,
-    trajectory_curvature,
-    trajectory_reward,
     with_scripted,
 )
 from ms_highway.numerics.objective import Objective, best_of
@@ -70,14 +66,14 @@ def may_continue(models: Iterable[Any], game: Game) -> bool:
 
 def driving(game: Game, car: Car, others: Trajectories) -> Objective:
     """Return what car 0 of a game maximises over its controls, from a state, among all others' trajectories."""
+    payoff = game.payoff
     return Objective(
         partial(move, game, car),
-        lambda own: trajectory_reward(game, own, others),
+        lambda own: payoff.total(own, others),
         partial(discomfort, game, car),
         partial(bounded, game, car),
-        lambda own: reward_slopes(game, own, others)[0],
-        lambda own: trajectory_curvature(game, own, others),
-        partial(move_jacobian, game, car),
+        lambda own: payoff.slopes(own, others)[0],
+        lambda own: payoff.curvature(own, others),
     )
 
 

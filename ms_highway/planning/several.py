@@ -45,12 +45,11 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
     A loop over the humans under each rung takes as many rounds as there are: the time of a plan is additive in the
     models, and one compiled function plans under all assignments. See `most_steps` for how many steps it takes.
     """
-    answers = _answers(ladder)
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
     for rung, model in enumerate(ladder):
-        if not answers[rung] and type(model) is not Naive:
+        if not model.responds and type(model) is not Naive:
             expected = _predict(model, rung, game, state, rungs, start, expected)
-    responding = jnp.asarray(answers)[rungs]
+    responding = jnp.array([model.responds for model in ladder])[rungs]
     who = Answering(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
     first = Plan(start.robot, jnp.where(responding[:, None, None], start.humans, expected))
     return joint_ascent(who, first, most_steps(ladder, game, rungs))
@@ -74,17 +73,8 @@ def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tupl
 
     Only theory of mind counts for steps that are answered.
     """
-    counted = [model.steps for model in ladder]
-    if not any(counted):
+    if not any(model.steps for model in ladder):
         return None
     alone, answered = game.planner.steps
-    each = [
-        (own or alone, (own or answered) if answers else 0)
-        for own, answers in zip(counted, _answers(ladder), strict=True)
-    ]
+    each = [(model.steps or alone, model.responds * (model.steps or answered)) for model in ladder]
     return tuple(jnp.asarray(each)[rungs].max(axis=0))
-
-
-def _answers(ladder: tuple[HumanModel, ...]) -> list[bool]:
-    """Return under which of the models a human answers the robot's plan: a registered one as under theory of mind."""
-    return [model.responds for model in ladder]

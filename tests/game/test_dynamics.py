@@ -12,7 +12,6 @@ from ms_highway.game.dynamics import (
     observe,
     recover_control,
     rollout,
-    rollout_jacobian,
     step,
     within_grip,
 )
@@ -50,18 +49,6 @@ def test_recovering_a_control_inverts_a_step_in_every_batch_shape(dynamics, batc
     assert after.dtype == np.float64
     np.testing.assert_allclose(recover_control(dynamics, states, after), controls, atol=1e-9)
     np.testing.assert_allclose(step(dynamics, states, recover_control(dynamics, states, after)), after, atol=1e-9)
-
-
-@pytest.mark.parametrize("dynamics", [PAPER, RELEASED_PLAN])
-def test_the_derivative_of_a_rollout_is_the_one_that_jax_finds(dynamics):
-    (state, _), (_, controls) = drawn(()), drawn((7,))
-
-    def ravelled(point):
-        return jnp.stack(rollout(dynamics, state, point.reshape(7, 2)))
-
-    with jax.enable_x64(True):
-        found, expected = rollout_jacobian(dynamics, state, controls), jax.jacfwd(ravelled)(controls.ravel())
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_a_standing_car_has_no_observable_curvature():

@@ -138,12 +138,3 @@ def test_a_game_with_it_is_pickled_and_equal(roomy):
     again = pickle.loads(pickle.dumps(roomy))
     assert jax.tree.structure(again) == jax.tree.structure(roomy)
     assert again.robot.own == (room,)
-
-
-def test_the_slope_of_a_plan_is_that_of_differences(roomy, close_cars):
-    assert roomy.robot.names == roomy.humans.names == (*PAPER_FEATURES, "room")
-    of_room = replace(roomy, robot=replace(roomy.robot, weights=np.float32([*[0] * 10, 30.0])))
-    earned = jit_quickly(lambda both: total_reward(of_room, close_cars, both[0], both[1:]))
-    slopes = slopes_in(of_room, close_cars)(drawn(5))
-    assert np.abs(slopes).max() > 0.1, "the feature should matter here"
-    close(slopes, differences(earned, drawn(5)), 5e-3)

@@ -8,10 +8,10 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import Motion, observe
-from ms_highway.game.game import move, swap_roles, trajectory_curvature, trajectory_reward
+from ms_highway.game.game import move, swap_roles
 from ms_highway.game.scenario import GRIP, build_game
 from ms_highway.game.scenarios import DENSE_MERGE, STAY_BACK
-from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost, stopping_curvature
+from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost
 from ms_highway.planning.human_models import Naive
 from ms_highway.planning.several import plan_for
 
@@ -47,14 +47,14 @@ def test_a_car_that_passes_beside_an_obstacle_or_has_passed_it_pays_nothing():
 @pytest.mark.parametrize(("grip", "limit"), [(8.0, 8.0), (None, 8.0), (8.0, 3.0), (None, np.inf)])
 def test_plans_count_on_the_braking_that_their_limits_allow(grip, limit):
     planner = replace(GAME.planner, grip=grip, control_limit=np.array([0.2, limit], np.float32))
-    assert replace(GAME, planner=planner).braking == min(limit, np.inf if grip is None else grip)
+    assert replace(GAME, planner=planner).payoff.braking == min(limit, np.inf if grip is None else grip)
 
 
 def test_only_plans_for_seconds_where_there_are_obstacles_keep_room():
-    assert build_game(DENSE_MERGE, solver="gradient", humans=3).braking is None
-    assert swap_roles(GAME).braking == GAME.braking  # humans with the published reward pay, too
-    assert build_game(STAY_BACK, solver="convex_newton", grip=5.0).braking == 5.0
-    assert replace(GAME, scene=replace(SCENE, obstacles=np.zeros((0, 2)))).braking is None
+    assert build_game(DENSE_MERGE, solver="gradient", humans=3).payoff.braking is None
+    assert swap_roles(GAME).payoff.braking == GAME.payoff.braking  # humans with the published reward pay, too
+    assert build_game(STAY_BACK, solver="convex_newton", grip=5.0).payoff.braking == 5.0
+    assert replace(GAME, scene=replace(SCENE, obstacles=np.zeros((0, 2)))).payoff.braking is None
 
 
 def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_than_it_must():
@@ -76,23 +76,6 @@ def test_a_car_pays_from_where_it_can_no_longer_stop_with_room_to_steer_out():
     assert cost(STOP - BRAKING + CAR, CONE[1], SPEED - 1.0) < cost(STOP - BRAKING + CAR)
 
 
-@pytest.mark.parametrize("late", [0.01, 0.5, 6.0, 30.0])
-def test_the_curvature_is_that_of_squares_and_has_no_jump(late):
-    """At 30 m, the car is passing the obstacle."""
-    own = motion(STOP - BRAKING + late, CONE[1] - 0.4 * WIDTH)
-    moment = np.array([field[HALF] for field in own], float)
-
-    def lateness(fields):
-        path = jnp.asarray(np.stack(own)).at[:, HALF].set(fields)
-        return np.sqrt(float(stopping_cost(SCENE, GRIP, Motion(*path)).sum()))
-
-    bumps = np.diag([0.02, 0.02, 0.02, 0.02, 0.02])
-    slopes = np.array([(lateness(moment + bump) - lateness(moment - bump)) / 0.04 for bump in bumps])
-    bent = np.asarray(stopping_curvature(SCENE, GRIP, own))
-    assert not bent[np.arange(STEPS) != HALF].any()
-    np.testing.assert_allclose(bent[HALF], 2 * np.outer(slopes, slopes), rtol=0.05, atol=2e-3)
-
-
 def test_without_a_limit_of_braking_only_the_gap_counts():
     slopes = jax.grad(lambda own: stopping_cost(SCENE, np.inf, Motion(*own)).sum())(jnp.stack(motion(STOP + 1.0)))
     assert np.isfinite(slopes).all()
@@ -100,15 +83,22 @@ def test_without_a_limit_of_braking_only_the_gap_counts():
     assert not slopes[4].any()
 
 
-def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collision():
+@pytest.mark.parametrize("late", [0.01, 0.5, 6.0, 30.0])
+def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collision(late):
+    """The curvature is that of the squares of r and has no jump. At 30 m, the car is passing the obstacle."""
     humans = [motion(300.0 + place, -3.3) for place in (0, 9, 18)]
-    own, nobody = motion(STOP - 20.0), jnp.stack([jnp.stack(human) for human in humans])
-    price = 100 * float(stopping_cost(GAME.scene, GRIP, own).sum())
-    assert price > 10.0
-    weights = GAME.robot.weights * (np.array(GAME.robot.names) != "collision")
-    free = replace(GAME, robot=replace(GAME.robot, weights=weights))
-    paid, free_of_it = (trajectory_reward(game, jnp.stack(own), nobody) for game in (GAME, free))
-    assert paid - free_of_it == pytest.approx(-price, rel=1e-3)
-    bent, straight = (trajectory_curvature(game, jnp.stack(own), nobody) for game in (GAME, free))
-    expected = 100 * stopping_curvature(GAME.scene, GRIP, own)
-    np.testing.assert_allclose((bent - straight)[HALF], expected[HALF], rtol=1e-3, atol=0.1)
+    nobody = jnp.stack([jnp.stack(human) for human in humans])
+    own = jnp.stack(motion(STOP - BRAKING + late, CONE[1] - 0.4 * WIDTH))
+    payoff = replace(GAME, scene=SCENE).payoff
+    free = replace(payoff, braking=None)
+
+    def lateness(fields):
+        return np.sqrt(float(stopping_cost(SCENE, GRIP, Motion(*own.at[:, HALF].set(fields))).sum()))
+
+    price = 100 * lateness(own[:, HALF]) ** 2
+    assert free.total(own, nobody) - payoff.total(own, nobody) == pytest.approx(price, 2e-3, 1e-3)
+    bumps = 0.02 * np.eye(5, dtype=np.float32)
+    slopes = np.array([(lateness(own[:, HALF] + bump) - lateness(own[:, HALF] - bump)) / 0.04 for bump in bumps])
+    bent = np.moveaxis(payoff.curvature(own, nobody) - free.curvature(own, nobody), -1, 0)
+    assert not bent[np.arange(STEPS) != HALF].any()
+    np.testing.assert_allclose(bent[HALF], 200 * np.outer(slopes, slopes), rtol=0.05, atol=0.2)

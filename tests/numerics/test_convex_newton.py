@@ -25,7 +25,7 @@ def objective(reward, curvature=0.0, limit=10.0):
         lambda controls: jnp.sum(controls**2) / 2,
         lambda controls: jnp.clip(controls, -limit, limit),
         None,
-        lambda path: (curvature(path) if callable(curvature) else jnp.full_like(path, curvature)).T[..., None],
+        lambda path: (curvature(path) if callable(curvature) else jnp.full_like(path, curvature))[None],
     )
 
 

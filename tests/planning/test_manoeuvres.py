@@ -5,7 +5,7 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import coast
-from ms_highway.game.game import constant_velocity, discomfort, move, move_all, trajectory_reward
+from ms_highway.game.game import constant_velocity, discomfort, move, move_all
 from ms_highway.game.scenario import build_game
 from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.manoeuvres import into_gaps
@@ -55,7 +55,7 @@ def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lan
 def earned(game, state, robot):
     """What the robot's plan earns where others keep their velocity."""
     others = move_all(game, state[1:], constant_velocity(game, state[1:]))
-    return trajectory_reward(game, move(game, state[0], robot), others) - discomfort(game, state[0], robot)
+    return game.payoff.total(move(game, state[0], robot), others) - discomfort(game, state[0], robot)
 
 
 def test_a_plan_that_is_good_enough_is_kept_and_one_that_hits_somebody_is_left(game, start):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game.game import move, move_all, pair, reward_bends, swap_roles
+from ms_highway.game.game import move, move_all, pair, swap_roles
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import build_game, draw_episode
 from ms_highway.game.scenarios import DENSE_MERGE
@@ -60,7 +60,7 @@ def test_what_the_robot_changes_of_a_humans_gradient_is_found_without_the_other_
     robot, humans = move(game, state[0], start.robot), move_all(game, state[1:4], start.humans)
     for human in range(3):
         own, around = swap_roles(game, human), who.around(human, robot, humans)
-        wanted = reward_bends(own, humans[human], around).partner
+        wanted = own.payoff.second_order(humans[human], around).partner
         np.testing.assert_allclose(mixed_bends(own, humans[human], around), wanted, rtol=1e-3, atol=1e-4)
         changed.append(abs(wanted).max())
     assert max(changed) > 0.1
