@@ -118,6 +118,44 @@ def rollout(
     return Motion(*(field[..., 1:] for field in (x, y, cosine, sine, speed)))
 
 
+def rollout_jacobian(
+    dynamics: Dynamics, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]
+) -> Float[jax.Array, "fields steps controls"]:
+    """Return the derivative of a `rollout` of one car, its fields stacked, in the ravelled controls.
+
+    With ``V_kj = dv_k / da_j`` and the distances d of `step`, in closed form, where JAX would push a direction for
+    every control through the rollout::
+
+        dv_k = sum_j V_kj da_j;  dheading_k = dt sum_{l<k} (v_l domega_l + omega_l dv_l)
+        dx_k = sum_{l<k} (cos_l dd_l - d_l sin_l dheading_l);  dy_k = sum_{l<k} (sin_l dd_l + d_l cos_l dheading_l)
+
+    With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a `rollout`.
+    """
+    dt, steps = dynamics.time_step, len(controls)
+    left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
+    executed = _shares(steps)[1:, 1:]  # [states, controls], 1 for controls before a state
+    speed = speeds(dynamics, car[3], controls[:, 1])
+    faster = _shares(steps, left)[:, 1:] * dt
+    curved = dynamics.steering == "curvature"
+    per_omega = dt * (speed[:-1] if curved else jnp.ones(steps))
+    heading = _accumulate(car[2], per_omega * controls[:, 0])
+    turned_by_speed = executed @ (dt * controls[:, :1] * faster[:-1]) if curved else jnp.zeros((steps, steps))
+
+    def ravelled(by_omega: jax.Array, by_acceleration: jax.Array) -> jax.Array:
+        return jnp.stack([by_omega, by_acceleration], axis=-1).reshape(steps, 2 * steps)
+
+    zero = jnp.zeros((steps, steps))
+    turned = ravelled(executed * per_omega, turned_by_speed)
+    turned_before = jnp.concatenate([jnp.zeros((1, 2 * steps)), turned[:-1]])
+    distance = speed[:-1] * dt + (controls[:, 1] - dynamics.drag * speed[:-1]) * dt**2 / 2
+    farther = ravelled(zero, faster[:-1] * (dt - dynamics.drag * dt**2 / 2) + np.eye(steps) * dt**2 / 2)
+    cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
+    along = cosine[:-1] * farther - distance[:, None] * sine[:-1] * turned_before
+    aside = sine[:-1] * farther + distance[:, None] * cosine[:-1] * turned_before
+    x, y = jnp.split(executed @ jnp.concatenate([along, aside], axis=1), 2, axis=1)
+    return jnp.stack([x, y, -sine[1:] * turned, cosine[1:] * turned, ravelled(zero, faster[1:])])
+
+
 def speeds(
     dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
 ) -> Float[jax.Array, "*cars states"]:
@@ -126,15 +164,21 @@ def speeds(
     return _accumulate(speed, accelerations * dynamics.time_step, left)
 
 
-def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar = 1.0) -> jax.Array:
-    """Add the changes of all steps to an initial value; each step multiplies the sum by ``left``.
+def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar | None = None) -> jax.Array:
+    """Add the changes of all steps to an initial value. Each step multiplies the sum by ``left``, if given.
 
     Unlike a small matrix product, XLA fuses this.
     """
-    terms = np.arange(1 + changes.shape[-1])
-    age = terms[:, None] - terms  # below 0: not yet
-    shares = (age >= 0) * left ** np.maximum(age, 0.0)
+    shares = _shares(changes.shape[-1], left)
     return jnp.sum(shares * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
+
+
+def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
+    """Return, for each state, the weights of the initial value and of each change."""
+    terms = np.arange(1 + steps)
+    age = terms[:, None] - terms  # below 0: not yet
+    there = (age >= 0).astype(float)
+    return there if left is None else there * left ** np.maximum(age, 0.0)
 
 
 def within_grip(

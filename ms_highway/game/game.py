@@ -19,6 +19,7 @@ from ms_highway.game.dynamics import (
     coast,
     keep_velocity,
     rollout,
+    rollout_jacobian,
     speeds,
     within_grip,
 )
@@ -29,6 +30,7 @@ from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import Planner, project
 from ms_highway.runtime.arrays import (
     Car,
+    Control,
     Controls,
     HumansControls,
     Index,
@@ -182,6 +184,16 @@ def move(game: Game, car: Car, controls: Controls) -> Trajectory:
 @jax.jit
 def _move(dynamics: Dynamics, car: Car, controls: Controls) -> Trajectory:
     return jnp.stack(rollout(dynamics, car, controls))
+
+
+def move_jacobian(game: Game, car: Car, controls: Controls) -> Float[jax.Array, "fields steps controls"]:
+    """Return the derivative of `move` in the ravelled scaled controls."""
+    return _moved_by(game.dynamics, jnp.asarray(game.planner.control_scale), car, controls)
+
+
+@jax.jit
+def _moved_by(dynamics: Dynamics, scale: Control, car: Car, controls: Controls) -> jax.Array:
+    return rollout_jacobian(dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
 
 
 def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:

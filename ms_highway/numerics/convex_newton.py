@@ -83,7 +83,7 @@ def expand(objective: Objective, controls: Controls, slope: Trajectory | None = 
     path = objective.path(controls)
     slope, bends = objective.along(path) if slope is None else slope, -objective.curvature(path)
     gradient, hessian, jacobian = second_order_expansion(
-        objective.path, controls, slope, bends, objective.cost, linear=True
+        objective.path, controls, slope, bends, objective.cost, objective.jacobian(controls)
     )
     curvature = DAMPING * jnp.eye(controls.size) - hessian
     return Local(gradient, jnp.linalg.cholesky(curvature, symmetrize_input=False), jacobian)

@@ -22,6 +22,7 @@ class Objective(NamedTuple):
         slope: derivative of the reward in a trajectory; by default, JAX finds it.
         curvature: a convex form of how the reward bends at each step of a trajectory, for
             `ms_highway.numerics.convex_newton`.
+        path_jacobian: derivative of the path in the ravelled controls, for steps of the same; by default, JAX finds it.
     """
 
     path: Callable[[Controls], Trajectory]
@@ -30,6 +31,7 @@ class Objective(NamedTuple):
     bounded: Callable[[ManyControls], ManyControls]
     slope: Callable[[Trajectory], Trajectory] | None = None
     curvature: Callable[[Trajectory], Float[Any, "fields fields steps"]] | None = None
+    path_jacobian: Callable[[Controls], Float[Any, "fields steps controls"]] | None = None
 
     def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:
         """Return what controls earn on their path, which is computed where it is not known."""
@@ -38,6 +40,12 @@ class Objective(NamedTuple):
     def along(self, path: Trajectory) -> Trajectory:
         """Return the derivative of the reward in a trajectory."""
         return jax.grad(self.reward)(path) if self.slope is None else self.slope(path)
+
+    def jacobian(self, controls: Controls) -> Float[Any, "fields steps controls"]:
+        """Return the derivative of the path in the ravelled controls."""
+        if self.path_jacobian is not None:
+            return self.path_jacobian(controls)
+        return jax.jacfwd(lambda point: self.path(point.reshape(-1, 2)))(controls.ravel())
 
     def gradient(self, controls: Controls) -> Controls:
         """Return the derivative of `earned`."""

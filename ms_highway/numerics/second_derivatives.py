@@ -32,7 +32,7 @@ def second_order_expansion(
     slope: Trajectory,
     bends: Float[jax.Array, "fields fields steps"],
     cost: Callable[[Controls], Scalar] | None = None,
-    linear: bool = False,
+    jacobian: Float[jax.Array, "fields steps n"] | None = None,
 ) -> Expansion:
     """Return gradient and Hessian in the controls, by the chain rule, of a sum over steps, less a cost.
 
@@ -49,14 +49,15 @@ def second_order_expansion(
         slope: g of all steps.
         bends: Q of all steps.
         cost: of the controls themselves, a sum over them; None for none.
-        linear: whether the trajectory counts as linear in the controls (Gauss-Newton), ``d2s_k / du2 = 0``.
+        jacobian: J; where it is given, the trajectory counts as linear (Gauss-Newton), ``d2s_k / du2 = 0``.
     """
 
     def ravelled(controls: Vector) -> Trajectory:
         return path(controls.reshape(-1, 2))
 
     point = controls.ravel()
-    jacobian = jax.jacfwd(ravelled)(point)
+    linear = jacobian is not None
+    jacobian = jax.jacfwd(ravelled)(point) if jacobian is None else jacobian
     flat = jacobian.reshape(-1, point.size)
     bent = jnp.sum(bends[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
     gradient, hessian = slope.ravel() @ flat, flat.T @ bent.reshape(-1, point.size)

@@ -16,6 +16,7 @@ from ms_highway.game.game import (
     discomfort,
     move,
     move_all,
+    move_jacobian,
     with_scripted,
 )
 from ms_highway.numerics.objective import Objective, best_of
@@ -74,6 +75,7 @@ def driving(game: Game, car: Car, others: Trajectories) -> Objective:
         partial(bounded, game, car),
         lambda own: payoff.slopes(own, others)[0],
         lambda own: payoff.curvature(own, others),
+        partial(move_jacobian, game, car),
     )
 
 
