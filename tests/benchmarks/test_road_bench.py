@@ -13,8 +13,8 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
-from ms_highway.benchmarks.road import RECORDED, known_scenes
-from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, run_blocks, run_episode, summary
+from ms_highway.benchmarks.road import RECORDED
+from ms_highway.benchmarks.road.episodes import Block, run_episode, summary
 from ms_highway.benchmarks.road.export import WHEELBASE
 from ms_highway.benchmarks.road.measures import Watch, measured
 from ms_highway.benchmarks.road.peers import Peer
@@ -79,23 +79,6 @@ def test_an_episode_that_ends_because_the_ego_leaves_the_road_is_no_success():
     block = Block("racetrack-v1", "straight")
     episode = run_episode(block, 0, Straight(gym.make("racetrack-v1", config={"other_vehicles": 0})))
     assert (episode["crashed"], episode["off_road"], episode["success"]) == (False, True, False)
-
-
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [("priced:1e+3", ("priced:1e+3", False)), ("fixed:tom+intentions", ("fixed:tom", True))],
-)
-def test_drivers_are_named_with_what_they_know_of_others(name, settings):
-    check_driver(name)
-    env = make_driver(Block("merge-v0", name))
-    assert (env.settings.driver, env.settings.intentions) == settings
-    env.reset(seed=0)
-    assert env.unwrapped.vehicle.intentions == settings[1]
-
-
-def test_a_scene_without_a_version_is_driven_in_all_of_them_the_newest_first():
-    names = ["roundabout-v1", "roundabout-v0", "merge-v0", "merge-v1"]
-    assert known_scenes(["roundabout", "merge-v0", "merge"]) == names
 
 
 @pytest.mark.slow
@@ -167,9 +150,3 @@ def test_an_exported_solution_is_the_drive_of_a_kinematic_single_track_model(exp
     turned = [state.velocity / WHEELBASE * np.tan(state.steering_angle) for state in states[:-1]]
     np.testing.assert_allclose(np.diff([state.orientation for state in states]), 0.1 * np.array(turned), atol=1e-6)
     assert max(map(abs, turned)) > 1e-3
-
-
-def test_a_scene_that_cannot_be_made_ends_the_blocks_that_wait_for_its_core():
-    blocks = [Block("nowhere-v0", driver) for driver in ("idm", "priced", "fixed:tom")]
-    with pytest.raises(Exception, match="nowhere"):
-        list(run_blocks(blocks, range(1), jobs=1))

@@ -16,7 +16,7 @@ from commands import run
 
 from ms_highway.cli.compare import _with_learned
 from ms_highway.cli.main import parse
-from ms_highway.cli.options import comparison, configuration
+from ms_highway.cli.options import comparison
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import columns
 from ms_highway.experiments.runner import run as run_comparison
@@ -120,14 +120,6 @@ def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_r
     assert Path("summary.csv").exists() == command.endswith(".")
 
 
-@pytest.mark.slow
-def test_a_comparison_that_adds_a_controller_tells_of_all_that_are_there(begun):
-    run(f"compare stay_back --controllers random:naive=0.5,turn=0.5 --seeds 1 --out {begun}")
-    summary = pd.read_csv(begun / "summary.csv")
-    assert summary["kind"].tolist() == ["fixed", "switching", "random"]
-    assert summary["episodes"].tolist() == [2, 2, 1]
-
-
 @pytest.mark.parametrize(
     ("options", "learned", "said"),
     [
@@ -181,20 +173,6 @@ def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leav
     steps.write_text(spoilt, encoding="latin-1")
     assert message in refused(f"{COMPARE} .")
     assert steps.read_text(encoding="latin-1") == spoilt
-
-
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("control_limit=0.2,9", [0.2, 9]),
-        ("ladder=tom,", ["tom"]),
-        ("costs=naive=0.1,tom=0.2", {"naive": 0.1, "tom": 0.2}),
-        ("way_out=false", False),
-    ],
-)
-def test_a_key_is_set_by_json_or_by_words(text, value):
-    options = parse(["compare", "--set", "grip=8", "--set", text])
-    assert configuration(options) == {"grip": 8, text.partition("=")[0]: value}
 
 
 def test_scenes_of_the_paper_and_physical_ones_stand_in_one_comparison(tmp_path, capsys):

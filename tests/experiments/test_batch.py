@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.envs import DenseMergeEnv
 from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
@@ -56,10 +55,3 @@ def test_rows_of_episodes_and_steps_say_what_the_records_hold(simulated):
     assert episodes["fallbacks"].tolist() == [0, 2]  # plans that failed, and not ways out
     kept = ["success", "humans_turn", "way_out"]
     assert summary(episodes)[kept].to_numpy().tolist() == episodes[kept].to_numpy().tolist()
-
-
-def test_a_robot_that_knows_the_humans_rewards_is_left_to_compare(monkeypatch):
-    config = {**DenseMergeEnv.default_config(), "beliefs": "true"}
-    monkeypatch.setattr(DenseMergeEnv, "default_config", classmethod(lambda cls: config))
-    with pytest.raises(ValueError, match="beliefs 'true', which a simulation does not do"):
-        make_batch(COMPARISON, "dense_merge")

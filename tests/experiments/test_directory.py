@@ -28,14 +28,6 @@ def test_a_comparison_that_was_stopped_in_its_first_episode_can_be_resumed(tmp_p
     assert len(stopped) == 40
 
 
-def test_settings_say_what_is_usual_and_what_was_given():
-    pair = Comparison({"merger": ["naive"]}, config={"horizon": 10, "semantics": "released"})
-    usual = {"semantics": "released", "solver": "gradient", "human_reward": "published", "costs": "published"}
-    assert pair.common_config() == usual | {"horizon": 10}
-    both = Comparison({"merger": ["naive"], "dense_merge": ["naive"]})
-    assert both.common_config() == {"semantics": "paper", "human_reward": "learned"}  # their solvers and costs differ
-
-
 def test_a_run_from_a_checkout_names_its_commit_and_whether_its_files_have_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(directory, "CHECKOUT", tmp_path / "checkout")
     assert "commit" not in directory.this_run()  # where the package was installed

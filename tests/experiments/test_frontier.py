@@ -13,7 +13,7 @@ from commands import run
 
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
-from ms_highway.experiments.frontier import controller_name, mutant, search
+from ms_highway.experiments.frontier import controller_name, search
 from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
@@ -97,14 +97,6 @@ def test_the_search_finds_orders_that_are_better_than_all_with_a_single_switch()
     ends = product((("naive", "tom"), ("tom", "naive")), range(1, STEPS))
     single.of([(f"schedule:{one}={end},{other}", seed) for (one, other), end in ends for seed in (0, 1)])
     assert all(searched.best(seed) > 2 * single.best(seed) for seed in (0, 1))
-
-
-def test_mutants_change_a_stretch_of_all_humans_or_of_one():
-    random, order = np.random.default_rng(0), np.zeros((STEPS, 2), int)
-    changed = [np.asarray(mutant(random, order, 2)).sum(axis=0) for _ in range(50)]
-    assert any(0 < one == other for one, other in changed)
-    assert any(one != other for one, other in changed)
-    assert not order.any()
 
 
 def test_the_name_of_an_order_stands_for_its_models_step_by_step():

@@ -100,13 +100,6 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(swept, tmp_path, mon
     assert (tmp_path / f"imported-{killed[0]}").exists()
 
 
-def test_a_cluster_that_is_not_there_is_refused(monkeypatch, refused):
-    monkeypatch.setattr("ms_highway.experiments.cluster.PATIENCE", 0.2)
-    line = refused("sweep stay_back --controllers naive --out out --scheduler tcp://127.0.0.1:1")
-    assert "no scheduler answers at tcp://127.0.0.1:1" in line
-    assert "start it with `dask scheduler`" in line
-
-
 def test_a_sweep_refuses_a_directory_of_other_settings_and_one_of_other_things(swept, tmp_path, refused):
     before = contents(swept)
     assert "first_seed 0 instead of 5" in refused(f"{SWEEP} {swept} --first-seed 5")

@@ -50,10 +50,3 @@ def test_a_standing_car_and_the_shortest_track_have_controls():
         track = tracked(states)
         np.testing.assert_allclose(track.states, states, atol=1e-9)
         np.testing.assert_allclose(track.controls, keep_velocity(PAPER_DYNAMICS, states[:-1]), atol=1e-9)
-
-
-def test_us101_tracks_are_close_to_what_was_recorded(us101):
-    recording, errors = us101[0], []
-    for driver in recording.drivers:
-        errors.append(track_of(recording, driver).states - recording.states[recording.seen[:, driver], driver])
-    assert np.sqrt(2 * np.mean(np.square(np.concatenate(errors)[:, :2]))) < 0.15

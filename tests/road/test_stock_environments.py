@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from ms_highway.choice.quadratic import Switching
-from ms_highway.game.scenario import driving_game
-from ms_highway.loop.driver import Driver
-from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
 from ms_highway.road.stock import replace_ego
-from ms_highway.vehicle import HumanVehicle, RobotVehicle
+from ms_highway.vehicle import HumanVehicle
 from ms_highway.vehicle.bicycle import OfferedSpeeds
-from ms_highway.vehicle.road_view import look
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -131,11 +125,3 @@ def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():
                 assert total < 8.0 * 1.1  # the speed is that after it
                 assert human.speed >= -1e-9
     assert humans
-
-
-def test_a_robot_by_itself_with_algorithm_1_refuses_another_rate_than_its_games():
-    robot = replace_ego(humans_in("highway-v0", vehicles_count=2), RobotVehicle.create_from)
-    switching = Switching(Costs.of(np.array([0.09, 0.17]), 1), 0.0, ladder(("naive", "turn")))
-    robot.drive_with(Driver(driving_game(look(robot).scene, 30.0), switching))
-    with pytest.raises(ValueError, match="configure the environment with 'simulation_frequency': 10"):
-        robot.step(1 / 15)

@@ -8,7 +8,6 @@ from highway_env.vehicle.objects import Landmark
 
 from ms_highway.envs.game_env import Cone
 from ms_highway.game.dynamics import step
-from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import driving_game
 from ms_highway.loop.driver import fixed
 from ms_highway.road.robot import RoadRobot
@@ -96,20 +95,6 @@ def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_
     assert gaps[0] < leader.position[0] - commuter.position[0] - commuter.LENGTH < gaps[1]
 
 
-def test_commuters_differ_by_the_roads_random_numbers_and_plan_for_their_own_traits():
-    cars = [(CommuterVehicle, (20.0 * number, 0.0), 20.0) for number in range(3)]
-    (_, *ones), (_, *same) = road_with(*cars), road_with(*cars)
-    assert [one.traits for one in ones] == [one.traits for one in same]
-    assert len({one.traits for one in ones}) == 3
-    for one in ones:
-        traits, view = one.traits, look(one)
-        robot = one._own_game(view).robot
-        own = traits.headway, 20.0 * traits.desired_speed
-        assert (float(robot.headway), one.desired_speed(view)) == pytest.approx(own)
-        typical = linear_reward(one.weights, 1.0).comfort[1]
-        assert float(robot.comfort[1]) == pytest.approx(typical * traits.patience, rel=1e-5)
-
-
 def test_a_robot_told_no_companions_takes_the_nearest_in_time_for_its_partner_and_keeps_to_it():
     cars = [(ScriptedVehicle, (30.0, 4.0), 20.0), (ScriptedVehicle, (-8.0, 0.0), 20.0)]
     road, robot, ahead, beside = road_with((RobotVehicle, (0.0, 4.0), 18.0), *cars)
@@ -137,11 +122,3 @@ def test_a_car_that_is_told_to_stop_brakes_within_its_grip_and_stands_until_it_m
     assert speeds[-1] == pytest.approx(0.0, abs=1e-6)
     human.target_speed = None
     assert drive(road, 15, 1 / 15)[-1] > 2.0
-
-
-def test_a_car_that_plans_takes_no_action_by_name_but_idle():
-    _, human = road_with((HumanVehicle, (0.0, 0.0), 15.0))
-    human.act("IDLE")
-    assert human.last_step is None
-    with pytest.raises(ValueError, match=r"'FASTER'.*'IDLE'"):
-        human.act("FASTER")

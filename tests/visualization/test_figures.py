@@ -46,15 +46,3 @@ def test_every_figure_is_written_in_every_format_and_shows_something(name, kind,
         assert written.startswith(b"%PDF")
         assert len(written) > 8000
         assert not re.search(rb"/Type3\b", written)  # fonts that publishers refuse
-
-
-@pytest.mark.parametrize("scenario", ["merger", "give_way"])
-def test_every_label_of_a_curve_is_inside_its_panel(scenario):
-    summaries, regrets = (pd.read_csv(KEPT / f"{name}.csv") for name in ("summary", "regrets"))
-    for figure in (curve(summaries[summaries["run"] == "curve"], scenario), frontier(regrets, scenario, 30)):
-        figure.draw_without_rendering()
-        labels = [(text.get_window_extent(), axes.get_window_extent()) for axes in figure.axes for text in axes.texts]
-        assert labels
-        for label, panel in labels:
-            assert panel.x0 < label.x0 < label.x1 < panel.x1
-            assert panel.y0 < label.y0 < label.y1 < panel.y1
