@@ -14,9 +14,6 @@ import pandas as pd
 import pytest
 from commands import run
 
-from ms_highway.cli.compare import _with_learned
-from ms_highway.cli.main import parse
-from ms_highway.cli.options import comparison
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.records import columns
 from ms_highway.experiments.runner import run as run_comparison
@@ -106,7 +103,7 @@ def test_compare_goes_on_from_steps_and_parts(compared, begun):
     assert {file.suffix for file in begun.glob("stay_back_*")} == {".svg"}  # others would show fewer episodes
 
 
-@pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help", "--version"])
+@pytest.mark.parametrize("command", [f"{COMPARE} .", "compare --help"])
 def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_results(
     command, begun, monkeypatch, capsys
 ):
@@ -118,19 +115,6 @@ def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_r
         run(command)
     assert "pipe" not in capsys.readouterr().err
     assert Path("summary.csv").exists() == command.endswith(".")
-
-
-@pytest.mark.parametrize(
-    ("options", "learned", "said"),
-    [
-        ("--set costs=naive=0.1,turn=0.2,tom=0.3", ["learned:1"], ""),
-        ("--set ladder=naive,turn@5", [], "stay_back is compared without learned:1: "),
-    ],
-)
-def test_learned_values_are_compared_by_default_where_they_suit_the_ladder(options, learned, said, capsys):
-    asked = _with_learned(comparison(parse(f"compare stay_back {options}".split())))
-    assert asked.controllers["stay_back"][2:] == [*learned, "switching:5", "switching:0.4"]
-    assert said in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -160,7 +144,6 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
     ("pattern", "replacement", "message"),
     [
         ("(?m),[^,]*$", "", "its columns are not"),
-        ("stay_back,naive,0,0,", "stay_back,naive,nought,0,", "seed of naive with seed nought is nought; it must be"),
         ("(stay_back,naive,0,0,naive),[^,]*", r"\1,1e400", "reward of naive with seed 0 is inf; it must be"),
         ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
     ],

@@ -8,7 +8,6 @@ import pytest
 
 from ms_highway.experiments import directory
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.experiments.results import read_results
 from ms_highway.experiments.runner import read, run
 
@@ -44,8 +43,3 @@ def test_a_run_from_a_checkout_names_its_commit_and_whether_its_files_have_chang
             opened.write(text)
         run = directory.this_run()
         assert (run["commit"], run["dirty"]) == (head.stdout.strip(), dirty)
-    results = ResultsDirectory(tmp_path / "out")
-    assert results.record("first") == ""
-    assert results.runs()[0]["commit"] == run["commit"]
-    monkeypatch.setattr(directory, "CHECKOUT", tmp_path)
-    assert results.record("second") == f"commit none instead of {run['commit']}"

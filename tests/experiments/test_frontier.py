@@ -3,7 +3,6 @@
 import json
 import shutil
 from itertools import product
-from types import SimpleNamespace
 
 import imageio.v3 as imageio
 import numpy as np
@@ -13,7 +12,7 @@ from commands import run
 
 from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
-from ms_highway.experiments.frontier import controller_name, search
+from ms_highway.experiments.frontier import controller_name
 from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
@@ -69,34 +68,6 @@ def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path
     printed = capsys.readouterr().out
     for price, word in product(PRICES, ("switching:", BEST_PER_START, *OTHERS)):
         assert word in printed.partition(f"a second of planning costs {price:g}")[2]
-
-
-class Toy:
-    """Outcomes that are known: thinking pays for four steps, and then not for four."""
-
-    def __init__(self):
-        self.batch = SimpleNamespace(rungs=["naive", "tom"], steps=STEPS, humans=1)
-        self.table = {}
-
-    def of(self, keys):
-        for name, seed in keys:
-            config = controller_config(name)
-            models = list(config.get("models", [config.get("model")]))
-            thinks = np.array(models + [models[-1]] * (STEPS - len(models))) == "tom"
-            pays = (np.arange(STEPS) // 4 + seed) % 2 == 1
-            self.table[name, seed] = (thinks & pays).mean(), thinks.mean()
-        return pd.DataFrame([self.table[key] for key in keys], columns=["reward", "counted_seconds"])
-
-    def best(self, seed):
-        return max(reward - 0.5 * seconds for (_, own), (reward, seconds) in self.table.items() if own == seed)
-
-
-def test_the_search_finds_orders_that_are_better_than_all_with_a_single_switch():
-    searched, single = Toy(), Toy()
-    assert list(search(searched, [0, 1], [0.5], 32, 8)) == list(range(1, 10))
-    ends = product((("naive", "tom"), ("tom", "naive")), range(1, STEPS))
-    single.of([(f"schedule:{one}={end},{other}", seed) for (one, other), end in ends for seed in (0, 1)])
-    assert all(searched.best(seed) > 2 * single.best(seed) for seed in (0, 1))
 
 
 def test_the_name_of_an_order_stands_for_its_models_step_by_step():

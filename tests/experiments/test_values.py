@@ -55,17 +55,3 @@ def test_the_command_learns_values_that_drive(scenario, examples, tmp_path):
     values = load_values(file)
     assert (values.provenance["scenarios"], values.provenance["examples"]) == ([scenario], examples)
     run(f"compare {scenario} {config} --controllers learned:0.1:{file} --seeds 1 --out {tmp_path / 'out'}")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("merger --out values.json", "'values.json' is no name that ends in .npz"),
-        ("dense_merge merger --out values.npz", "some scenarios have one human, others several"),
-        ("merger --set costs=naive=0.1 --out values.npz", "without seconds for tom, turn"),
-        ("merger --set ladder=best --out values.npz", "leave +warm out"),
-        ("merger --set yielding=never --out values.npz", "config['yielding']"),
-    ],
-)
-def test_what_cannot_be_learned_is_refused_before_anything_is_written(arguments, message, refused):
-    assert message in refused(f"values learn {arguments}")

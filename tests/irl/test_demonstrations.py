@@ -77,18 +77,6 @@ def test_routes_are_many_as_the_density_says_and_keep_apart(density):
             assert ((apart[..., 0] > 5.1) | (apart[..., 1] > 2.6)).all()
 
 
-def test_collisions_are_noted_and_without_effect():
-    env = make("dense").unwrapped
-    env.reset(seed=0)
-    before = env.vehicle.speed
-    env.vehicle.position = env.road.vehicles[1].position.copy()
-    _, reward, terminated, _, info = env.step(env.action_for([0.0, 0.2 * before]))
-    assert (info["collision"], terminated) == (True, False)
-    assert reward < -90
-    assert env.vehicle.speed == pytest.approx(before, rel=1e-5)
-    np.testing.assert_array_equal(env.road.vehicles[1].state, env.routes[0, 1])
-
-
 # The simulated driver
 
 

@@ -12,8 +12,7 @@ from commands import run
 from comparisons import CONTROLLERS, Page, with_settings
 
 from ms_highway.experiments.results import read_results
-from ms_highway.visualization.figures import figures
-from ms_highway.visualization.html_page import page, results_table
+from ms_highway.visualization.html_page import results_table
 
 
 @pytest.fixture(scope="module")
@@ -71,19 +70,6 @@ def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_shows_no_markup
     assert [path.name for path in out.parent.iterdir()] == [out.name]
 
 
-def test_a_page_has_all_controllers_in_its_table_and_a_curve_of_three_lambdas(compared, tmp_path):
-    records = pd.read_csv(compared / "steps.csv")
-    naive, switching = (records[records["controller"] == name] for name in CONTROLLERS)
-    more = [naive.assign(controller=f"schedule:turn={steps},naive") for steps in range(1, 8)]
-    more += [switching.assign(controller=f"switching:{price}") for price in (0.1, 5)]
-    directory = with_settings(compared, tmp_path / "more")
-    pd.concat([records, *more]).to_csv(directory / "steps.csv", index=False)
-    results = read_results(directory)
-    texts = page(results, videos=False)
-    assert all(name in texts for name in ("naive", "switching:0.4", "switching:5", "schedule:turn=3,naive"))
-    assert list(figures(results.records, results.summaries, "stay_back")) == ["curve", "timeline", "decisions"]
-
-
 def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_only(compared):
     results = read_results(compared)
     released = results.settings | {"semantics": "released", "human_reward": "published"}
@@ -95,9 +81,7 @@ def test_what_the_paper_published_stands_beside_what_may_be_compared_with_it_onl
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("", "the following arguments are required: DIR; see the --help of the command"),
         ("elsewhere", "there is no directory elsewhere; name a directory that `ms-highway compare` wrote"),
-        (".", "has no settings.json; name a directory that `ms-highway compare` wrote"),
         ("{} --out page.pdf", "'page.pdf' is no name that ends in .html"),
     ],
 )

