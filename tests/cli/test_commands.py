@@ -32,6 +32,7 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("irl", "choose from 'compare', 'sweep'"),
         ("--import no_such_module compare", "--import no_such_module: ModuleNotFoundError: No module named"),
         ("compare merger --out caf\udce9", "'caf\\udce9' is not UTF-8"),
+        ("report elsewhere", "there is no directory elsewhere; name a directory that `ms-highway compare` wrote"),
         ("video merger --out film.avi", "no name that ends in .mp4, .gif"),
         ("sweep merger --out sweep --devices 1 --scheduler tcp://a:1", "leave one out"),
         ("validate nowhere", "no reference episodes (*.npz) in nowhere"),

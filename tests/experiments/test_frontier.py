@@ -10,13 +10,10 @@ import pandas as pd
 import pytest
 from commands import run
 
-from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.analysis.regret import BEST_PER_START
-from ms_highway.experiments.frontier import controller_name
 from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
-SEEDS, STEPS, PRICES = 3, 40, (0.03, 0.1)
 OTHERS = ["period:turn=1,naive=3", "random:naive=0.75,turn=0.25"]
 SEARCH = f"""frontier merger --set ladder=naive,turn --seeds 3 --prices 0.03 0.1 --lambdas 0.001 0.1 --controllers \
 {OTHERS[0]} {OTHERS[1]} --population 16 --rounds 6 --out"""
@@ -68,12 +65,3 @@ def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path
     printed = capsys.readouterr().out
     for price, word in product(PRICES, ("switching:", BEST_PER_START, *OTHERS)):
         assert word in printed.partition(f"a second of planning costs {price:g}")[2]
-
-
-def test_the_name_of_an_order_stands_for_its_models_step_by_step():
-    random = np.random.default_rng(0)
-    for order in random.integers(2, size=(20, STEPS, 1)):
-        models = list(controller_config(controller_name(LADDER, order))["models"])
-        assert [*models, *[models[-1]] * (STEPS - len(models))] == [LADDER[rung] for rung in order[:, 0]]
-    assert controller_name(LADDER, np.ones((STEPS, 2), int)) == "turn"
-    assert controller_name(LADDER, np.array([[0, 1], [0, 1], [1, 1]])) == "schedule:naive/turn=2,turn"

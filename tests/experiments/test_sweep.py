@@ -71,6 +71,7 @@ def test_a_sweep_that_is_killed_goes_on_with_one_device_to_what_an_uninterrupted
     assert not (out / LOCK).exists()
 
 
+@pytest.mark.slow
 def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(swept, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))

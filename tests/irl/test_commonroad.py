@@ -7,7 +7,6 @@ import pytest
 from recordings import (
     SPEED,
     STEPS,
-    TURN,
     car,
     lanelet,
     pedestrian,
@@ -37,18 +36,6 @@ def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path):
     still = np.zeros(STEPS)
     expected = [[20 + x, still, still, still + SPEED], [40 + x, still + 3.0, still, still + SPEED]]
     np.testing.assert_allclose(recording.states, np.transpose(expected, (2, 0, 1)), atol=1e-6)
-
-
-def test_headings_turn_to_the_right_on_a_curved_road(tmp_path):
-    # The road bends left on a radius of 400 m; who goes straight on turns right of it.
-    angle = TURN + np.linspace(0, 0.5, 60)
-    bend = 400 * np.stack([np.sin(angle) - np.sin(TURN), np.cos(TURN) - np.cos(angle)], axis=-1)
-    (recording,) = read(tmp_path, scenario(lanelets=lanelet(1, 0, bend), cars=car(100, 50, 0)))
-    x, y, heading, _ = recording.states[:, 0].T
-    along = 50 + SPEED * 0.1 * np.arange(STEPS)
-    np.testing.assert_allclose(heading, np.arctan2(along, 400), atol=2e-3)
-    np.testing.assert_allclose(y, np.hypot(along, 400) - 400, atol=0.05)
-    np.testing.assert_allclose(x, 400 * np.arctan2(along, 400), atol=0.1)
 
 
 def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path):

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from commonroad.common.reader.file_reader_xml import XMLFileReader
-from recordings import TURN, car, lanelet, linked_lanes, pedestrian, place, problem, scenario, sign, standing, straight
+from recordings import car, lanelet, linked_lanes, pedestrian, place, problem, scenario, sign, standing, straight
 
 from ms_highway.recorded.commonroad import read_scenario
 
@@ -30,38 +30,10 @@ def polygon(*corners):
     return f"<polygon>{''.join(f'<point><x>{x}</x><y>{y}</y></point>' for x, y in corners)}</polygon>"
 
 
-def centre(x, y):
-    return f"<center><x>{x}</x><y>{y}</y></center>"
-
-
-BODIES = [
-    (f"<circle><radius>0.4</radius>{centre(0, 0.2)}</circle>", (0.8, 0.8), (0.0, 0.2)),
-    (polygon((-1, -1), (5, -1), (5, 1), (2, 2), (-1, 1)), (6.0, 3.0), (2.0, 0.5)),
-    (rectangle("<originXShift>-1.5</originXShift>"), (4.5, 1.8), (1.5, 0.0)),
-    (rectangle() + rectangle(centre(-5.5, 0), 6.0, 2.0), (10.75, 2.0), (-3.125, 0.0)),
-]
-
-
-@pytest.mark.parametrize(("shape", "size", "middle"), BODIES)
-def test_a_moving_body_is_as_large_and_where_the_file_says(shape, size, middle, tmp_path):
-    plain, shifted = read(
-        tmp_path, CARS + car(102, 20, 0.3, shape=rectangle()) + car(103, 20, 0.3, shape=shape)
-    ).tracks[2:]
-    assert shifted.size == pytest.approx(size)
-    ahead, left = middle
-    moved = ahead * np.array([np.cos(TURN), np.sin(TURN)]) + left * np.array([-np.sin(TURN), np.cos(TURN)])
-    np.testing.assert_allclose(shifted.samples[:, 1:3] - plain.samples[:, 1:3] - moved, 0, atol=1e-9)
-    np.testing.assert_array_equal(shifted.samples[:, [0, 3, 4]], plain.samples[:, [0, 3, 4]])
-
-
 def signed(values, points=30):
     """Two lanes; the left one has a speed sign."""
     first, rest = linked_lanes(points=points).split("<laneletType>", 1)
     return f'{first}<trafficSignRef ref="50"/><laneletType>{rest}{sign(50, values)}'
-
-
-def test_lanes_have_the_limits_of_their_signs(tmp_path):
-    assert [lane.limit for lane in read(tmp_path, lanelets=signed(["13.9"])).lanelets] == [13.9, None, None, None]
 
 
 @pytest.mark.parametrize(
@@ -125,6 +97,8 @@ def test_lanelets_states_and_problems_are_those_that_commonroads_own_reader_find
         states = [obstacle.initial_state, *obstacle.prediction.trajectory.state_list]
         rows = [[state.time_step, *state.position, state.orientation, state.velocity] for state in states]
         np.testing.assert_allclose(track.samples, rows, atol=1e-9)
+    car = scene.obstacle_by_id(100).obstacle_shape
+    assert found.tracks[0].size == (car.length, car.width)
     (start,) = problems.planning_problem_dict.values()
     assert found.problems[0].start == (*start.initial_state.position, start.initial_state.orientation, 12.0)
 

@@ -20,16 +20,6 @@ def driver(name="fixed:naive", planning=PLANNING, costs=COSTS):
     return RoadSettings.read({"driver": name, "costs": costs}).build(planning)
 
 
-def test_a_step_tells_what_was_planned_and_predicted():
-    step = driver("fixed:idm").step(SCENE)
-    assert (step.path.shape, step.humans.shape) == ((PLANNING.steps, 3), (TRAFFIC, PLANNING.steps, 2))
-    assert step.models == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
-    np.testing.assert_array_equal(step.owners, SCENE.owners)
-    assert step.source in PLANS
-    assert np.abs(step.path[0, :2] - [2.5 + 18 * 0.2, 0.0]).max() < 0.2  # the centre, one step on
-    assert min(step.planning_seconds, step.decision_seconds) > 0
-
-
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
     late, usual = driver("budget:0"), driver("fixed:naive")
     steps = [late.step(SCENE) for _ in range(3)]

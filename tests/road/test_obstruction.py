@@ -18,44 +18,12 @@ from roads import (
 from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.driver import plan_of
 from ms_highway.road.plan import no_plan
-from ms_highway.road.traffic import obstruction_of
-from ms_highway.runtime.compilation import jit_quickly
 
-ACROSS = np.pi / 2
 SLOW = replace(PLANNING, desired_speed=10.0)
-seen = jit_quickly(lambda scene: obstruction_of(scene, WEIGHTS))
 
 
 def planned(scene, last=None):
     return plan_of(scene, SLOW, WEIGHTS, np.zeros(TRAFFIC, np.int32), last or no_plan(PLANNING))
-
-
-@pytest.mark.parametrize(
-    ("lanes", "heading", "sides", "ends"),
-    [([0], 0.0, (-3.0, 3.0), (22.5, 27.5)), ([0, -1], ACROSS, (-8.5, 4.5), (24.0, 26.0))],
-)
-def test_what_lies_in_the_lane_is_passed_a_metre_away(lanes, heading, sides, ends):
-    scene = scene_of(cars=[(25.0, lane, 0.0) for lane in lanes])
-    for car in range(len(lanes)):
-        wrecked(scene, car, heading)
-    found = seen(scene)
-    assert found.exists
-    np.testing.assert_allclose(found.sides, sides, atol=1e-3)
-    np.testing.assert_allclose([found.begin, found.end], ends, atol=1e-3)
-
-
-def test_what_lies_beside_the_lane_behind_or_far_ahead_or_may_drive_on_is_no_obstruction():
-    for place in ((25.0, 1), (-12.0, 0), (90.0, 0)):
-        assert not seen(wrecked(scene_of(cars=[(*place, 0.0)]), 0)).exists
-    assert not seen(scene_of(cars=[(25.0, 0, 0.0)])).exists
-
-
-def test_on_a_loop_what_lies_ahead_does_not_lie_a_lap_further_on():
-    bend = 2 * np.pi / 121.0  # m: knots of the next lap are halfway between those of this one
-    for place in (10.0, 20.0):
-        found = seen(wrecked(scene_of(bend, cars=[(place, 0, 0.0)]), 0, ACROSS))
-        assert found.exists
-        assert place - 2.0 < found.begin < found.end < place + 2.0
 
 
 def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_comes():

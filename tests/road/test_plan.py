@@ -7,7 +7,6 @@ import pytest
 from jax import numpy as jnp
 from roads import PLANNING, WEIGHTS, coming, execute, scene_of
 
-from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.perception.scene import KNOTS, TRAFFIC
 from ms_highway.road.constants import LANE, MODELS
 from ms_highway.road.driver import plan_of as planned
@@ -16,7 +15,6 @@ from ms_highway.road.simulation import bodies
 
 STEPS = PLANNING.steps
 MEMORY = no_plan(PLANNING)
-ZERO = round(BEHIND / SPACING)  # knot of paths at s = 0
 
 
 def everybody(name):
@@ -94,16 +92,3 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
     assert final_place(beside, "tom") > braking + 1.0
-
-
-def test_who_brakes_hard_ahead_is_expected_to_stop_and_nobody_else():
-    ahead, behind, aside = (scene_of(cars=[(s, lane, 10.0)]) for s, lane in ((30.0, 0), (-15.0, 1), (30.0, 1)))
-
-    def covered(scene, acceleration, seconds=3.0):
-        plan = plan_of(accelerating(scene, acceleration))
-        return float(plan.predictions[0, round(seconds / PLANNING.time_step) - 1, 0] - scene.paths.x[0, ZERO])
-
-    assert covered(ahead, -6.0) == pytest.approx(10.0**2 / 12, abs=1.5)
-    assert covered(ahead, -6.0, 4.0) > covered(ahead, -6.0) + 0.5, "later, it goes on"
-    assert covered(ahead, -2.0) > 22.0
-    assert min(covered(behind, -6.0), covered(aside, -6.0)) > 12.0

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.kinematics import Vehicle
 from roads import (
     NOBODY,
     PLANNING,
@@ -17,7 +16,6 @@ from roads import (
     scene_of,
     told,
     winding,
-    wrecked,
 )
 
 from ms_highway.geometry.curve import SPACING
@@ -89,16 +87,3 @@ def test_predictions_of_who_follows_are_highway_envs_behind_others_and_behind_th
     for scene in (led, behind):
         speeds = np.asarray(proposed(scene, FOLLOWING)[1].speeds)[LAST_PLAN]
         assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, speed, distance, ahead), abs=5e-3)
-
-
-@pytest.mark.parametrize("heading", [2.6, -0.8])
-def test_a_car_that_has_crashed_is_expected_to_slide_where_it_heads_as_highway_envs_do(heading):
-    scene = wrecked(scene_of(cars=[(30.0, 0, 6.0)]), 0, heading, speed=6.0)
-    _, rollouts = proposed(scene)
-    car, places = Vehicle(None, [30.0, 0.0], heading, 6.0), []
-    car.crashed = True
-    for _ in range(PLANNING.steps * 10):
-        car.step(float(PLANNING.time_step) / 10)
-        places.append(car.position.copy())
-    np.testing.assert_allclose(np.asarray(rollouts.world)[0, 0, :2].T, places[9::10], atol=0.6)
-    np.testing.assert_allclose(np.asarray(rollouts.world)[:, 0, 2], heading, atol=1e-6)

@@ -2,7 +2,6 @@
 
 from types import SimpleNamespace
 
-import gymnasium as gym
 import highway_env  # noqa: F401, registers the environments
 import numpy as np
 import pytest
@@ -42,16 +41,3 @@ def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(speed
         assert robot.speed >= -1e-9
         last = moved
     assert 0.9 * GRIP < max(robot.accelerations) <= GRIP
-
-
-@pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
-def test_environments_find_what_they_ask_of_their_own_car():
-    env = gym.make("merge-v0").unwrapped
-    env.reset(seed=0)
-    own, times = env.vehicle, np.array([1.0, 5.0, 10.0])
-    robot = RoadRobot.create_from(own)
-    assert (robot.speed_index, robot.target_lane_index) == (own.speed_index, own.lane_index)
-    assert robot.plan_route_to("d").route == own.plan_route_to("d").route
-    paths = (car.predict_trajectory_constant_speed(times) for car in (robot, own))
-    for mine, theirs in zip(*paths, strict=True):
-        np.testing.assert_allclose(mine, theirs)

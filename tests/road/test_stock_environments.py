@@ -71,7 +71,7 @@ def test_a_human_on_a_ramp_merges_before_it_ends(kind):
 @pytest.mark.parametrize("name", STOCK)
 def test_humans_plan_in_every_stock_environment(name):
     planned = 0
-    for humans in drive(humans_in(f"{name}-v0"), 5):
+    for humans in drive(humans_in(f"{name}-v0"), 2):
         planned += len(humans)
         assert all(np.isfinite(human.state).all() for human in humans)
         assert {human.last_step.status for human in humans if human.last_step} <= {"planned"}
@@ -104,16 +104,6 @@ def test_an_environment_with_humans_in_it_can_be_copied():
         twin.step(IDLE)
     for car, other in zip(environment.road.vehicles, twin.road.vehicles, strict=True):
         np.testing.assert_allclose(car.position, other.position)
-
-
-def test_drivers_of_all_kinds_can_take_each_others_places_and_keep_their_routes():
-    environment = humans_in("roundabout-v0")
-    routes = [car.route for car in environment.road.vehicles[1:]]
-    assert all(len(route) > 1 for route in routes)
-    for kind in ("highway_env.vehicle.behavior.IDMVehicle", "ms_highway.vehicle.HumanVehicle"):
-        environment = environment.change_vehicles(kind)
-        assert [car.route for car in environment.road.vehicles[1:]] == routes
-    environment.step(IDLE)
 
 
 def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():

@@ -75,6 +75,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
     """In Python 3.11, those that `Thread.join` was waiting for count as ended, and outlive Python."""
     process = begin("-c", LONG, stdout=subprocess.PIPE)

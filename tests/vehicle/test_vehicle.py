@@ -10,7 +10,6 @@ from ms_highway.envs.game_env import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import driving_game
 from ms_highway.loop.driver import fixed
-from ms_highway.road.robot import RoadRobot
 from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.vehicle.road_view import look
 
@@ -44,16 +43,6 @@ def test_a_step_of_the_bicycle_vehicle_is_the_cores_step_and_steering_means_the_
     assert car.state.dtype == np.float64
 
 
-@pytest.mark.parametrize("kind", [CommuterVehicle, RobotVehicle, RoadRobot])
-def test_copies_of_a_vehicle_such_as_its_drawn_trajectory_draw_no_random_numbers(kind):
-    road, car = road_with((kind, (0.0, 0.0), 20.0))
-    road.record_history, before = True, road.np_random.get_state()
-    car.on_state_update()
-    np.testing.assert_equal(road.np_random.get_state(), before)
-    (drawn,) = car.history
-    assert vars(drawn).get("traits") == vars(car).get("traits")
-
-
 @pytest.mark.parametrize("kind", [Cone, BicycleVehicle, Landmark])
 def test_a_car_that_is_not_solid_is_hit_where_highway_env_sees_the_bodies_overlap(kind):
     (road,), random, still, hits = road_with(), np.random.default_rng(0), np.zeros(2), []
@@ -83,7 +72,7 @@ def test_a_human_does_not_run_into_a_car_that_is_slower(slower):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("leader_speed", "gaps"),  # between bumpers; at speed, the quartiles of drivers on US-101
-    [(0.0, (2, 6)), (10.0, (10.6, 22.4)), (20.0, (16.9, 34.8))],
+    [(0.0, (2, 6)), (20.0, (16.9, 34.8))],
 )
 def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_standing_car(leader_speed, gaps):
     cars = (CommuterVehicle, (0.0, 0.0), 20.0), (ScriptedVehicle, (35.0, 0.0), leader_speed)
