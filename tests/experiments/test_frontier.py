@@ -14,6 +14,7 @@ from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
+SEEDS, PRICES = 3, (0.03, 0.1)
 OTHERS = ["period:turn=1,naive=3", "random:naive=0.75,turn=0.25"]
 SEARCH = f"""frontier merger --set ladder=naive,turn --seeds 3 --prices 0.03 0.1 --lambdas 0.001 0.1 --controllers \
 {OTHERS[0]} {OTHERS[1]} --population 16 --rounds 6 --out"""

@@ -6,6 +6,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from ms_highway.runtime.interrupt import INTERRUPTED
 
 SWEEP = ["sweep", "merger", "--seeds", "100000", "--part", "1024", "--devices", "1"]

@@ -63,7 +63,7 @@ def test_the_page_has_answer_table_figures_film_and_settings(html, compared):
     summary = pd.read_csv(compared / "summary.csv").set_index("controller")
     assert f"naive earns a reward of {summary.loc['naive', 'reward']:.2f} per step" in said
     for name in CONTROLLERS:
-        assert re.search(rf"<td>{name}</td>\s*<td>{summary.loc[name, 'reward']:.2f}</td>", html)
+        assert re.search(rf">{name}</t[hd]>\s*<td>{summary.loc[name, 'reward']:.2f}</td>", html)
     images, (film,) = elements(html, "img"), elements(html, "video")
     names = [image["alt"].split(".")[0] for image in images]
     assert names == [f"Stay Back, {name}" for name in ("bars", "timeline", "decisions")]
