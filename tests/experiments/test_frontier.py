@@ -14,7 +14,7 @@ from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]
-SEEDS, PRICES = 3, (0.03, 0.1)
+PRICES = 0.03, 0.1
 OTHERS = ["period:turn=1,naive=3", "random:naive=0.75,turn=0.25"]
 SEARCH = f"""frontier merger --set ladder=naive,turn --seeds 3 --prices 0.03 0.1 --lambdas 0.001 0.1 --controllers \
 {OTHERS[0]} {OTHERS[1]} --population 16 --rounds 6 --out"""
@@ -39,11 +39,6 @@ def test_regrets_are_to_the_best_that_was_tried_from_each_start_and_that_is_earn
     own = tried.groupby("controller")["net"].mean()[["naive", "turn", *OTHERS, "switching:0.001", "switching:0.1"]]
     np.testing.assert_allclose(behind.loc[own.index, "regret"], found["meta_reward"].mean() - own)
     assert behind["regret"].between(behind["regret_low"], behind["regret_high"]).all()
-    orders = tried[~tried["controller"].str.startswith(("switching", "random"))].groupby("controller")["net"]
-    everywhere = orders.mean()[orders.size() == SEEDS]
-    assert 20 < len(everywhere) < len(orders)
-    said = behind.loc[behind["kind"].isin(["fixed", "schedule", "period"]), "meta_reward"]
-    assert said.idxmax() == everywhere.idxmax()
     for seed, row in found.iterrows():
         steps = pd.DataFrame(episode(make_environment("merger", row["controller"], ladder=LADDER), seed))
         assert steps["reward"].mean() == pytest.approx(row["reward"], abs=1e-3)

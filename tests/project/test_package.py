@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+PIP = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target"]
 
 IMPORTED = """
 import sys
@@ -41,8 +42,7 @@ def checkout_without_links(tmp_path):
 @pytest.mark.slow
 def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout_without_links, tmp_path):
     source, installed = checkout_without_links, tmp_path / "installed"
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(installed), str(source)]
-    subprocess.run(pip, check=True)
+    subprocess.run([*PIP, str(installed), str(source)], check=True)
     shutil.rmtree(source)
     (metadata,) = installed.glob("*.dist-info")
     assert "Copyright (c) 2026 the ms_highway authors" in (metadata / "licenses" / "LICENSE").read_text()
@@ -68,19 +68,7 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout
 @pytest.mark.slow
 def test_an_editable_installation_finds_the_environments_where_there_are_no_links(checkout_without_links, tmp_path):
     source, installed = checkout_without_links, tmp_path / "installed"
-    pip = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--target",
-        str(installed),
-        "-e",
-        str(source),
-    ]
-    subprocess.run(pip, check=True)
+    subprocess.run([*PIP, str(installed), "-e", str(source)], check=True)
     program = (
         "import site, sys\n"
         f"sys.path = [path for path in sys.path if path != {str(ROOT)!r}]; site.addsitedir({str(installed)!r})\n"

@@ -23,7 +23,7 @@ from ms_highway.benchmarks.road.recorded import starts_of
 from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.commonroad import read_xml
 from ms_highway.recorded.problem import problem_of
-from ms_highway.recorded.scenario import open_recording
+from ms_highway.recorded.scenario import SHIPPED, open_recording
 from ms_highway.recorded.traffic import overlap
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -110,8 +110,8 @@ def test_gymnasiums_checker_passes_without_a_warning(tmp_path):
         check_env(make(written(tmp_path), render_mode="rgb_array").unwrapped)
 
 
-def test_in_replay_everybody_is_where_it_was_recorded_at_each_step(us):
-    env, told = begun(us("17_1"))
+def test_in_replay_everybody_is_where_it_was_recorded_at_each_step():
+    env, told = begun(SHIPPED)
     tracks = {track.number: track for track in env.scenario.tracks}
     for step in range(env.task.last + 1):
         rows = {n: row for n, track in tracks.items() for row in track.samples if row[0] == step}
@@ -127,13 +127,13 @@ def test_in_replay_everybody_is_where_it_was_recorded_at_each_step(us):
 
 
 @pytest.mark.parametrize("traffic", ["replay", "learned"])
-def test_who_is_behind_an_ego_that_stands_hits_it_in_replay_and_brakes_in_learned_traffic(traffic, us):
-    env, _ = begun(us("17_1"), traffic)
+def test_who_is_behind_an_ego_that_stands_hits_it_in_replay_and_brakes_in_learned_traffic(traffic):
+    env, _ = begun(SHIPPED, traffic)
     *_, (*_, info) = steps(env, braking)
     told = info["recorded"]
     assert told["collision"] == (traffic == "replay")
     if traffic == "learned":
-        assert told["step"] == 80
+        assert told["step"] == env.task.last
         along = {number: env.vehicle.lane.local_coordinates(one.position) for number, one in others(env).items()}
         own, _ = env.vehicle.lane.local_coordinates(env.vehicle.position)
         behind = {number: x for number, (x, y) in along.items() if abs(y) < 1.5 and x < own}
@@ -240,9 +240,9 @@ def test_leaving_the_road_by_a_corner_ends_the_episode(tmp_path):
     assert -1.0 < reward < -0.9
 
 
-def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position(us):
-    env, told = begun(us("17_1"), ego=278)
-    (track,) = [track for track in env.scenario.tracks if track.number == 278]
+def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position():
+    env, told = begun(SHIPPED, ego=298)
+    (track,) = [track for track in env.scenario.tracks if track.number == 298]
     first, last = track.samples[[0, -1]]
     np.testing.assert_allclose([told["step"], *poses(env, env.vehicle)], first, atol=1e-6)
     assert track.size == (env.vehicle.LENGTH, env.vehicle.WIDTH)
@@ -251,7 +251,7 @@ def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position(us
     assert env.goal.spot.lane == env.road.network.get_closest_lane_index(env.axes.positions(last[1:3]))
     for _ in range(5):
         env.step(idle())
-        assert 278 not in others(env)
+        assert 298 not in others(env)
 
 
 def test_what_cannot_be_driven_is_refused_by_name_with_what_to_do(tmp_path):

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
-from highway_env.vehicle.objects import Landmark
 
-from ms_highway.envs.game_env import Cone
 from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import driving_game
 from ms_highway.loop.driver import fixed
@@ -43,17 +41,16 @@ def test_a_step_of_the_bicycle_vehicle_is_the_cores_step_and_steering_means_the_
     assert car.state.dtype == np.float64
 
 
-@pytest.mark.parametrize("kind", [Cone, BicycleVehicle, Landmark])
-def test_a_car_that_is_not_solid_is_hit_where_highway_env_sees_the_bodies_overlap(kind):
+def test_a_car_that_is_not_solid_is_hit_where_highway_env_sees_the_bodies_overlap():
     (road,), random, still, hits = road_with(), np.random.default_rng(0), np.zeros(2), []
     for _ in range(100):
         car = BicycleVehicle(road, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0)
-        other = kind(road, random.uniform(-5, 5, 2), random.uniform(-4, 4))
-        car.solid, other.solid = False, kind is Cone
+        other = BicycleVehicle(road, random.uniform(-5, 5, 2), random.uniform(-4, 4))
+        car.solid = other.solid = False
         overlap, *_ = are_polygons_intersecting(car.polygon(), other.polygon(), still, still)
         car.handle_collisions(other, 0.1)
-        assert (car.hit, other.hit) == (overlap, overlap and not other.solid)
-        assert (car.crashed, other.crashed, car.impact) == (False, False, None)
+        assert car.hit == other.hit == overlap
+        assert not car.crashed
         hits.append(overlap)
     assert 0.2 < np.mean(hits) < 0.8
 
