@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -21,9 +20,6 @@ from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game, draw_episode
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
 from ms_highway.runtime.jax_settings import keep_compilations
-
-if TYPE_CHECKING:
-    from ms_highway.irl.recording import Recording
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY, DENSE_MERGE, CROSSING_CROWD)}
 
@@ -93,13 +89,6 @@ def little_memory() -> Iterator[None]:
         jax.clear_caches()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Reading recordings of real drivers takes long."""
-    for item in items:
-        if "us101" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.slow)
-
-
 def _shared(variable: str, folder: str, pattern: str) -> Path:
     """A directory of data beside the project, or skip the test."""
     directory = Path(os.environ.get(variable, Path(__file__).parents[2] / "shared" / folder))
@@ -118,14 +107,6 @@ def reference() -> Path:
 def us101_directory() -> Path:
     """The directory of human driving on the US-101 highway."""
     return _shared("MS_HIGHWAY_HUMAN_DRIVING", "human_driving/us101", "*.xml.gz")
-
-
-@pytest.fixture(scope="session")
-def us101(us101_directory: Path) -> "list[Recording]":
-    """Human driving on the US-101 highway."""
-    from ms_highway.irl.commonroad import read_directory  # which needs an extra
-
-    return read_directory(us101_directory)
 
 
 @pytest.fixture

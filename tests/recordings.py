@@ -23,19 +23,6 @@ def straight(start, end, points=30):
     return np.linspace(start, end, points)[:, None] * [np.cos(TURN), np.sin(TURN)]
 
 
-def turning(radius):
-    """Points about a metre apart on a line that turns left by a right angle, between straights of 60 m."""
-    angles = np.linspace(0, np.pi / 2, max(round(1.6 * radius), 8))
-    arc = radius * np.stack([np.sin(angles), 1 - np.cos(angles)], axis=-1)
-    before, after = np.linspace([-60, 0], [-1, 0], 60), np.linspace([radius, radius + 1], [radius, radius + 60], 60)
-    return np.concatenate([before, arc, after])
-
-
-def headings(line):
-    """The direction of a line at each point."""
-    return np.arctan2(*np.gradient(line, axis=0).T[::-1])
-
-
 def two_lanes():
     """Two lanes; the left one, lanelets 1 and 2, is listed last, and none knows who is beside it."""
     return (

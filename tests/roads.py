@@ -9,8 +9,8 @@ from jax import numpy as jnp
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
-from ms_highway.road.following import Manners, manners_of
-from ms_highway.road.plan import Judged, no_plan
+from ms_highway.road.following import Manners
+from ms_highway.road.plan import no_plan
 from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, proposals
 from ms_highway.road.score import score
 from ms_highway.road.simulation import advance, simulate
@@ -118,14 +118,6 @@ def coming(scene, car):
     return scene
 
 
-def turning_off(robot_s):
-    """A standing robot, and a car from ahead, on the left lane, that turns left across its route at s = 44 to 50."""
-    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, 10.0)])
-    along = SPACING * np.arange(TRAFFIC_KNOTS) - BEHIND
-    path = winding(np.where((along > 60) & (along < 80), -1 / 13, 0.0))
-    return on_path(scene, 115.0 - path.x, -LANE - path.y, path.heading + np.pi, path.curvature)
-
-
 @jax.jit
 def execute(scene, planning, controls):
     """Return the robot's states after each control, and the controls within limits that it executed."""
@@ -172,11 +164,4 @@ def now_in(scene, planning=PLANNING):
     return situation_of(scene, planning, WEIGHTS)
 
 
-proposals_now = jit_quickly(lambda now, models, last: (proposals(now, last), manners_of(now, models, PROPOSALS)))
 PLANS = jax.tree.map(np.asarray, jit_quickly(proposals)(now_in(scene_of()), no_plan(PLANNING)))
-
-
-def proposals_of(scene, planning, rungs, last):
-    """All proposals, driven and judged."""
-    plans, others = proposals_now(now_in(scene, planning), rungs, last)
-    return Judged(plans, *driven_and_judged(scene, planning, others, plans))

@@ -1,14 +1,9 @@
 """What an interrupted run finds when it is resumed."""
 
-import shutil
-import subprocess
-
 import pandas as pd
 import pytest
 
-from ms_highway.experiments import directory
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.directory import ResultsDirectory
 from ms_highway.experiments.results import read_results
 from ms_highway.experiments.runner import read, run
 
@@ -26,34 +21,3 @@ def test_a_comparison_that_was_stopped_in_its_first_episode_can_be_resumed(tmp_p
     pd.testing.assert_frame_equal(read_results(tmp_path).records, stopped)
     pd.testing.assert_frame_equal(read(COMPARISON, tmp_path), stopped)
     assert len(stopped) == 40
-
-
-def test_settings_say_what_is_usual_and_what_was_given():
-    pair = Comparison({"merger": ["naive"]}, config={"horizon": 10, "semantics": "released"})
-    usual = {"semantics": "released", "solver": "gradient", "human_reward": "published", "costs": "published"}
-    assert pair.common_config() == usual | {"horizon": 10}
-    both = Comparison({"merger": ["naive"], "dense_merge": ["naive"]})
-    assert both.common_config() == {"semantics": "paper", "human_reward": "learned"}  # their solvers and costs differ
-
-
-def test_a_run_from_a_checkout_names_its_commit_and_whether_its_files_have_changed(tmp_path, monkeypatch):
-    monkeypatch.setattr(directory, "CHECKOUT", tmp_path / "checkout")
-    assert "commit" not in directory.this_run()  # where the package was installed
-    file = tmp_path / "checkout" / "file"
-    file.parent.mkdir()
-    shutil.copy(__file__, file)
-    author = ["-c", "user.name=A", "-c", "user.email=a@example.org"]
-    for words in (["init"], ["add", "file"], [*author, "commit", "-m", "first"]):
-        subprocess.run(["git", *words], cwd=file.parent, check=True)
-    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=file.parent, check=True, capture_output=True, text=True)
-    (file.parent / "results").touch()  # which is no part of the commit
-    for text, dirty in (("", False), ("more", True)):
-        with file.open("a") as opened:
-            opened.write(text)
-        run = directory.this_run()
-        assert (run["commit"], run["dirty"]) == (head.stdout.strip(), dirty)
-    results = ResultsDirectory(tmp_path / "out")
-    assert results.record("first") == ""
-    assert results.runs()[0]["commit"] == run["commit"]
-    monkeypatch.setattr(directory, "CHECKOUT", tmp_path)
-    assert results.record("second") == f"commit none instead of {run['commit']}"

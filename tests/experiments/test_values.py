@@ -11,7 +11,7 @@ from commands import run
 from ms_highway.choice.values import load_values
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.values.learning import Learning, learn, read_rollouts
+from ms_highway.experiments.values.learning import Learning, learn
 from ms_highway.experiments.values.rollouts import Course
 from ms_highway.loop.devices import device_mesh, use_devices
 
@@ -46,15 +46,6 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
         next(learn(LEARNING, [course], kept, device_mesh()))
 
 
-def test_starts_are_noisier_than_those_of_the_scenario_around_the_same_mean(course):
-    random = np.random.default_rng(0)
-    own = np.array([course.draw(random)[0] for _ in range(400)])
-    noisy, _ = course.starts(random, 400)
-    np.testing.assert_allclose(noisy.mean(axis=0), own.mean(axis=0), atol=0.3)
-    ratio = noisy.std(axis=0) / own.std(axis=0)
-    assert ((ratio > 2) & (ratio < 5)).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("scenario", "examples"), [("merger", 13), ("dense_merge", 24)])  # of two humans in each state
 def test_the_command_learns_values_that_drive(scenario, examples, tmp_path):
@@ -64,26 +55,3 @@ def test_the_command_learns_values_that_drive(scenario, examples, tmp_path):
     values = load_values(file)
     assert (values.provenance["scenarios"], values.provenance["examples"]) == ([scenario], examples)
     run(f"compare {scenario} {config} --controllers learned:0.1:{file} --seeds 1 --out {tmp_path / 'out'}")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("merger --out values.json", "'values.json' is no name that ends in .npz"),
-        ("dense_merge merger --out values.npz", "some scenarios have one human, others several"),
-        ("merger --set costs=naive=0.1 --out values.npz", "without seconds for tom, turn"),
-        ("merger --set ladder=best --out values.npz", "leave +warm out"),
-        ("merger --set yielding=never --out values.npz", "config['yielding']"),
-    ],
-)
-def test_what_cannot_be_learned_is_refused_before_anything_is_written(arguments, message, refused):
-    assert message in refused(f"values learn {arguments}")
-
-
-def test_rollouts_that_are_not_finite_are_refused_by_name(tmp_path):
-    file, descriptions, gains = tmp_path / "1-0.npz", np.zeros((1, 2)), np.full((1, 2), -np.inf)
-    np.savez(file, descriptions=descriptions, gains=gains)
-    assert (read_rollouts(file).descriptions == 0).all()
-    np.savez(file, descriptions=descriptions, gains=gains + np.nan)
-    with pytest.raises(ValueError, match=r"1-0\.npz cannot be read \(it holds numbers .* not finite\); remove it"):
-        read_rollouts(file)

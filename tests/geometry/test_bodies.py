@@ -5,7 +5,7 @@ import pytest
 from highway_env.utils import are_polygons_intersecting, rect_corners
 from jax import numpy as jnp
 
-from ms_highway.geometry.bodies import body_points, ellipse_distance, separation
+from ms_highway.geometry.bodies import separation
 
 
 def polygon(x, y, heading, length, width):
@@ -25,14 +25,3 @@ def test_rectangles_are_apart_exactly_where_highway_env_says_so(kind):
         )
         assert abs(apart) < 1e-3 or touching == (apart < 0)
     assert 0.2 < np.mean(found < 0) < 0.8
-
-
-def test_the_distance_to_an_ellipse_is_zero_on_it_and_grows_with_the_square():
-    points = body_points(np.array([4.0, 2.0]))
-    heading = 0.7
-    ends = np.array([2.5, 5.0])[:, None] * np.array([np.cos(heading), np.sin(heading)])
-    own = *ends.T, np.ones(2), np.zeros(2)
-    other = tuple(np.full((1, 2), value) for value in (0.0, 0.0, np.cos(heading), np.sin(heading)))
-    distance = ellipse_distance(own, points, other, 5.0, 2.0)
-    assert distance.shape == (1, 9, 2)
-    np.testing.assert_allclose(distance[0, -1], [0.0, 3.0], atol=1e-6)

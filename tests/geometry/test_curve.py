@@ -74,11 +74,6 @@ def test_beyond_its_ends_a_curve_goes_straight_on(name):
         np.testing.assert_allclose(own.bend(np.array([end + side])), 0.0)
 
 
-def test_two_points_make_a_straight_curve():
-    own = Curve.through(np.array([1.0, 1.0]), np.array([0.0, 2.0]))
-    np.testing.assert_allclose(own.place(np.array([1.0, 5.0]), 0.0), [[1.0, 1.0], [1.0, 5.0], [np.pi / 2] * 2])
-
-
 def test_through_points_of_a_circle_the_curvature_is_its_own():
     angle = np.arange(0.0, 2.0, 0.5 / 15)
     own = Curve.through(15 * np.sin(angle), 15 - 15 * np.cos(angle), spacing=0.5)

@@ -5,7 +5,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.recording import Recording, track_of
 
@@ -43,17 +43,3 @@ def test_noise_is_not_taken_for_driving():
     assert error(track, states) < 0.06
     assert np.std(track.controls[:, 1] - WAVE[:, 1]) < 0.3  # second differences would give 24
     assert np.std(track.controls[:, 0] - WAVE[:, 0]) < 0.0005
-
-
-def test_a_standing_car_and_the_shortest_track_have_controls():
-    for states in (np.zeros((30, 4)), np.array([[0.0, 0, 0, 10], [1.0, 0, 0, 10]])):
-        track = tracked(states)
-        np.testing.assert_allclose(track.states, states, atol=1e-9)
-        np.testing.assert_allclose(track.controls, keep_velocity(PAPER_DYNAMICS, states[:-1]), atol=1e-9)
-
-
-def test_us101_tracks_are_close_to_what_was_recorded(us101):
-    recording, errors = us101[0], []
-    for driver in recording.drivers:
-        errors.append(track_of(recording, driver).states - recording.states[recording.seen[:, driver], driver])
-    assert np.sqrt(2 * np.mean(np.square(np.concatenate(errors)[:, :2]))) < 0.15

@@ -11,7 +11,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.geometry.curve import BEHIND, SPACING, Curve
+from ms_highway.geometry.curve import Curve
 from ms_highway.perception.observation import observe_road
 from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS
 
@@ -19,7 +19,6 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning
 
 GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
 SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
-BEHIND_KNOTS = round(BEHIND / SPACING)
 KINDS = {"leaders": np.int32, "owners": np.int32}
 KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
 
@@ -42,11 +41,11 @@ def seen_from(scene, lane, at, goal=None):
     return observe_road(with_ego(scene, lane, at), goal)
 
 
-def among(ego, *others, speed=8.0):
-    """Let there be no others than IDM vehicles at places on lanes."""
-    road = ego.road
-    road.vehicles = [ego, *(IDMVehicle.make_on_lane(road, lane, at, speed=speed) for lane, at in others)]
-    return road.vehicles[1:]
+def among(ego, lane, at):
+    """Let there be nobody else than an IDM vehicle at a place on a lane."""
+    other = IDMVehicle.make_on_lane(ego.road, lane, at, speed=8.0)
+    ego.road.vehicles = [ego, other]
+    return other
 
 
 @cache
@@ -87,29 +86,13 @@ def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_h
         assert (np.hypot(*found.T).min(axis=0, initial=np.inf) < 0.1).all()
 
 
-@pytest.mark.parametrize("scene", ["roundabout-v0", "intersection-v2", "racetrack-v0", "u-turn-v0", "merge-v0"])
+@pytest.mark.parametrize("scene", ["roundabout-v0", "intersection-v2", "merge-v0"])
 def test_a_route_does_not_wobble_while_it_is_driven(scene):
     for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene)):
         if lane == last or lane[:2] != last[:2]:
             route = before.route
             _, aside, _ = located(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
             assert np.abs(aside).max() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("lane", "at", "changes", "room"),
-    [
-        (("0", "1", 0), 100.0, [7, 6, 5], 400.0),
-        (("0", "1", 5), 380.0, [2, 1, 0], 120.0),
-        (("1", "2", 6), 50.0, [1, 0, -1], 50.0),
-    ],
-)
-def test_the_exit_asks_for_changes_to_its_lane_before_it_leaves_the_road(lane, at, changes, room):
-    seen = seen_from("exit-v0", lane, at, "exit")
-    assert seen.changes.tolist() == changes
-    assert float(seen.room) == pytest.approx(room, abs=0.1)
-    assert seen_from("exit-v0", lane, at).changes[1] == 0
-    assert (float(seen.route.y[-1]) > 26.0) == (changes[1] == 0), "the exit bends away from the road"
 
 
 def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_closed_to_the_cars_beside_it():
@@ -119,7 +102,6 @@ def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_cl
     assert float(seen.room) == pytest.approx(100.0, abs=0.5)
     assert [left[x < 228].any(), left[x > 232].all()] == [False, True]
     assert [own[x < 308].all(), own[x > 312].any()] == [True, False]
-    assert np.allclose(seen.edges[1, x > 312], seen.lanes[0, x > 312] + 2.0, atol=0.05)
     beside = seen_from("merge-v0", ("b", "c", 1), 10.0)
     assert not beside.open[2].any()
     assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
@@ -127,8 +109,7 @@ def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_cl
 
 def test_cars_before_an_intersection_may_go_several_ways():
     ego = with_ego("intersection-v0", ("o0", "ir0", 0), 80.0)
-    (other,) = among(ego, (("o2", "ir2", 0), 85.0))
-    other.plan_route_to("o1")
+    among(ego, ("o2", "ir2", 0), 85.0).plan_route_to("o1")
     seen = observe_road(ego, "o1")
     assert seen.owners[seen.present].tolist() == [0, 0, 0]
     ends = np.stack([seen.paths.x[:3, -1], seen.paths.y[:3, -1]], axis=-1)
@@ -136,15 +117,5 @@ def test_cars_before_an_intersection_may_go_several_ways():
     shown = observe_road(ego, "o1", intentions=True)
     assert shown.present.sum() == 1
     assert [shown.paths.x[0, -1] < -50.0, shown.paths.y[0, -1]] == [True, pytest.approx(-2.0, abs=0.1)]
-    among(ego, (("ir2", "il3", 0), 10.0))
+    among(ego, ("ir2", "il3", 0), 10.0)
     assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
-
-
-def test_leaders_are_the_nearest_cars_ahead_on_the_same_path():
-    ego = with_ego("highway-v0", ("0", "1", 1), 100.0)
-    among(ego, *(((*"01", lane), at) for lane, at in [(1, 110.0), (1, 140.0), (2, 130.0)]), speed=20.0)
-    seen = observe_road(ego)
-    near, middle, far = map(seen.owners.tolist().index, range(3))
-    assert seen.leaders[[near, middle, far]].tolist() == [far, -1, -1]
-    assert seen.gaps[near] == pytest.approx(30.0, abs=0.01)
-    assert seen.moving[[near, middle, far]].all()

@@ -45,6 +45,15 @@ def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
     decisions = [errors["decisions"] for errors in files.values() if "decisions" in errors]
     assert sum(each["agree"] for each in decisions) == FENCES["replay"]["decisions"]
     assert sum(each["all"] for each in decisions) == FENCES["replay"]["decisions"]
+    assert max(errors["human_error"]["q99"] for errors in files.values()) < 1e-4
+    for name, errors in files.items():
+        scenario, _, kind = name.removesuffix(".npz").partition("__")
+        error = errors["action_error"]
+        if kind == "naive":
+            assert error["q99"] < 1e-4, name
+        elif kind in ("turn", "tom") and scenario != "stay_back":  # where the reference is chaotic
+            assert error["q50"] < 1e-6, name
+            assert error["q90" if kind == "tom" else "q99"] < 1e-4, name
 
 
 @pytest.fixture(scope="module", params=PAPER_SCENARIOS)
@@ -100,6 +109,15 @@ def test_the_recorded_problem_that_ships_is_solved():
     rewards, info = drive(env, 0)
     assert info["recorded"]["success"]
     assert np.mean(rewards) == pytest.approx(FENCES["recorded"]["reward"], abs=FENCES["recorded"]["tolerance"])
+
+
+@SLOW
+def test_as_many_recorded_problems_are_solved_as_the_results_say(us101_directory, tmp_path):
+    file, drivers = tmp_path / "road.json", ["--drivers", "priced", "--data", str(us101_directory)]
+    assert main(["bench", "road", "recorded", *drivers, "--json", str(file)]) == 0
+    driven = json.loads(file.read_text())["recorded"]["priced"]
+    assert (driven["episodes"], driven["collisions"]) == (16, 0)
+    assert round(16 * driven["success"]) >= FENCES["recorded"]["solved"]
 
 
 @SLOW

@@ -12,16 +12,9 @@ from ms_highway.runtime.retired import CONTROLLERS, DRIVERS, OPTIONS
     ("command", "gone"),
     [
         ("bench merger --peer casadi", "bench --peer"),
-        ("bench merger --crowd 2", "bench --crowd"),
-        ("bench road merge --judge", "bench road --judge"),
         ("bench road merge --traffic unyielding", "bench road --traffic unyielding"),
-        ("bench road merge --drivers search", "search"),
         ("bench road merge --drivers idm priced+traits", "traits"),
         ("sweep merger --processes=2 --out out", "sweep --processes"),
-        ("report results --markdown", "report --markdown"),
-        ("irl evaluate --theta us101 --data . --others recorded", "irl evaluate --others"),
-        ("irl record --driver mpc --episodes 1 --dataset a/b-v0", "irl record --driver mpc"),
-        ("compare merger --controllers ttc:2 --out out", "ttc"),
         ("sweep dense_merge --controllers risk:1+belief --out out", "risk"),
     ],
 )
@@ -36,13 +29,7 @@ def test_python_that_names_something_retired_says_what_to_use_instead():
         _ = ms_highway.RoadPolicy
     with pytest.raises(ValueError, match=r"barrier is gone since 2\.0\.0: use nearest:K"):
         gym.make("ms-highway/dense-merge-v0", config={"controller": {"type": "barrier", "count": 1}})
-    for config, gone in (
-        ({"belief": True}, "belief"),
-        ({"driver": "priced+traits"}, "traits"),
-        ({"driver": "fixed:turn"}, "fixed:turn"),
-        ({"ladder": ("naive", "turn", "tom")}, "turn"),
-        ({"costs": {"turn": 1.0}}, "turn"),
-    ):
+    for config, gone in (({"belief": True}, "belief"), ({"ladder": ("naive", "turn", "tom")}, "turn")):
         with pytest.raises(ValueError, match=f"{gone} is gone since"):
             ms_highway.drive(gym.make("highway-fast-v0"), config)
     with pytest.raises(ValueError, match="lane_modes is gone since"):

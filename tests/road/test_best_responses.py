@@ -89,9 +89,3 @@ def test_a_human_stops_behind_a_standing_car_that_it_would_drive_through():
     speed = 15.0 + np.cumsum(answered(scene, AWAY)) * PLANNING.time_step
     assert -30.0 + speed.sum() * PLANNING.time_step < 2.0 - 5.0
     assert speed.min() > -1e-3
-
-
-def test_a_human_does_not_look_at_itself_nor_at_its_other_way():
-    alone, owned = (scene_of(cars=[(0.0, 0, 20.0)] * ways) for ways in (1, 2))
-    owned.owners[1] = 0
-    np.testing.assert_allclose(answered(owned, AWAY), answered(alone, AWAY), atol=1e-3)

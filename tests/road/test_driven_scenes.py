@@ -7,7 +7,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 import ms_highway
 from ms_highway.road.robot import RoadRobot
-from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego, success
+from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -36,11 +36,6 @@ def test_where_to_and_how_fast_is_what_the_scene_asks_for(name, destination, spe
     assert (destination_of(made(name)), desired_speed_of(made(name))) == (destination, speed)
 
 
-def test_success_is_told_where_a_scene_grants_time_enough_for_its_goal():
-    told = {name: success(made(name)) for name in ("roundabout-v0", "exit-v0", "merge-v0", "u-turn-v0", "two-way-v0")}
-    assert list(told.values()) == [False, False, False, None, None]
-
-
 def test_a_destination_that_is_drawn_is_the_end_of_the_route():
     env, found = made("intersection-v0", destination=None), set()
     for seed in range(6):
@@ -50,9 +45,8 @@ def test_a_destination_that_is_drawn_is_the_end_of_the_route():
     assert len(found) > 1
 
 
-@pytest.mark.parametrize("config", [{}, {"action": {"type": "ContinuousAction"}}])
-def test_another_vehicle_takes_the_place_of_the_controlled_one(config):
-    env = made("intersection-v0", **config).unwrapped
+def test_another_vehicle_takes_the_place_of_the_controlled_one():
+    env = made("intersection-v0").unwrapped
     old, place, observed = env.vehicle, env.road.vehicles.index(env.vehicle), env.observation_type.observe()
     new = replace_ego(env, RoadRobot.create_from)
     assert env.vehicle is env.road.vehicles[place] is env.action_type.controlled_vehicle is new
@@ -68,29 +62,12 @@ def test_what_an_intersection_does_to_highway_envs_drivers_is_undone_in_other_sc
         assert [getattr(IDMVehicle, value) for value in VALUES] == expected
 
 
-@pytest.mark.parametrize("name", ["highway-fast-v0", "ms-highway/recorded-v0"])
-def test_where_a_road_moves_on_before_anybody_acts_all_keep_their_velocity(name):
-    env = ms_highway.drive(gym.make(name))
-    env.reset(seed=0)
-    cars = list(env.unwrapped.road.vehicles)
-    expected = [car.position + 0.1 * car.velocity for car in cars]
-    env.unwrapped.road.step(0.1)
-    np.testing.assert_allclose([car.position for car in cars], expected, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("config", "message"),
     [
         ({"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
         ({"driver": "priced:cheap"}, "'priced:cheap'; choose one of priced, .* with numbers from 0"),
-        ({"driver": "nobody"}, "'nobody'; choose one of priced"),
         ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "'fixed:tom'; .*rungs of.*'ladder'.*'naive', 'idm'"),
-        ({"ladder": ("tom", "naive")}, "give rungs of naive, idm, tom in this order"),
-        (
-            {"costs": {"naive": 1, "tom": -1}},
-            r"config\['costs'\] is {'naive': 1, 'tom': -1}; say 'shipped', or give mill",
-        ),
-        ({"desired_speed": float("nan")}, "is nan; it must be a positive number, or None"),
     ],
 )
 def test_an_impossible_configuration_is_refused(config, message):
@@ -98,13 +75,6 @@ def test_an_impossible_configuration_is_refused(config, message):
         ms_highway.drive(gym.make("merge-v0"), config)
 
 
-def test_where_a_reward_takes_no_continuous_action_the_error_says_so():
-    env = ms_highway.drive(gym.make("merge-v0"))
-    with pytest.raises(ValueError, match=r"cannot take a ContinuousAction.*make it with config=.*Discrete"):
-        env.reset(options={"config": {"action": {"type": "ContinuousAction"}}})
-
-
-@pytest.mark.parametrize("name", ["parking-v0", "lane-keeping-v0", "ms-highway/merger-v0"])
-def test_where_there_is_no_road_to_follow_the_error_says_what_works(name):
-    with pytest.raises(ValueError, match=f"{name}.*the robot drives highway, merge, roundabout"):
-        ms_highway.drive(gym.make(name))
+def test_where_there_is_no_road_to_follow_the_error_says_what_works():
+    with pytest.raises(ValueError, match=r"parking-v0.*the robot drives highway, merge, roundabout"):
+        ms_highway.drive(gym.make("parking-v0"))

@@ -20,23 +20,6 @@ def driver(name="fixed:naive", planning=PLANNING, costs=COSTS):
     return RoadSettings.read({"driver": name, "costs": costs}).build(planning)
 
 
-def test_a_step_tells_what_was_planned_and_predicted():
-    step = driver("fixed:idm").step(SCENE)
-    assert (step.path.shape, step.humans.shape) == ((PLANNING.steps, 3), (TRAFFIC, PLANNING.steps, 2))
-    assert step.models == ("idm",) * 3 + ("",) * (TRAFFIC - 3)
-    np.testing.assert_array_equal(step.owners, SCENE.owners)
-    assert step.source in PLANS
-    assert np.abs(step.path[0, :2] - [2.5 + 18 * 0.2, 0.0]).max() < 0.2  # the centre, one step on
-    assert min(step.planning_seconds, step.decision_seconds) > 0
-
-
-def test_models_are_chosen_by_gains_and_costs():
-    eager, thrifty = (driver(name).step(SCENE) for name in ("priced:0", "priced:1e9"))
-    np.testing.assert_array_equal(eager.gains, thrifty.gains)
-    chosen = eager, thrifty, driver("budget:0").step(SCENE)
-    assert [set(step.models[:3]) for step in chosen] == [{"tom"}, {"naive"}, {"naive"}]
-
-
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
     late, usual = driver("budget:0"), driver("fixed:naive")
     steps = [late.step(SCENE) for _ in range(3)]
@@ -47,17 +30,6 @@ def test_a_plan_beyond_its_budget_is_followed_a_step_later():
     np.testing.assert_array_equal(steps[0].control, [0.0, -PLANNING.grip])
     np.testing.assert_array_equal(steps[1].control, first.plan[1])
     np.testing.assert_array_equal(steps[2].control, second.plan[1])
-
-
-def test_a_car_that_brakes_harder_than_its_model_says_is_expected_to_go_on_braking():
-    slower = replace(
-        SCENE, states=SCENE.states - np.array([[0, 0, 0, 1.2 * (car == 0)] for car in range(TRAFFIC)], np.float32)
-    )
-    for model in ("naive", "idm", "tom"):
-        surprised, unaware = driver(f"fixed:{model}"), driver(f"fixed:{model}")
-        surprised.step(SCENE)
-        seen, new = surprised.step(slower), unaware.step(slower)
-        assert seen.humans[0, -1, 0] < new.humans[0, -1, 0] - 5.0  # m, after 4 s at first at -6 m/s^2
 
 
 def test_nothing_compiles_after_the_first_step(caplog):

@@ -5,15 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from roads import (
-    NOBODY,
     ONE_LANE,
     PLANNING,
     WEIGHTS,
     coming,
     country_road,
     execute,
-    judged,
-    proposals_of,
     scene_of,
     wrecked,
 )
@@ -21,68 +18,12 @@ from roads import (
 from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.driver import plan_of
 from ms_highway.road.plan import no_plan
-from ms_highway.road.proposals import ALL, LAST_PLAN
-from ms_highway.road.traffic import obstruction_of
-from ms_highway.runtime.compilation import jit_quickly
 
-ACROSS = np.pi / 2
 SLOW = replace(PLANNING, desired_speed=10.0)
-seen = jit_quickly(lambda scene: obstruction_of(scene, WEIGHTS))
 
 
 def planned(scene, last=None):
     return plan_of(scene, SLOW, WEIGHTS, np.zeros(TRAFFIC, np.int32), last or no_plan(PLANNING))
-
-
-def ending_at(last, place):
-    return last._replace(goal=np.array(place, np.float32))
-
-
-def proposed(scene, last):
-    return proposals_of(scene, SLOW, np.zeros(TRAFFIC, np.int32), last)
-
-
-def rest_of(scene, last):
-    """Lane and side of the rest of the last plan."""
-    plans = proposed(scene, last).plans
-    return int(plans.lane[LAST_PLAN]), int(plans.side[LAST_PLAN])
-
-
-@pytest.mark.parametrize(
-    ("lanes", "heading", "sides", "ends"),
-    [
-        ([0], 0.0, (-3.0, 3.0), (22.5, 27.5)),
-        ([0, 1], 0.0, (-3.0, 3.0), (22.5, 27.5)),
-        ([0, -1], ACROSS, (-8.5, 4.5), (24.0, 26.0)),
-    ],
-)
-def test_what_lies_in_the_lane_is_passed_a_metre_away(lanes, heading, sides, ends):
-    scene = scene_of(cars=[(25.0, lane, 0.0) for lane in lanes])
-    for car in range(len(lanes)):
-        wrecked(scene, car, heading)
-    found = seen(scene)
-    assert found.exists
-    np.testing.assert_allclose(found.sides, sides, atol=1e-3)
-    np.testing.assert_allclose([found.begin, found.end], ends, atol=1e-3)
-
-
-def test_what_lies_beside_the_lane_behind_or_far_ahead_or_may_drive_on_is_no_obstruction():
-    for place in ((25.0, 1), (-12.0, 0), (90.0, 0)):
-        assert not seen(wrecked(scene_of(cars=[(*place, 0.0)]), 0)).exists
-    assert not seen(scene_of(cars=[(25.0, 0, 0.0)])).exists
-
-
-def test_what_still_slides_is_passed_where_it_is_and_where_it_will_lie():
-    found = seen(wrecked(scene_of(cars=[(20.0, 0, 0.0)]), 0, ACROSS, speed=4.0))
-    np.testing.assert_allclose(found.sides, (-4.5, 8.5), atol=1e-3)
-
-
-def test_on_a_loop_what_lies_ahead_does_not_lie_a_lap_further_on():
-    bend = 2 * np.pi / 121.0  # m: knots of the next lap are halfway between those of this one
-    for place in (10.0, 20.0):
-        found = seen(wrecked(scene_of(bend, cars=[(place, 0, 0.0)]), 0, ACROSS))
-        assert found.exists
-        assert place - 2.0 < found.begin < found.end < place + 2.0
 
 
 def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_comes():
@@ -91,19 +32,6 @@ def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_
     assert y.min() < -2.0
     assert not plan.broken
     assert x[-1] > 20.0
-
-
-def test_the_rest_of_a_plan_round_a_wreck_still_goes_round_it_and_of_others_to_the_lane_where_they_end():
-    wreck = wrecked(country_road((26.0, 0, 0.0)), 0)
-    round_it = planned(wreck).handed_on()
-    assert round_it.side == -1
-    back, straight = (ending_at(round_it, place) for place in ((31.0, -0.4), (31.0, -4.4)))
-    for last in (round_it, back, straight):
-        assert rest_of(wreck, last) == (1, -1)
-    assert rest_of(scene_of(), straight) == (0, 0), "nothing to go round any more"
-    assert rest_of(wreck, no_plan(SLOW)) == (1, 0)
-    assert rest_of(wreck, ending_at(no_plan(SLOW), (31.0, 4.4))) == (2, 0)
-    assert planned(wreck, round_it).side == -1
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -120,34 +48,6 @@ def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_b
     assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
     assert s[-1] > 40.0
     assert abs(d[-1]) < 0.3
-
-
-@pytest.mark.parametrize(
-    ("wreck", "place", "heading", "leaves"),
-    [
-        ((26.0, 0), 0.0, -0.09, [True, False]),  # 3 m to the left in the end
-        (None, 0.0, -0.09, [True, True]),
-        (None, 0.0, 0.0, [False, True]),  # nothing to go round
-        ((29.0, 1), 0.0, 0.0, [False, True]),
-        ((26.0, 0), -1.2, -0.05, [False, False]),  # on its way round already
-        (None, -1.2, -0.05, [True, True]),
-    ],
-)
-def test_lanes_of_oncoming_traffic_are_left_out_but_by_plans_round_something_and_by_a_robot_that_is_there(
-    wreck, place, heading, leaves
-):
-    scene = wrecked(country_road((*wreck, 0.0)), 0) if wreck else country_road()
-    scene = replace(scene, robot=np.array([0.0, place, heading, 8.0], np.float32))
-    controls = np.zeros((2, PLANNING.steps, 2), np.float32)
-    _, scores = judged(scene, controls, np.array([1, 1]), NOBODY, PLANNING, np.array([0, -1]))
-    assert np.asarray(scores.leaves).tolist() == leaves
-
-
-def test_only_in_its_own_lane_a_plan_leaves_room_to_turn_round_what_cannot_move():
-    scene = wrecked(wrecked(scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=[(40.0, 0, 0.0), (40.0, 1, 0.0)]), 0), 1)
-    states = np.asarray(proposed(scene, no_plan(SLOW)).driven.states)
-    own, beside = (states[ALL.index((lane, 1.0, 0.0, True, False, 0.0, 0)), -1, 0] for lane in (1, 2))
-    assert own < beside - 1.0
 
 
 def test_a_plan_waits_behind_a_wreck_while_somebody_comes_and_leaves_room_to_go_round_it():

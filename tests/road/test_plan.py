@@ -5,19 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import PLANNING, WEIGHTS, coming, crossing, execute, proposals_of, scene_of
+from roads import PLANNING, WEIGHTS, coming, execute, scene_of
 
-from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.perception.scene import KNOTS, TRAFFIC
 from ms_highway.road.constants import LANE, MODELS
-from ms_highway.road.driver import answered_by, proposed_for
 from ms_highway.road.driver import plan_of as planned
 from ms_highway.road.plan import no_plan
 from ms_highway.road.simulation import bodies
 
 STEPS = PLANNING.steps
 MEMORY = no_plan(PLANNING)
-ZERO = round(BEHIND / SPACING)  # knot of paths at s = 0
 
 
 def everybody(name):
@@ -80,17 +77,6 @@ def test_before_a_wall_of_cars_the_best_plan_brakes_hardest_and_says_that_it_bre
     assert plan.controls[0, 1] < -0.95 * PLANNING.grip
 
 
-def test_where_nobody_optimises_the_best_proposal_drives_before_and_after_answers():
-    for scene, *_ in SCENES.values():
-        models = everybody("idm")
-        proposals = proposals_of(scene, PLANNING, models, MEMORY)
-        found = proposed_for(scene, PLANNING, WEIGHTS, models, MEMORY)
-        best = int(np.argmax(proposals.scores.preference))
-        for plan in (found.plan, answered_by(found, models)):
-            assert plan.chosen == best
-            np.testing.assert_allclose(plan.controls, proposals.driven.controls[best], atol=1e-4)
-
-
 CUT_IN = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
 
 
@@ -106,26 +92,3 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
     assert final_place(beside, "tom") > braking + 1.0
-
-
-def test_who_brakes_hard_ahead_is_expected_to_stop_and_nobody_else():
-    ahead, behind, aside = (scene_of(cars=[(s, lane, 10.0)]) for s, lane in ((30.0, 0), (-15.0, 1), (30.0, 1)))
-
-    def covered(scene, acceleration, seconds=3.0):
-        plan = plan_of(accelerating(scene, acceleration))
-        return float(plan.predictions[0, round(seconds / PLANNING.time_step) - 1, 0] - scene.paths.x[0, ZERO])
-
-    assert covered(ahead, -6.0) == pytest.approx(10.0**2 / 12, abs=1.5)
-    assert covered(ahead, -6.0, 4.0) > covered(ahead, -6.0) + 0.5, "later, it goes on"
-    assert covered(ahead, -2.0) > 22.0
-    assert min(covered(behind, -6.0), covered(aside, -6.0)) > 12.0
-
-
-def test_who_may_cross_is_expected_to_keep_its_speed_and_not_to_follow_a_car_on_one_of_its_ways():
-    led = crossing(0.0, 60.0)
-    led.leaders[0], led.gaps[0], led.present[1], led.moving[1] = 1, 12.0, True, True
-    for field in ("x", "y", "heading", "curvature"):
-        getattr(led.paths, field)[1] = getattr(led.paths, field)[0]
-    led.states[1] = 12.0, 0.0, 0.0, 0.0
-    kept = -60.0 + 10.0 * STEPS * PLANNING.time_step
-    assert float(plan_of(led, "idm").predictions[0, -1, 1]) == pytest.approx(kept, abs=0.05)

@@ -2,12 +2,10 @@
 
 from types import SimpleNamespace
 
-import gymnasium as gym
 import highway_env  # noqa: F401, registers the environments
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.road.robot import GRIP, RoadRobot
 
@@ -43,27 +41,3 @@ def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(speed
         assert robot.speed >= -1e-9
         last = moved
     assert 0.9 * GRIP < max(robot.accelerations) <= GRIP
-
-
-def test_a_crashed_robot_brakes_as_highway_envs_vehicles_do():
-    robot = robot_on_a_road(20.0, Wild(0.5, 20.0))
-    other = Vehicle(robot.road, robot.position, 0.0, 20.0)
-    robot.crashed = other.crashed = True
-    for _ in range(10):
-        robot.act()
-        robot.step(0.1)
-        other.step(0.1)
-    assert (robot.speed, robot.accelerations) == (other.speed, [])
-
-
-@pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
-def test_environments_find_what_they_ask_of_their_own_car():
-    env = gym.make("merge-v0").unwrapped
-    env.reset(seed=0)
-    own, times = env.vehicle, np.array([1.0, 5.0, 10.0])
-    robot = RoadRobot.create_from(own)
-    assert (robot.speed_index, robot.target_lane_index) == (own.speed_index, own.lane_index)
-    assert robot.plan_route_to("d").route == own.plan_route_to("d").route
-    paths = (car.predict_trajectory_constant_speed(times) for car in (robot, own))
-    for mine, theirs in zip(*paths, strict=True):
-        np.testing.assert_allclose(mine, theirs)

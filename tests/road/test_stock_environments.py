@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from ms_highway.choice.quadratic import Switching
-from ms_highway.game.scenario import driving_game
-from ms_highway.loop.driver import Driver
-from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
 from ms_highway.road.stock import replace_ego
-from ms_highway.vehicle import HumanVehicle, RobotVehicle
+from ms_highway.vehicle import HumanVehicle
 from ms_highway.vehicle.bicycle import OfferedSpeeds
-from ms_highway.vehicle.road_view import look
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -75,12 +69,16 @@ def test_a_human_on_a_ramp_merges_before_it_ends(kind):
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_humans_plan_in_every_stock_environment(name):
+def test_humans_plan_keep_to_what_tyres_hold_and_never_reverse_in_every_stock_environment(name):
     planned = 0
-    for humans in drive(humans_in(f"{name}-v0"), 5):
-        planned += len(humans)
-        assert all(np.isfinite(human.state).all() for human in humans)
-        assert {human.last_step.status for human in humans if human.last_step} <= {"planned"}
+    for humans in drive(humans_in(f"{name}-v0", policy_frequency=5), 10):
+        for human in (human for human in humans if human.last_step and not human.crashed):
+            planned += 1
+            assert human.last_step.status == "planned"
+            curvature, acceleration = human.control
+            total = np.hypot(human.speed**2 * curvature, acceleration - 0.2 * human.speed)
+            assert total < 8.0 * 1.1  # the speed is that after it
+            assert human.speed >= -1e-9
     assert planned > 0
 
 
@@ -110,32 +108,3 @@ def test_an_environment_with_humans_in_it_can_be_copied():
         twin.step(IDLE)
     for car, other in zip(environment.road.vehicles, twin.road.vehicles, strict=True):
         np.testing.assert_allclose(car.position, other.position)
-
-
-def test_drivers_of_all_kinds_can_take_each_others_places_and_keep_their_routes():
-    environment = humans_in("roundabout-v0")
-    routes = [car.route for car in environment.road.vehicles[1:]]
-    assert all(len(route) > 1 for route in routes)
-    for kind in ("highway_env.vehicle.behavior.IDMVehicle", "ms_highway.vehicle.HumanVehicle"):
-        environment = environment.change_vehicles(kind)
-        assert [car.route for car in environment.road.vehicles[1:]] == routes
-    environment.step(IDLE)
-
-
-def test_humans_keep_to_what_tyres_hold_and_never_reverse_in_a_roundabout():
-    for humans in drive(humans_in("roundabout-v0", policy_frequency=5), 25):
-        for human in humans:
-            if not human.crashed:
-                curvature, acceleration = human.control
-                total = np.hypot(human.speed**2 * curvature, acceleration - 0.2 * human.speed)
-                assert total < 8.0 * 1.1  # the speed is that after it
-                assert human.speed >= -1e-9
-    assert humans
-
-
-def test_a_robot_by_itself_with_algorithm_1_refuses_another_rate_than_its_games():
-    robot = replace_ego(humans_in("highway-v0", vehicles_count=2), RobotVehicle.create_from)
-    switching = Switching(Costs.of(np.array([0.09, 0.17]), 1), 0.0, ladder(("naive", "turn")))
-    robot.drive_with(Driver(driving_game(look(robot).scene, 30.0), switching))
-    with pytest.raises(ValueError, match="configure the environment with 'simulation_frequency': 10"):
-        robot.step(1 / 15)

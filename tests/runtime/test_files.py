@@ -1,15 +1,12 @@
 """Files that are either whole or not there, whatever happens, and whoever else writes."""
 
-import errno
-import fcntl
 import resource
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 
 import pytest
 
-from ms_highway.runtime.files import LOCK, held, reading, replacing, tidy
+from ms_highway.runtime.files import LOCK, held, replacing, tidy
 
 SIZE = 20_000  # bytes
 
@@ -65,26 +62,3 @@ def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands
         pass
     assert {path.name for path in directory.iterdir()} == {"steps", ".part.notes.txt", "download.part"}
     assert not (tmp_path / "other").exists()
-
-
-def test_only_a_disk_without_locks_is_written_to_without_one(tmp_path, monkeypatch):
-    def failing(kind, *_):
-        raise OSError(kind, "no lock")
-
-    for kind in (errno.ENOLCK, errno.ENOTSUP):
-        monkeypatch.setattr(fcntl, "flock", partial(failing, kind))
-        with held(tmp_path / "out"):
-            pass
-    monkeypatch.setattr(fcntl, "flock", partial(failing, errno.EIO))
-    with pytest.raises(OSError, match=r"out cannot be locked: .*no lock; mend that"), held(tmp_path / "out"):
-        pass
-
-
-def test_what_is_wrong_with_a_file_names_it_and_what_is_wrong_with_the_program_does_not(tmp_path):
-    file = tmp_path / "settings.json"
-    named = pytest.raises(ValueError, match=r"settings\.json cannot be read as text \(.*No such file.*\); write it")
-    with named, reading(file, "write it", " as text"):
-        file.read_text()
-    for error in (AttributeError, NameError, TypeError):
-        with pytest.raises(error), reading(file, "write it"):
-            raise error

@@ -6,6 +6,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from ms_highway.runtime.interrupt import INTERRUPTED
 
 SWEEP = ["sweep", "merger", "--seeds", "100000", "--part", "1024", "--devices", "1"]
@@ -75,6 +77,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
     """In Python 3.11, those that `Thread.join` was waiting for count as ended, and outlive Python."""
     process = begin("-c", LONG, stdout=subprocess.PIPE)

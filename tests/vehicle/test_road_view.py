@@ -1,12 +1,10 @@
 """What a driver sees of a road: its lane straightened, arrays of fixed shapes, and driving by it."""
 
-import jax
 import numpy as np
 import pytest
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
-from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.vehicle import HumanVehicle
@@ -54,30 +52,6 @@ def test_a_view_is_in_the_coordinates_of_the_drivers_lane(shape):
     seen = [[0.0, 0.5, 0.02, 10.0], [15.0, -0.3, -0.01, 9.0], [-18.0, -0.2, 0.0, 12.0], [-10.0, 4.0, 0.05, 11.0]]
     np.testing.assert_allclose(view.states[[0, 1, 2, 6]] - [view.states[0, 0], 0, 0, 0], seen, atol=1e-2)
     np.testing.assert_allclose(view.scene.lanes, [0.0, 0.0, 4.0], atol=1e-2)
-
-
-def test_whatever_is_on_the_road_a_view_has_the_same_shapes():
-    shapes = set()
-    for road, lanes in (road_with("straight", lanes=9), road_with("winding")):
-        driver = put(road, HumanVehicle, lanes[-1], 50.0)
-        for number in range(31):
-            leaves, structure = jax.tree.flatten(look(driver).scene)
-            shapes.add((structure, *map(np.shape, leaves), look(driver).states.shape))
-            put(road, Vehicle, lanes[number % len(lanes)], 2.0 + 7 * number)
-            put(road, Obstacle, lanes[number % len(lanes)], 52.0 + number)
-    assert len(shapes) == 1
-
-
-@pytest.mark.parametrize(
-    ("along", "onward", "lanes"),
-    [(10.0, True, [-4, 0]), (350.0, True, [-4, -2]), (385.0, True, [-4]), (385.0, False, [-4, 0])],
-)
-def test_a_lane_that_ends_runs_into_the_nearest_lane_that_goes_on_if_there_is_one(along, onward, lanes):
-    following = {"c": StraightLane([400, 0], [600, 0])} if onward else {}
-    road, (_, ramp) = road_with("straight", lanes=2, **following)
-    driver = put(road, HumanVehicle, ramp, along)
-    view = look(driver)
-    np.testing.assert_allclose(np.unique(np.round(view.scene.lanes - view.states[0, 1], 2)), lanes)
 
 
 @pytest.mark.parametrize("shape", AROUND)
