@@ -28,7 +28,7 @@ from ms_highway.game.reward import Reward
 from ms_highway.numerics.second_derivatives import along_fields, response, second_order_expansion
 from ms_highway.numerics.trust_region import trust_region_step
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import HumanModel
+from ms_highway.planning.human_models import HumanModel, scaled_prediction
 from ms_highway.runtime.arrays import Control, Controls, Index, Matrix, Scalar, State, Trajectory, Vector
 
 TRUST_TOLERANCE = 1e-3
@@ -137,7 +137,9 @@ class Quadratic(Rule):
 
             def gain_down() -> Scalar:
                 below = jnp.maximum(rung - 1, 0)
-                predictions = [partial(model.predict, model.within(game), state) for model in ladder[: max(top, 1)]]
+                predictions = [
+                    partial(scaled_prediction, model, model.within(game), state) for model in ladder[: max(top, 1)]
+                ]
                 return gain(jax.lax.switch(below, predictions).ravel()[: len(robot)], none, below)
 
             influence = expansion.influence if ladder[top].responds else none
