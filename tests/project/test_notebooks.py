@@ -21,12 +21,10 @@ QUICK = {
     "HELD_OUT": 1,
     "HUMANS": 2,
     "MERGING_LAMBDAS": [0.001, 0.01, 0.1],
-    "PASSING_LAMBDAS": [0.4, 5],
     "RECORDINGS": 1,
     "SEEDS": 1,
     "STEPS": 2,
     "TOM_STEPS": [6],
-    "TURN_STEPS": [12],
 }
 """What takes the place of constants in cells that are tagged ``parameters``, so that a notebook takes seconds."""
 
