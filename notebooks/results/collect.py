@@ -40,9 +40,9 @@ PHYSICAL = {  # in the project's README
 }
 REWARD, COLLISIONS = "reward per step (90 % interval)", "episodes with a collision"
 SHOWN_COLUMNS = [REWARD, "plan ms", "naive / turn / tom %", COLLISIONS]
-WORTH = dict.fromkeys(("merger", "give_way"), ["naive", "tom", "tom@6+warm", "learned:10"])
+WORTH = {scenario: ["naive", "tom", "tom@6+warm", "learned:10"] for scenario in ("merger", "give_way")}
 CROWD = {"dense_merge": ["naive", "tom", "nearest:2", "learned:1", "budget:20"]}
-LIMITED = {"stay_back": ["turn"], "merger": ["tom", "switching:0.1"], "give_way": ["tom", "switching:0.01"]}
+LIMITED = {"stay_back": ["turn"], "merger": ["tom"], "give_way": ["tom", "switching:0.01"]}
 
 OUTCOMES = "{success:.0%}, {collisions} ({at_fault}) of {episodes}, "
 ROAD_DRIVERS = {"priced": "priced", "idm": "idm", "agents/dqn-SCENE-0.zip": "DQN", "agents/ppo-SCENE-0.zip": "PPO"}
