@@ -18,12 +18,11 @@ from ms_highway.envs.registry import fixed_order_types
 from ms_highway.experiments.analysis.regret import BEST_PER_START
 from ms_highway.experiments.results import Results
 from ms_highway.visualization.html_page import results_table
-from ms_highway.visualization.roads import driver_texts
 
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
 LIMITS = ("limit_50", "limit_9", "limit_6")
-RUNS = ("physical", "compare", "released", "published", "curve", "worth", "crowd", "crowd_peers", "frontier", *LIMITS)
+RUNS = ("physical", "compare", "released", "curve", "worth", "crowd", "frontier", *LIMITS)
 """Directories in results/."""
 
 OUTCOME = "controller", "reward/step", "90 % interval", "collisions"  # cells of a run that stand beside others
@@ -39,9 +38,16 @@ PHYSICAL = {  # in the project's README
     "give-way-v1": ["naive", "tom", "learned:1", "switching:0.1"],
     "stay-back-v1": ["naive", "turn", "learned:1", "switching:0.1"],
 }
-SHOWN_COLUMNS = [
-    *("reward per step (90 % interval)", "plan ms", "naive / turn / tom %", "episodes with a collision"),
-]
+REWARD, COLLISIONS = "reward per step (90 % interval)", "episodes with a collision"
+SHOWN_COLUMNS = [REWARD, "plan ms", "naive / turn / tom %", COLLISIONS]
+WORTH = {scenario: ["naive", "tom", "tom@6+warm", "learned:10"] for scenario in ("merger", "give_way")}
+CROWD = {"dense_merge": ["naive", "tom", "nearest:2", "learned:1", "budget:20"]}
+LIMITED = {"stay_back": ["turn"], "merger": ["tom"], "give_way": ["tom", "switching:0.01"]}
+
+OUTCOMES = "{success:.0%}, {collisions} ({at_fault}) of {episodes}, "
+ROAD_DRIVERS = {"priced": "priced", "idm": "idm", "agents/dqn-SCENE-0.zip": "DQN", "agents/ppo-SCENE-0.zip": "PPO"}
+RECORDED_DRIVERS = {name: name for name in ("priced", "fixed:naive", "fixed:tom", "idm", "human")}
+"""Drivers of roads that the page shows, and the headings of their columns."""
 
 
 def collect(results: Path) -> None:
@@ -95,12 +101,12 @@ def tables() -> dict[str, str]:
     shown_tables = {
         "physical": rows_of(physical, PHYSICAL, SHOWN_COLUMNS),
         "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
-        "human rewards": brief(overview(compare=", learned human reward", published=", published human reward")),
-        **{name: brief(overview(**{name.replace(" ", "_"): ""})) for name in ("worth", "crowd", "crowd peers")},
-        "limits": limits.drop(columns=[name for name in limits if "collision" not in name][2:]),
+        "worth": rows_of(overview(worth=""), WORTH, [REWARD, "reward less T", "plan ms"]),
+        "crowd": rows_of(overview(crowd=""), CROWD, [REWARD, COLLISIONS, "plan ms", "humans under tom"]),
+        "limits": rows_of(limits, LIMITED, [name for name in limits if "collision" in name]),
         "regrets": regret_cells(kept_table("regrets", "frontier")),
-        **recorded_tables(),
-        **{name: road_cells(json.loads((KEPT / f"{name}.json").read_text())) for name in ROADS},
+        "road": outcomes(kept_roads(), OUTCOMES + "{reward_per_step:.3f}", ROAD_DRIVERS),
+        "recorded": outcomes(kept_figures(RECORDED), OUTCOMES + "{p50_ms:.0f} ms", RECORDED_DRIVERS),
     }
     return {name: markdown(table) for name, table in shown_tables.items()}
 
@@ -176,23 +182,28 @@ def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
     }
 
 
-def road_cells(roads: dict[str, dict[str, dict]]) -> pd.DataFrame:
-    """Texts, a row per stock scene and driver."""
-    return table_of({"scene": scene, **row} for scene, drivers in roads.items() for row in driver_rows(drivers))
+def kept_figures(name: str) -> dict[str, dict[str, dict]]:
+    """Kept figures by scene and driver."""
+    return json.loads((KEPT / f"{name}.json").read_text())
 
 
-def driver_rows(drivers: dict[str, dict]) -> list[dict[str, str]]:
-    """Texts of drivers."""
-    return driver_texts(drivers).to_dict("records")
+def kept_roads() -> dict[str, dict[str, dict]]:
+    """Figures of stock scenes, and of those among commuters."""
+    commuters = kept_figures("road_commuters")
+    return kept_figures("road") | {f"{scene} among commuters": drivers for scene, drivers in commuters.items()}
 
 
-def recorded_tables() -> dict[str, pd.DataFrame]:
-    """Texts, a table for planning problems and one for lane changes, a row per kind of traffic and driver."""
-    rows: dict[str, list[dict[str, str]]] = {}
-    for run, drivers in json.loads((KEPT / f"{RECORDED}.json").read_text()).items():
-        egos, _, traffic = run.partition("_")
-        rows.setdefault(f"recorded {egos}", []).extend({"traffic": traffic, **row} for row in driver_rows(drivers))
-    return {name: table_of(own) for name, own in rows.items()}
+def outcomes(scenes: dict[str, dict[str, dict]], form: str, shown: dict[str, str]) -> pd.DataFrame:
+    """Texts, a row per scene, a column per driver."""
+    return table_of(
+        {"scene": scene.replace("_", ", ")}
+        | {
+            heading: form.format(**drivers[name])
+            for driver, heading in shown.items()
+            if (name := driver.replace("SCENE", scene)) in drivers
+        }
+        for scene, drivers in scenes.items()
+    )
 
 
 def table_of(rows: Iterable[dict[str, str]]) -> pd.DataFrame:
