@@ -19,6 +19,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game, draw_episode
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
+from ms_highway.runtime import timing
 from ms_highway.runtime.jax_settings import keep_compilations
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY, DENSE_MERGE, CROSSING_CROWD)}
@@ -87,6 +88,7 @@ def little_memory() -> Iterator[None]:
     yield
     if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MOST_MEMORY:
         jax.clear_caches()
+        timing._warm.clear()  # what was compiled has to be compiled before it is timed again
 
 
 def _shared(variable: str, folder: str, pattern: str) -> Path:
