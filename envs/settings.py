@@ -121,6 +121,8 @@ class Settings(Struct, frozen=True):
             return
         learned_in = values.provenance.get("scenarios", [scenario.name])
         learned = {"semantics": self.semantics, "solver": self.solver, "horizon": scenario.planning.horizon}
+        if "planning_horizon" in values.provenance:
+            learned["horizon"] = values.provenance["planning_horizon"]
         learned |= {name: values.provenance[name] for name in ("semantics", "solver") if name in values.provenance}
         other = [name for name, value in learned.items() if getattr(self, name) not in [value, *np.ravel(value)]]
         if scenario.name in learned_in and not other:

@@ -131,6 +131,7 @@ class InteractionVectorEnv(VectorEnv):
             for place in np.flatnonzero(self._ended):
                 final[place] = self._observe()[place]
             told = {name: part for name, part in info.items() if not name.startswith("_")}
+            info = told | {f"_{name}": ~self._ended for name in told}  # as the others have begun anew
             info |= {"final_obs": final, "final_info": told | {f"_{name}": self._ended for name in told}}
             info |= {"_final_obs": self._ended, "_final_info": self._ended}
             ended, self._ended = self._ended, np.zeros_like(self._ended)

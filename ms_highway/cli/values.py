@@ -138,6 +138,7 @@ def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
     settings = {**first.comparison.common_config(), "versions": this_run()["versions"]}
     settings |= {"solver": options.solvers} if solvers else {}
     settings |= {"scenarios": list(scenarios), "seed": options.seed}
+    settings["planning_horizon"] = first.environment.settings.horizon  # "horizon" is that of the rollouts
     later = options.states and (options.states if several else ceil(options.states * 5 / 8))
     given = {"rounds": options.rounds, "horizon": options.horizon, "states": later and (options.states, later)}
     own = (SEVERAL if several else {}) | {name: value for name, value in given.items() if value}
