@@ -71,7 +71,7 @@ class InteractionVectorEnv(VectorEnv):
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
         self.episode_steps = simulated.steps
         self._ended, self._began = np.zeros(num_envs, bool), False
-        self._steps = np.zeros(num_envs, int)
+        self._steps, self._collided = np.zeros(num_envs, int), np.zeros(num_envs, bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Config | None = None
@@ -96,9 +96,9 @@ class InteractionVectorEnv(VectorEnv):
         seeds = [seed + place for place in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments; give one for each")
-        for place, own in enumerate(seeds or ()):
+        for place, own in enumerate(() if seeds is None else seeds):
             if own is not None and mask[place]:
-                self._randoms[place] = seeding.np_random(own)[0]
+                self._randoms[place] = seeding.np_random(int(own))[0]
         self._renew(mask)
         return self._observe(), {}
 
@@ -113,12 +113,15 @@ class InteractionVectorEnv(VectorEnv):
             places = np.flatnonzero(self._ended).tolist() if self._began else "all of them"
             raise ValueError(f"environments are to be reset before they can step: {places}")
         actions = np.asarray(actions)
-        if not self.action_space.contains(actions.astype(self.action_space.dtype)):
+        typed = actions.astype(self.action_space.dtype)
+        fractional = typed.dtype.kind == "i" and (typed != actions).any()
+        if fractional or not self.action_space.contains(typed):
             raise ValueError(f"the actions {actions!r} are impossible; give some of {self.action_space}")
         resets = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._ended)
         records = self._advance(actions)
         self._steps += 1
         collision = np.array(records.collision)
+        self._collided |= collision
         terminated = collision & self._simulated.environment.config["terminate_on_collision"] & ~resets
         truncated = (self._steps >= self._simulated.steps) & ~resets
         rewards = np.where(resets, 0.0, self._simulated.reward(records)).astype(np.float64)
@@ -128,8 +131,9 @@ class InteractionVectorEnv(VectorEnv):
             self._renew(resets)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             final = np.full(self.num_envs, None, dtype=object)
+            seen = self._observe()
             for place in np.flatnonzero(self._ended):
-                final[place] = self._observe()[place]
+                final[place] = seen[place]
             told = {name: part for name, part in info.items() if not name.startswith("_")}
             info = told | {f"_{name}": ~self._ended for name in told}  # as the others have begun anew
             info |= {"final_obs": final, "final_info": told | {f"_{name}": self._ended for name in told}}
@@ -155,7 +159,7 @@ class InteractionVectorEnv(VectorEnv):
             for old, part in zip(jax.tree.leaves(self._episodes), jax.tree.leaves(new), strict=True):
                 old[mask] = part
             self._states[mask] = new.starts
-        self._steps[mask], self._ended[mask] = 0, False
+        self._steps[mask], self._ended[mask], self._collided[mask] = 0, False, False
         for number, group in enumerate(self._groups):
             if mask[group].any():
                 own = _own(self._padded(self._episodes, group))
@@ -197,7 +201,7 @@ class InteractionVectorEnv(VectorEnv):
             info |= {"status": np.array(STATUSES)[records.status], "model": names[records.rungs.max(axis=1)]}
             info["counted_seconds"] = simulated.counted_seconds(records)
         if simulated.environment.scenario.streams:
-            info["success"] = simulated.success(records.states)
+            info["success"] = simulated.success(records.states) & ~self._collided
         return info | {f"_{name}": told for name in info}
 
 

@@ -105,6 +105,8 @@ def test_wrong_actions_seeds_and_masks_are_refused():
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"actions array\(\[0, 3\]\) are impossible"):
         env.step([0, 3])
+    with pytest.raises(ValueError, match="impossible"):
+        env.step(np.array([0.9, 2.0]))
     with pytest.raises(ValueError, match="reset_mask"):
         env.reset(options={"reset_mask": np.array([False, False])})
 
@@ -126,3 +128,15 @@ def test_all_that_an_agent_needs_is_observed_within_finite_bounds():
     ahead = min(cone.position[0] for cone in cones if abs(cone.position[1] - robot.position[1]) < 5 / 3)
     gap = ahead - robot.position[0] - (robot.LENGTH + cones[0].LENGTH) / 2
     assert observation[0, 7] == pytest.approx(gap / 100, abs=1e-5)
+
+
+def test_who_has_collided_does_not_succeed():
+    config = DRIVING | {"humans": 8, "duration": 2.0}
+    ours = gym.make_vec(NAME + "dense-merge-v0", num_envs=4, config=config)
+    singles = gym.make_vec(NAME + "dense-merge-v0", num_envs=4, vectorization_mode="sync", config=config)
+    ours.reset(seed=np.arange(4)), singles.reset(seed=[0, 1, 2, 3])
+    actions = np.tile(np.float32([0.0, -0.3]), (4, 1))
+    found = [(ours.step(actions)[4], singles.step(actions.copy())[4]) for _ in range(19)]
+    for mine, other in found:
+        np.testing.assert_array_equal(mine["success"], other["success"])
+    assert any(mine["collision"].any() for mine, _ in found)
