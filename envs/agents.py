@@ -21,7 +21,7 @@ Policy: TypeAlias = Callable[[Any], Any]
 FILE_END = ".zip"  # of agents that stable-baselines3 saves
 
 
-class Agent(NamedTuple):
+class AddedAgent(NamedTuple):
     """An agent that has been added.
 
     Attributes:
@@ -33,7 +33,7 @@ class Agent(NamedTuple):
     config: Config
 
 
-AGENTS: dict[str, Agent] = {}
+AGENTS: dict[str, AddedAgent] = {}
 """The agents that `ms_highway.add_agent` has added, by name."""
 
 
@@ -43,7 +43,7 @@ def is_agent(name: str) -> bool:
 
 
 def agent_config(name: str) -> Config:
-    """Return what environments that an agent drives in are configured with, see `ms_highway.add_agent`."""
+    """Return the configuration of environments that an agent drives in, see `ms_highway.add_agent`."""
     config = AGENTS[name].config if name in AGENTS else {}
     space = getattr(_agent(name), "action_space", None)
     chooses = isinstance(space, (spaces.Discrete, spaces.MultiDiscrete))
@@ -52,7 +52,7 @@ def agent_config(name: str) -> Config:
 
 
 def policy_of(name: str) -> Policy:
-    """Return what chooses the actions of an agent.
+    """Return the function that chooses the actions of an agent.
 
     Raises:
         ModuleNotFoundError: for a file, without stable-baselines3 or another package that it needs.
@@ -70,7 +70,7 @@ def policy_of(name: str) -> Policy:
 
 
 def _agent(name: str) -> Any:
-    """Return an agent: what was added by this name, or what is saved in the file."""
+    """Return the agent that was added by this name, or that this file holds."""
     source = AGENTS[name].source if name in AGENTS else name
     return saved_policy(fspath(source)) if isinstance(source, (str, PathLike)) else source
 
@@ -119,8 +119,8 @@ def check_spaces(name: str, env: gym.Env) -> None:
 class AgentDrives(gym.Wrapper):
     """An environment in which an agent drives, as a controller does: the only action is 0.
 
-    ``info`` has what it has of a controller: ``model``, the agent's name or, where it chooses models, theirs;
-    ``timing``, with the agent's own seconds as those of the decision; and ``gains``, none.
+    ``info`` has the keys that it has under a controller: ``model``, the agent's name, or the model that it chooses;
+    ``timing``, whose decision includes the agent's own seconds; and ``gains``, which are empty.
 
     Args:
         env: the environment.
@@ -157,5 +157,5 @@ class AgentDrives(gym.Wrapper):
         self._seen, reward, terminated, truncated, info = self.env.step(chosen)
         timing = info.get("timing", Timing(0.0, 0.0, 0.0))
         info["timing"] = Timing(timing.planning_seconds, timing.decision_seconds + seconds, timing.compile_seconds)
-        told = {"model": self.name, "models": (self.name,), "gains": {}, "status": "planned", "choice_failed": False}
-        return self._seen, reward, terminated, truncated, {**told, **info}
+        usual = {"model": self.name, "models": (self.name,), "gains": {}, "status": "planned", "choice_failed": False}
+        return self._seen, reward, terminated, truncated, {**usual, **info}

@@ -19,9 +19,9 @@ from ms_highway.envs.registry import controller_config, controller_settings
 from ms_highway.envs.settings import KEYBOARD, Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
 from ms_highway.game.game import Game, swap_roles
-from ms_highway.game.random import Random
 from ms_highway.game.reward import COMPUTATION
-from ms_highway.game.scenario import REACHED, TIME_STEP, Scenario, draw_episode
+from ms_highway.game.scenario import TIME_STEP, Scenario
+from ms_highway.game.starts import Random, draw_episode
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.driver import Driver, drivable, fixed
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver
@@ -290,8 +290,7 @@ class InteractionEnv(GameEnv):
     @property
     def success(self) -> bool:
         """Whether the robot is in the target lane and has not collided so far."""
-        target = float(self.game.scene.target_lane)
-        return bool(abs(self.robot.position[1] - target) < REACHED and not self._collided)
+        return bool(self.game.scene.is_reached(self.robot.position[1]) and not self._collided)
 
     @property
     def distance_to_cones(self) -> float:

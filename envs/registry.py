@@ -12,7 +12,7 @@ from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
 from ms_highway.choice.rule import NEVER
 from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
-from ms_highway.envs.agents import AGENTS, Agent, agent_config, is_agent
+from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
 from ms_highway.envs.controllers import (
     PLACE,
@@ -199,7 +199,7 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
         remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
         raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
     refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
-    AGENTS[name] = Agent(agent, dict(config or {}))
+    AGENTS[name] = AddedAgent(agent, dict(config or {}))
 
 
 def priced_types() -> list[str]:

@@ -30,7 +30,7 @@ YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("
 """The human drivers for each way to yield."""
 
 KEYBOARD = "keyboard"
-"""Name of the human driver who presses keys."""
+"""Name of the human driver that reads the keyboard."""
 
 LADDER = "give a list of human models, cheapest first, or say 'best'"
 COSTS = (
@@ -141,7 +141,7 @@ class Settings(Struct, frozen=True):
 
     @property
     def drivers(self) -> tuple[str, ...]:
-        """Names of the drivers of humans who do not plan for their reward, `HUMAN_DRIVERS`."""
+        """Names of the human drivers in use, keys of `HUMAN_DRIVERS`; none if all humans plan for their reward."""
         return YIELDING[self.yielding] if self.human_driver is None else (self.human_driver,)
 
     @property

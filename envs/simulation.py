@@ -1,4 +1,4 @@
-"""Simulate an environment in JAX: what its episodes share, what is each one's own, one of them as pure functions."""
+"""Simulate an environment in JAX: build the common loop, draw episodes, and step one environment by pure functions."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -17,8 +17,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import ControllerSettings, DriverSettings, OrderSettings, RandomSettings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, StateObservation, executed_controls
-from ms_highway.game.random import Random, TracedRandom
-from ms_highway.game.scenario import REACHED
+from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import Given, Now, Own, begin_episode, step_episodes
 from ms_highway.loop.devices import usual_chunk
 from ms_highway.loop.human_drivers import traceable
@@ -35,7 +34,7 @@ STEP = (
 
 
 def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerSettings]) -> Loop:
-    """Return what all episodes of an environment share, with its ladder, and an order in place of a rule.
+    """Return the loop that all episodes of an environment share; a fixed order stands in for the rule.
 
     Args:
         environment: what is simulated.
@@ -94,7 +93,7 @@ def stack_episodes(drawn: Sequence[tuple[Any, ...]]) -> Episodes:
 
 
 class Simulated:
-    """An environment that JAX simulates, and what its simulations share.
+    """An environment that JAX simulates, with the loop and the costs that its episodes share.
 
     Args:
         scenario: its name, such as ``merger-v1``, or the class of an environment.
@@ -130,16 +129,15 @@ class Simulated:
         self.costs = Costs.of(seconds, settings.humans)
         self.price = float(self.environment.config["action"].get("lambda", 0.0))
 
-    def given(self, episodes: Episodes, places: Any, now: State, actions: Any) -> Given:
-        """Return what is given for a step of episodes [n]: models of the humans, or the robot's controls.
+    def given(self, schedules: Any, places: Any, now: State, actions: Any) -> Given:
+        """Return the models of the humans, or the robot's controls, in a step of each of n episodes.
 
         Args:
-            episodes: with a schedule of each.
+            schedules: of the episodes, see `ms_highway.loop.records.Episodes`.
             places: number of the step in each episode.
             now: states of all cars.
             actions: of the agent.
         """
-        schedules = episodes.schedules
         scheduled = schedules[np.arange(len(schedules)), places.clip(max=self.steps - 1)]
         if self.agent_drives:
             kind, world = self.environment.action_type, self.loop.game.world
@@ -151,20 +149,15 @@ class Simulated:
 
     def reward(self, records: Records) -> Any:
         """Return the reward of a step: the robot's, less lambda T where the agent chooses the models."""
-        return records.reward - self.price * self.counted_seconds(records) if self.price else records.reward
-
-    def counted_seconds(self, records: Records) -> Any:
-        """Return T of the plans of a step [s]."""
-        xp = records.rungs.__array_namespace__()
-        return self.costs.base + xp.sum(xp.asarray(self.costs.each)[records.rungs], axis=-1)
+        return records.reward - self.price * self.costs.total(records.rungs) if self.price else records.reward
 
     def observe(self, states: State, places: Any) -> Any:
-        """Return what is observed in states [n, cars, 4], after so many steps of the episodes."""
+        """Return the observations of states [n, cars, 4]; ``places`` counts the steps of each episode so far."""
         return self.environment.observation_type.of(states, 1 - places / self.steps)
 
     def success(self, states: State) -> Any:
         """Return whether the robot is in the target lane."""
-        return abs(states[..., 0, 1] - float(self.loop.game.scene.target_lane)) < REACHED
+        return self.loop.game.scene.is_reached(states[..., 0, 1])
 
 
 class EnvState(NamedTuple):
@@ -219,8 +212,7 @@ class FunctionalEnv:
     ) -> tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
         """Return state, observation, reward, terminated, truncated and info after an action."""
         simulated = self._simulated
-        episodes = Episodes(state.now.state, state.own.price, state.schedule, *state.own[1:])
-        given = simulated.given(episodes, state.step[None], state.now.state, jnp.asarray(action)[None])
+        given = simulated.given(state.schedule, state.step[None], state.now.state, jnp.asarray(action)[None])
         now, records = step_episodes(self._loop, state.own, state.now, given)
         done, collision = state.step + 1, records.collision[0]
         info = {"collision": collision, "states": records.states[0]}

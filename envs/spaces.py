@@ -59,7 +59,7 @@ class StateObservation(ObservationType):
         return self.of(self.env.car_states, np.array(1 - self.env.steps / self.env.episode_steps))
 
     def of(self, states: State, time_left: Any) -> Any:
-        """Return what is observed of states [..., cars, 4], by NumPy or JAX; see `columns`."""
+        """Return the observation of states [..., cars, 4], computed by NumPy or JAX; see `columns`."""
         xp = states.__array_namespace__()
         rows = xp.stack(self.columns(states, time_left), axis=-1)
         return xp.clip(rows, self.low, self.high).astype(np.float32)

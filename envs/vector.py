@@ -16,7 +16,7 @@ from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.simulation import Simulated, draw_start, stack_episodes
-from ms_highway.loop.batch import Given, Now, Own, begin_episode, step_episodes
+from ms_highway.loop.batch import Given, Now, Own, begin_episode, choose_episodes, step_episodes
 from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.runtime.arrays import State
@@ -70,7 +70,9 @@ class InteractionVectorEnv(VectorEnv):
         self._threads = ThreadPoolExecutor(len(self._groups))
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
         self.episode_steps = simulated.steps
-        self._ended, self._began = np.zeros(num_envs, bool), False
+        self._episodes: Episodes | None = None  # before the first reset
+        self._carried: list[Any] = [None] * len(self._groups)
+        self._ended = np.zeros(num_envs, bool)
         self._steps, self._collided = np.zeros(num_envs, int), np.zeros(num_envs, bool)
 
     def reset(
@@ -91,7 +93,7 @@ class InteractionVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             what = f"options['reset_mask'] is {mask.tolist()}"
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
-        if not (mask.all() or self._began):
+        if self._episodes is None and not mask.all():
             raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
         seeds = [seed + place for place in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
         if seeds is not None and len(seeds) != self.num_envs:
@@ -109,8 +111,9 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for actions that are not in the action space, before the first reset and, where nothing is reset
                 automatically, after the end of an episode.
         """
-        if not self._began or (self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any()):
-            places = np.flatnonzero(self._ended).tolist() if self._began else "all of them"
+        never = self._episodes is None
+        if never or (self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any()):
+            places = "all of them" if never else np.flatnonzero(self._ended).tolist()
             raise ValueError(f"environments are to be reset before they can step: {places}")
         actions = np.asarray(actions)
         typed = actions.astype(self.action_space.dtype)
@@ -134,9 +137,9 @@ class InteractionVectorEnv(VectorEnv):
             seen = self._observe()
             for place in np.flatnonzero(self._ended):
                 final[place] = seen[place]
-            told = {name: part for name, part in info.items() if not name.startswith("_")}
-            info = told | {f"_{name}": ~self._ended for name in told}  # as the others have begun anew
-            info |= {"final_obs": final, "final_info": told | {f"_{name}": self._ended for name in told}}
+            values = {name: part for name, part in info.items() if not name.startswith("_")}
+            info = values | {f"_{name}": ~self._ended for name in values}  # as the others have begun anew
+            info |= {"final_obs": final, "final_info": values | {f"_{name}": self._ended for name in values}}
             info |= {"_final_obs": self._ended, "_final_info": self._ended}
             ended, self._ended = self._ended, np.zeros_like(self._ended)
             self._renew(ended)
@@ -152,9 +155,8 @@ class InteractionVectorEnv(VectorEnv):
         environment, loop, controller = simulated.environment, simulated.loop, simulated.controller
         drawn = [draw_start(environment, loop, controller, self._randoms[place]) for place in np.flatnonzero(mask)]
         new = stack_episodes(drawn)
-        if not self._began:
+        if self._episodes is None:
             self._episodes, self._states = new, np.array(new.starts)
-            self._carried: list[Any] = [None] * len(self._groups)
         else:
             for old, part in zip(jax.tree.leaves(self._episodes), jax.tree.leaves(new), strict=True):
                 old[mask] = part
@@ -162,12 +164,12 @@ class InteractionVectorEnv(VectorEnv):
         self._steps[mask], self._ended[mask], self._collided[mask] = 0, False, False
         for number, group in enumerate(self._groups):
             if mask[group].any():
-                own = _own(self._padded(self._episodes, group))
+                own = Own.of(self._padded(self._episodes, group))
                 now, renewed = self._padded((self._states, mask), group)
                 begun = _begin(loop, now)
-                last = self._carried[number]
-                self._carried[number] = (own, begun if last is None else _chosen(renewed, begun, last[1]))
-        self._began = True
+                if self._carried[number] is not None:
+                    begun = _renewed(renewed, begun, self._carried[number][1])
+                self._carried[number] = own, begun
 
     def _padded(self, tree: Any, group: slice) -> Any:
         """Return a group's part of arrays [environments, ...], filled up with its last environment."""
@@ -176,7 +178,8 @@ class InteractionVectorEnv(VectorEnv):
 
     def _advance(self, actions: np.ndarray) -> Records:
         """Step all groups, each in a thread of its own."""
-        given = self._simulated.given(self._episodes, self._steps, self._states, actions)
+        assert self._episodes is not None
+        given = self._simulated.given(self._episodes.schedules, self._steps, self._states, actions)
 
         def advance(number: int) -> Records:
             own, now = self._carried[number]
@@ -192,32 +195,25 @@ class InteractionVectorEnv(VectorEnv):
     def _observe(self) -> np.ndarray:
         return self._simulated.observe(self._states, self._steps)
 
-    def _info(self, records: Records, told: np.ndarray) -> dict[str, Any]:
-        """Return what is told of a step, with masks of the environments that did one."""
+    def _info(self, records: Records, stepped: np.ndarray) -> dict[str, Any]:
+        """Return the ``info`` of a step, with a mask of the environments that stepped for each key."""
         simulated = self._simulated
         info: dict[str, Any] = {"collision": np.array(records.collision)}
         if not simulated.agent_drives:
             names = np.array([model.name for model in simulated.loop.models])
             info |= {"status": np.array(STATUSES)[records.status], "model": names[records.rungs.max(axis=1)]}
-            info["counted_seconds"] = simulated.counted_seconds(records)
+            info["counted_seconds"] = simulated.costs.total(records.rungs)
         if simulated.environment.scenario.streams:
             info["success"] = simulated.success(records.states) & ~self._collided
-        return info | {f"_{name}": told for name in info}
+        return info | {f"_{name}": stepped for name in info}
 
 
-def _own(episodes: Episodes) -> Own:
-    return Own(episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.drivers)
+_renewed = jit_quickly(choose_episodes)
 
 
 @jit_quickly
 def _begin(loop: Loop, starts: State) -> Now:
     return jax.vmap(partial(begin_episode, loop))(starts)
-
-
-@jit_quickly
-def _chosen(chosen: Any, new: Now, old: Now) -> Now:
-    """Take the new leaves for the chosen environments and the old ones for the rest."""
-    return jax.tree.map(lambda new, old: jnp.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old)
 
 
 @jit_quickly

@@ -17,8 +17,9 @@ from jax import numpy as jnp
 from ms_highway.cli.main import main
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PlanningSettings
-from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game, draw_episode
+from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
+from ms_highway.game.starts import draw_episode
 from ms_highway.runtime import timing
 from ms_highway.runtime.jax_settings import keep_compilations
 

@@ -122,5 +122,5 @@ def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], de
 
 
 def most_memory() -> float:
-    """Return the most memory that this process has had [MiB], as Linux tells it."""
+    """Return the peak memory of this process [MiB], which Linux reports."""
     return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024

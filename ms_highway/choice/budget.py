@@ -67,8 +67,8 @@ class Budget(Rule):
 class OneStepGains(Rule):
     """Estimate in every step what the top of the ladder gains over its first rung for every human, by Algorithm 1.
 
-    Algorithm 1 on a ladder of these two, free and without a cooldown, tells what the robot would have earned in the
-    last step under the other of them. Rungs between are not estimated: their prediction takes as long as a plan.
+    Algorithm 1 runs on a ladder of these two, with costs and cooldown of zero. It estimates the robot's reward in the
+    last step under the other one. Rungs between are not estimated: their prediction takes as long as a plan.
     Nothing is chosen; for `Budget`.
 
     Attributes:

@@ -34,7 +34,6 @@ from ms_highway.experiments.records import (
     check_numbers,
     per_episode,
 )
-from ms_highway.game.scenario import REACHED
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
@@ -163,7 +162,7 @@ class Batch:
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
         states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
-        aside = np.abs(states[:, :, 0, 1] - float(self.loop.game.scene.target_lane))
+        arrived = self.loop.game.scene.is_reached(states[:, :, 0, 1])
         cells = {
             "scenario": self.scenario,
             "controller": np.array(names, object)[:, None],
@@ -172,11 +171,11 @@ class Batch:
             "model": np.array(known)[ranks[records.rungs].max(axis=2)],
             "reward": np.asarray(records.reward, float),
             "collision": records.collision,
-            COUNTED: costs.base + np.asarray(costs.each)[records.rungs].sum(axis=2),
+            COUNTED: costs.total(records.rungs),
             "status": np.array(STATUSES)[records.status],
             **by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states),
             **{f"humans_{name}": np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)},
-            "success": (aside < REACHED) & ~np.logical_or.accumulate(records.collision, axis=1),
+            "success": arrived & ~np.logical_or.accumulate(records.collision, axis=1),
         }
         columns = [name for name in self.comparison.columns() if name not in MEASURED]
         shape = records.reward.shape

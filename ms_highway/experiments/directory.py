@@ -42,7 +42,7 @@ class ResultsDirectory:
 
     @contextmanager
     def owned(self) -> Iterator[None]:
-        """Let only this run write to the directory while the block runs, and remove what others left half written.
+        """Lock the directory for this run while the block runs, and remove half-written files of earlier runs.
 
         Raises:
             ValueError: if another command is writing there, or the runs before cannot be read.

@@ -14,13 +14,11 @@ import numpy as np
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
-from ms_highway.game.random import Random, namespace
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import Scene
 from ms_highway.numerics.convex_newton import EASE
 from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import Planner, Solver
-from ms_highway.runtime.arrays import HumansWeights, State
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
@@ -54,28 +52,13 @@ it; later controls of a plan may exceed it by a quarter (`ms_highway.game.game.b
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
 """Weights that every driver of every scenario has."""
 
-POSITION_NOISE = 5e-4 * PAPER_UNIT  # m, standard deviation of x and y
-HEADING_NOISE = 1e-3  # rad, standard deviation
-START_SPEED_NOISE = 1e-3 * PAPER_UNIT  # m/s, standard deviation without streams
-MERGING_NOISE = 0.01 * PAPER_UNIT  # m, further standard deviation of the merging car's x
-
-
 SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
 """Bounds on plans for seconds, with `GRIP`: what tyres hold on a dry road."""
 
 WIDEST_LANE = 6.0  # m
 
-REACHED = 0.8  # m
-"""Distance from the centre of the target lane within which the robot has reached it."""
-
 HUMANS = 2, 20
 """The fewest and the most humans of a scenario with streams."""
-
-SPACING = 8.0, 14.0  # m from centre to centre, shortest and longest
-SHORTNESS = 20.0  # of Beta(1, SHORTNESS), the share of a spacing between the two: 8.3 m on average
-SPEED_NOISE = 0.3  # m/s, standard deviation of the speed of a human in a stream
-CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
-CARELESS, CARELESS_FACTOR = 0.2, 0.05  # share of the humans that hardly yield, and what they weigh collision_risk by
 
 
 @dataclass(frozen=True)
@@ -293,59 +276,3 @@ def _planner(
         solver=solver,
         smooth=smooth,
     )
-
-
-def draw_starts(scenario: Scenario, random: Random) -> State:
-    """Draw the start of every car of a scenario without streams, with the noise of the paper's experiments.
-
-    Normal noise of standard deviation 1.7 cm on x and y, 1e-3 rad on heading and 3.3 cm/s on speed; another 33 cm on
-    the x of the merging car.
-    """
-    cars = np.array([(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars])
-    noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, START_SPEED_NOISE]
-    cars = cars + random.normal(scale=noise, size=cars.shape)
-    if scenario.merging_car is not None:
-        moved = np.zeros(cars.shape)
-        moved[scenario.merging_car, 0] = 1.0
-        cars = cars + moved * random.normal(scale=MERGING_NOISE)
-    return cars
-
-
-def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[State, HumansWeights]:
-    """Draw the start of every car, in SI units, and the weights of every human's reward.
-
-    Without streams, these are `draw_starts` and the weights given. In streams, centres are 8 to 14 m apart, most of
-    them near 8, and the robot starts beside a random place in the middle of every stream. Humans weigh
-    ``collision_risk`` by a factor of their own, log-normal around 1; every fifth, on average, by `CARELESS_FACTOR`: it
-    hardly yields.
-
-    Args:
-        scenario: to draw for.
-        random: what is drawn from.
-        humans: the rewards that theirs are drawn around, see `ms_highway.game.game.Game`.
-    """
-    xp, weights = namespace(random), np.array(humans.weights, np.float32)
-    if not scenario.streams:
-        return draw_starts(scenario, random), weights
-    robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT])
-    number, lanes = len(weights), len(scenario.streams)
-    dealt = [len(range(place, number, lanes)) for place in range(lanes)]
-    streams = [_stream(stream, each, random) for stream, each in zip(scenario.streams, dealt, strict=True)]
-    cars = xp.concatenate([robot[None], *streams])
-    noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, SPEED_NOISE]
-    cars = cars + random.normal(scale=noise, size=cars.shape)
-    factors = xp.exp(random.normal(0.0, CAUTION_SPREAD, number))
-    factors = xp.where(random.uniform(size=number) < CARELESS, CARELESS_FACTOR, factors).astype(np.float32)
-    is_caution = np.array([name == "collision_risk" for name in humans.names])
-    return cars, xp.where(is_caution, weights * factors[:, None], weights)
-
-
-def _stream(stream: Stream, humans: int, random: Random) -> State:
-    """Draw the starts of a stream, front first; the robot, at x = 0, is beside a gap in the middle, or the last one."""
-    shortest, longest = SPACING
-    spacings = shortest + (longest - shortest) * random.beta(1.0, SHORTNESS, humans)
-    ahead = (humans + 1) // 2  # of the robot
-    beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
-    xp = namespace(random)
-    x = beside + xp.sum(spacings[:ahead]) - xp.cumsum(spacings)
-    return xp.stack([x, np.full(humans, stream.lane), np.zeros(humans), np.full(humans, stream.speed)], axis=-1)

@@ -1,12 +1,15 @@
 """Define the scene: lanes, obstacles, the size of cars, and the leader."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array, Scalar
+
+REACHED = 0.8  # m, from the centre of the target lane, within which a car has reached it
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "lanes": ("n",),
@@ -50,6 +53,10 @@ class Scene:
     length_unit: Scalar
     bend: Scalar | None = None
     leader: int | None = field(default=None, metadata={"static": True})
+
+    def is_reached(self, y: Any) -> Any:
+        """Return whether cars at these lateral positions have reached the target lane."""
+        return abs(y - float(self.target_lane)) < REACHED
 
     def of_pair(self) -> "Scene":
         """Return the scene without what the partner does not change for car 0: obstacles, and another leader."""

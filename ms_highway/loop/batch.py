@@ -104,6 +104,11 @@ class Own(NamedTuple):
     human_weights: HumansWeights
     drivers: Rungs
 
+    @classmethod
+    def of(cls, episodes: Episodes) -> "Own":
+        """Return the own numbers of episodes, with an axis of episodes."""
+        return cls(episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.drivers)
+
     def robots(self, game: Game) -> Game:
         """Return the game as the robot believes it."""
         return replace(game, robot=replace(game.robot, weights=self.robot_weights))
@@ -119,8 +124,7 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     together = loop.together
 
     def run(episodes: Episodes) -> Records:
-        numbers = episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.drivers
-        own = Own(*map(jnp.asarray, numbers))
+        own = Own(*map(jnp.asarray, Own.of(episodes)))
         begun = jax.vmap(partial(begin_episode, loop))(jnp.asarray(episodes.starts, jnp.float32))
         errors = None if episodes.errors is None else jnp.asarray(episodes.errors[:, :-1], jnp.float32)
         given = Given(episodes.schedules, errors)
@@ -177,7 +181,7 @@ def step_episodes(loop: Loop, own: Own, now: Now, given: Given) -> tuple[Now, Re
     kept = each(lambda robot: unestimated(robot.memory, robot.memory.rungs), robot)
     decided = jax.lax.cond(decides.any(), lambda: each(decide, own, robot), lambda: kept)
     chooses = decides.any(axis=1)
-    decision = each(take, robot, _where(chooses, decided, kept), given.scheduled)
+    decision = each(take, robot, choose_episodes(chooses, decided, kept), given.scheduled)
     plans = _plan(loop, own, seen, now.rest, decision.memory.rungs)
     return each(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
 
@@ -201,12 +205,12 @@ def _plan(loop: Loop, own: Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
     for number, model in enumerate(loop.models):
         uses = rungs[:, 0] == number
         plan = jax.lax.cond(uses.any(), lambda model=model: each(partial(planned, (model,)), *given), lambda: nothing)
-        chosen = _where(uses, plan, chosen)
+        chosen = choose_episodes(uses, plan, chosen)
     return chosen
 
 
-def _where(chosen: jax.Array, new: Any, old: Any) -> Any:
-    """Take the new leaves for the chosen episodes and the old ones for the rest. The first axis is episodes."""
+def choose_episodes(chosen: jax.Array, new: Any, old: Any) -> Any:
+    """Take the new leaves for the chosen episodes and the old ones for the rest; the first axis is that of episodes."""
     return jax.tree.map(lambda new, old: jnp.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old)
 
 
@@ -224,9 +228,7 @@ def _move(loop: Loop, now: Now, own: Own, decision: Decision, plan: Plan, seen: 
     followed = _follow(game, seen[0], plan, decision.memory.rungs, now.rest)
     if loop.way_out:
         followed = follow_escape(followed, keep_way_out(game, seen, followed.now.plan.robot[0]))
-    control = followed.now.plan.robot[0] * game.planner.control_scale
-    if game.planner.grip is not None:  # as vehicles do
-        control = within_grip(game.world, jnp.asarray(game.planner.grip), now.state[0, 3], control)
+    control = _executed(game, now.state[0, 3], followed.now.plan.robot[0] * game.planner.control_scale)
     after, humans, reward, collision = _world(loop, now, own, control)
     gains = jnp.asarray(decision.gains, jnp.float32)
     records = Records(followed.now.rungs, followed.status, reward, collision, gains, after)
@@ -240,6 +242,12 @@ def _steer(loop: Loop, now: Now, own: Own, control: Control) -> tuple[Now, Recor
     gains = jnp.full((number, rungs), jnp.nan, jnp.float32)
     records = Records(jnp.zeros(number, jnp.int32), jnp.int32(PLANNED), reward, collision, gains, after)
     return now._replace(state=after, humans=humans), records
+
+
+def _executed(game: Game, speed: Any, controls: Any) -> Any:
+    """Limit planned controls to what tyres hold at these speeds, as vehicles do."""
+    grip = game.planner.grip
+    return controls if grip is None else within_grip(game.world, jnp.asarray(grip), speed, controls)
 
 
 def _world(loop: Loop, now: Now, own: Own, robot: Control) -> tuple[State, Rest, Scalar, Flag]:
@@ -264,8 +272,7 @@ def _world(loop: Loop, now: Now, own: Own, robot: Control) -> tuple[State, Rest,
         return control, driving.kept
 
     controls, rests = each_human(game, drive)
-    if game.planner.grip is not None:  # as vehicles do
-        controls = within_grip(game.world, jnp.asarray(game.planner.grip), state[1:last, 3], controls)
+    controls = _executed(game, state[1:last, 3], controls)
     driven = jnp.concatenate([robot[None], controls, keep_velocity(game.world, state[last:])])
     after = step(game.world, state, driven)
     phi = features(game.scene, game.robot, after)

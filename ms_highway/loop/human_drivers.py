@@ -1,4 +1,4 @@
-"""Drive humans by a function of the state instead of a plan: by one's own, or as who yields never or always."""
+"""Drive humans by functions of the state instead of plans: users' own, and two that yield never or always."""
 
 from collections.abc import Callable
 from time import perf_counter

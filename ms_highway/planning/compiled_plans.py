@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +34,11 @@ class Costs(NamedTuple):
         """Return the costs that follow from plans in which one human is on each rung, and the others on the first."""
         base = float(seconds[0]) if humans > 1 else 0.0
         return cls(base, np.asarray(seconds) - base)
+
+    def total(self, rungs: Any) -> Any:
+        """Return T [...] of plans that predict humans by these rungs [..., humans]; of NumPy or JAX, like the rungs."""
+        xp = rungs.__array_namespace__()
+        return self.base + xp.sum(xp.asarray(self.each)[rungs], axis=-1)
 
 
 class CompiledPlans:

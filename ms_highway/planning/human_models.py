@@ -26,7 +26,7 @@ from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.planning.car_following import FAR, idm_acceleration
 from ms_highway.planning.joint import Answering, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start, plan_against
-from ms_highway.runtime.arrays import Control, Controls, State
+from ms_highway.runtime.arrays import Car, Control, Controls, State
 
 HEADWAY, STANDSTILL = 0.1, 1.0  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 
@@ -215,10 +215,17 @@ MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), Intell
 PACKAGE_MODELS = tuple(MODELS)
 """Names of the package's models, cheapest first: the only enumeration, for pairs, several humans and roads."""
 
+_PACKAGE_TYPES = tuple(map(type, MODELS.values()))
+
 PAPER_MODELS = ("naive", "turn", "tom")
 """Names of the paper's models, cheapest first."""
 
 RESERVED = (*PACKAGE_MODELS, BEST)
+
+
+def is_of_package(model: HumanModel) -> bool:
+    """Return whether a model is the package's own, whose controls keep to the limits of plans by themselves."""
+    return type(model) in _PACKAGE_TYPES
 
 
 def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan | None = None) -> Controls:
@@ -227,29 +234,33 @@ def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan |
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
     """
-    controls = model.predict(game, state, start)
-    if type(model).name in PACKAGE_MODELS:  # which keep to the limits by themselves
+    return _limited(model, game, state[1], model.predict(game, state, start))
+
+
+def _limited(model: HumanModel, game: Game, human: Car, controls: Controls) -> Controls:
+    """Scale predicted controls of a human; limit those of a registered model, see `scaled_prediction`."""
+    if is_of_package(model):
         return controls / game.planner.control_scale
     wanted, shape = (game.planner.horizon, 2), jnp.shape(controls)
     if shape != wanted:
         remedy = "predict the curvature [1/m] and the acceleration [m/s^2] of every step of the horizon"
         raise ValueError(f"human model {model.name!r} predicts an array of shape {shape}, not {wanted}; {remedy}")
     scaled = jnp.asarray(controls) / game.planner.control_scale
-    return jnp.where(jnp.isfinite(scaled), bounded(game, state[1], scaled), scaled)
+    return jnp.where(jnp.isfinite(scaled), bounded(game, human, scaled), scaled)
 
 
 def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> None:
     """Warn of registered models whose prediction of the first human, at a start, the limits of plans cut."""
     for model in ladder:
-        if type(model).name in PACKAGE_MODELS or model.responds:
+        if is_of_package(model) or model.responds:
             continue
-        alone = pair(model.within(game), jnp.asarray(state), 0)
-        told = np.asarray(model.predict(*alone))
-        kept = np.asarray(scaled_prediction(model, *alone) * game.planner.control_scale)
-        cut = np.argwhere(np.abs(told - kept) > 1e-3 * np.abs(told))
+        own, cars = pair(model.within(game), jnp.asarray(state), 0)
+        predicted = np.asarray(model.predict(own, cars))
+        kept = np.asarray(_limited(model, own, cars[1], predicted) * game.planner.control_scale)
+        cut = np.argwhere(np.abs(predicted - kept) > 1e-3 * np.abs(predicted))
         if len(cut):
             place = tuple(cut[0])
-            what = ("a curvature of {:.3g} 1/m", "an acceleration of {:.3g} m/s^2")[place[1]].format(told[place])
+            what = ("a curvature of {:.3g} 1/m", "an acceleration of {:.3g} m/s^2")[place[1]].format(predicted[place])
             why = f"human model {model.name!r} predicts {what}, which the limits of plans cut to {kept[place]:.3g}"
             warn(f"{why}; predictions are in SI units, see ms_highway.HumanModel.predict", stacklevel=2)
 

@@ -4,7 +4,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.game.game import Game, bounded, constant_velocity, pair
-from ms_highway.planning.human_models import PACKAGE_MODELS, HumanModel, Naive, scaled_prediction
+from ms_highway.planning.human_models import HumanModel, Naive, is_of_package, scaled_prediction
 from ms_highway.planning.joint import Answering, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State, for_each
@@ -30,7 +30,7 @@ def plan_for(
 
 def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:
     """Limit the plan of a registered model; the package's models keep to the limits by themselves."""
-    if type(model).name in PACKAGE_MODELS:
+    if is_of_package(model):
         return plan
     robot, human = (
         jnp.where(jnp.isfinite(side), bounded(game, car, side), side)

@@ -13,7 +13,8 @@ from ms_highway.choice.rule import Outcome, decide, first_memory
 from ms_highway.choice.situation import describe, description_names
 from ms_highway.choice.values import load_values, save_values
 from ms_highway.envs import SCENARIOS
-from ms_highway.game.scenario import PAPER_UNIT, build_game, draw_episode
+from ms_highway.game.scenario import PAPER_UNIT, build_game
+from ms_highway.game.starts import draw_episode
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import ladder
 from ms_highway.planning.plans import Plan

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from ms_highway.game.learned_reward import shipped
-from ms_highway.game.scenario import CARELESS, CARELESS_FACTOR, HUMANS, SPACING, build_game, draw_episode
+from ms_highway.game.scenario import HUMANS, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
+from ms_highway.game.starts import CARELESS, CARELESS_FACTOR, SPACING, draw_episode
 
 EPISODES = 60
 LEARNED = shipped("demonstrations").weights

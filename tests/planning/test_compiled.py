@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ms_highway.envs import SCENARIOS
-from ms_highway.game.scenario import build_game, draw_episode
+from ms_highway.game.scenario import build_game
+from ms_highway.game.starts import draw_episode
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, plan
 from ms_highway.planning.human_models import MODELS, ladder
 
@@ -18,7 +19,8 @@ import os
 from ms_highway import low_latency
 low_latency()
 import jax, numpy as np
-from ms_highway.game.scenario import build_game, draw_starts
+from ms_highway.game.scenario import build_game
+from ms_highway.game.starts import draw_starts
 from ms_highway.game.scenarios import STAY_BACK
 from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.human_models import ladder

@@ -9,8 +9,9 @@ from jax import numpy as jnp
 
 from ms_highway.game.game import move, move_all, pair, swap_roles
 from ms_highway.game.planning_settings import PlanningSettings
-from ms_highway.game.scenario import build_game, draw_episode
+from ms_highway.game.scenario import build_game
 from ms_highway.game.scenarios import DENSE_MERGE
+from ms_highway.game.starts import draw_episode
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import MODELS, TheoryOfMind, Turn, ladder
 from ms_highway.planning.joint import Answering as Situation

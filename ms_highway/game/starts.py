@@ -1,0 +1,109 @@
+"""Draw the starts of episodes, by NumPy or, within a function that JAX traces, by JAX."""
+
+from typing import Any, TypeAlias
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+
+from ms_highway.game.reward import Reward
+from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, Scenario, Stream
+from ms_highway.runtime.arrays import HumansWeights, State
+
+POSITION_NOISE = 5e-4 * PAPER_UNIT  # m, standard deviation of x and y
+HEADING_NOISE = 1e-3  # rad, standard deviation
+START_SPEED_NOISE = 1e-3 * PAPER_UNIT  # m/s, standard deviation without streams
+MERGING_NOISE = 0.01 * PAPER_UNIT  # m, further standard deviation of the merging car's x
+
+SPACING = 8.0, 14.0  # m from centre to centre, shortest and longest
+SHORTNESS = 20.0  # of Beta(1, SHORTNESS), the share of a spacing between the two: 8.3 m on average
+SPEED_NOISE = 0.3  # m/s, standard deviation of the speed of a human in a stream
+CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
+CARELESS, CARELESS_FACTOR = 0.2, 0.05  # share of the humans that hardly yield, and what they weigh collision_risk by
+
+
+def _shape(size: Any) -> list[int]:
+    return np.atleast_1d(size).astype(int).tolist()
+
+
+class TracedRandom:
+    """Draw by JAX what NumPy's generator draws, from a key; the same methods, as far as they are used here."""
+
+    def __init__(self, key: jax.Array) -> None:
+        self._key = key
+
+    def _next(self) -> jax.Array:
+        self._key, key = jax.random.split(self._key)
+        return key
+
+    def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: Any = ()) -> jax.Array:
+        """Draw from a normal distribution."""
+        return loc + jnp.asarray(scale) * jax.random.normal(self._next(), _shape(size))
+
+    def uniform(self, low: Any = 0.0, high: Any = 1.0, size: Any = ()) -> jax.Array:
+        """Draw from a uniform distribution."""
+        return jax.random.uniform(self._next(), _shape(size), minval=low, maxval=high)
+
+    def beta(self, a: float, b: float, size: Any = ()) -> jax.Array:
+        """Draw from a beta distribution."""
+        return jax.random.beta(self._next(), a, b, _shape(size))
+
+
+Random: TypeAlias = np.random.Generator | TracedRandom
+
+
+def draw_starts(scenario: Scenario, random: Random) -> State:
+    """Draw the start of every car of a scenario without streams, with the noise of the paper's experiments.
+
+    Normal noise of standard deviation 1.7 cm on x and y, 1e-3 rad on heading and 3.3 cm/s on speed; another 33 cm on
+    the x of the merging car.
+    """
+    cars = np.array([(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars])
+    noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, START_SPEED_NOISE]
+    cars = cars + random.normal(scale=noise, size=cars.shape)
+    if scenario.merging_car is not None:
+        moved = np.zeros(cars.shape)
+        moved[scenario.merging_car, 0] = 1.0
+        cars = cars + moved * random.normal(scale=MERGING_NOISE)
+    return cars
+
+
+def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[State, HumansWeights]:
+    """Draw the start of every car, in SI units, and the weights of every human's reward.
+
+    Without streams, these are `draw_starts` and the weights given. In streams, centres are 8 to 14 m apart, most of
+    them near 8, and the robot starts beside a random place in the middle of every stream. Humans weigh
+    ``collision_risk`` by a factor of their own, log-normal around 1; every fifth, on average, by `CARELESS_FACTOR`: it
+    hardly yields.
+
+    Args:
+        scenario: to draw for.
+        random: what is drawn from.
+        humans: the rewards that theirs are drawn around, see `ms_highway.game.game.Game`.
+    """
+    weights = np.array(humans.weights, np.float32)
+    if not scenario.streams:
+        return draw_starts(scenario, random), weights
+    robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT])
+    number, lanes = len(weights), len(scenario.streams)
+    dealt = [len(range(place, number, lanes)) for place in range(lanes)]
+    streams = [_stream(stream, each, random) for stream, each in zip(scenario.streams, dealt, strict=True)]
+    xp = streams[0].__array_namespace__()
+    cars = xp.concatenate([robot[None], *streams])
+    noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, SPEED_NOISE]
+    cars = cars + random.normal(scale=noise, size=cars.shape)
+    factors = xp.exp(random.normal(0.0, CAUTION_SPREAD, number))
+    factors = xp.where(random.uniform(size=number) < CARELESS, CARELESS_FACTOR, factors).astype(np.float32)
+    is_caution = np.array([name == "collision_risk" for name in humans.names])
+    return cars, xp.where(is_caution, weights * factors[:, None], weights)
+
+
+def _stream(stream: Stream, humans: int, random: Random) -> State:
+    """Draw the starts of a stream, front first; the robot, at x = 0, is beside a gap in the middle, or the last one."""
+    shortest, longest = SPACING
+    spacings = shortest + (longest - shortest) * random.beta(1.0, SHORTNESS, humans)
+    ahead = (humans + 1) // 2  # of the robot
+    beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
+    xp = spacings.__array_namespace__()
+    x = beside + xp.sum(spacings[:ahead]) - xp.cumsum(spacings)
+    return xp.stack([x, np.full(humans, stream.lane), np.zeros(humans), np.full(humans, stream.speed)], axis=-1)
