@@ -234,10 +234,10 @@ def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan |
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
     """
-    return _limited(model, game, state[1], model.predict(game, state, start))
+    return _scaled_within_limits(model, game, state[1], model.predict(game, state, start))
 
 
-def _limited(model: HumanModel, game: Game, human: Car, controls: Controls) -> Controls:
+def _scaled_within_limits(model: HumanModel, game: Game, human: Car, controls: Controls) -> Controls:
     """Scale predicted controls of a human; limit those of a registered model, see `scaled_prediction`."""
     if is_of_package(model):
         return controls / game.planner.control_scale
@@ -256,7 +256,7 @@ def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> No
             continue
         own, cars = pair(model.within(game), jnp.asarray(state), 0)
         predicted = np.asarray(model.predict(own, cars))
-        kept = np.asarray(_limited(model, own, cars[1], predicted) * game.planner.control_scale)
+        kept = np.asarray(_scaled_within_limits(model, own, cars[1], predicted) * game.planner.control_scale)
         cut = np.argwhere(np.abs(predicted - kept) > 1e-3 * np.abs(predicted))
         if len(cut):
             place = tuple(cut[0])
