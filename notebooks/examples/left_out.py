@@ -48,4 +48,4 @@ for environment in (SqueezeEnv, WorksEnv):
     add_scenario(environment)
 
 if __name__ == "__main__":
-    print("known now: zipper, squeeze and works")
+    print("known now: squeeze and works")

@@ -72,7 +72,7 @@ def test_an_editable_installation_finds_the_environments_where_there_are_no_link
     subprocess.run([*PIP, str(installed), "-e", str(source)], check=True)
     program = (
         "import site, sys\n"
-        f"sys.path.append({sysconfig.get_path('purelib')!r}); site.addsitedir({str(installed)!r})\n"
+        f"site.addsitedir({str(installed)!r}); sys.path.append({sysconfig.get_path('purelib')!r})\n"
         "import gymnasium, ms_highway.envs\n"
         f"assert ms_highway.envs.__file__ == {str(source / 'envs' / '__init__.py')!r}, ms_highway.envs.__file__\n"
         "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
