@@ -18,7 +18,7 @@ from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings,
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS
-from ms_highway.numerics.convex_newton import ANSWERED_STEPS, STEPS
+from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS
 from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
@@ -156,7 +156,7 @@ class Settings(Struct, frozen=True):
         given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
         known = dict(given)
         for model in (*map(human_model, self.controller.names()), *self.models):
-            steps = ANSWERED_STEPS if model.responds else STEPS
+            steps = JOINT_STEPS if model.responds else STEPS
             if self.solver != "convex_newton":
                 steps = gradient_steps(self.planning)[0]
             seconds = model.seconds(given, steps)

@@ -79,5 +79,5 @@ def infer(game: Game, belief: Belief, before: State, after: State, robot: Contro
 
 
 def counted_on(belief: Float[SameArray, "humans models"]) -> Bool[Array, "humans"]:
-    """Return who may be counted on to respond: all but those whose actions turn and tom do not explain."""
+    """Return which humans can be counted on to respond: all but those whose actions turn and tom do not explain."""
     return belief[:, RESPONDING].sum(axis=1) >= LEAST_RESPONSE

@@ -64,8 +64,8 @@ class LearnedValue(Rule):
         gains, doubts = (jnp.pad(part(means, axis=0), (1, 0)) for part in (jnp.mean, jnp.std))
         known = jnp.isfinite(gains).all()
         values = gains - CAUTION * doubts - self.price * jnp.asarray(self.costs.each)
-        told = values - values[rung] if self.cautious else gains
-        return jnp.where(known, jnp.argmax(values), 0), jnp.where(known, told, NOT_ESTIMATED), ~known
+        estimates = values - values[rung] if self.cautious else gains
+        return jnp.where(known, jnp.argmax(values), 0), jnp.where(known, estimates, NOT_ESTIMATED), ~known
 
 
 def outputs(

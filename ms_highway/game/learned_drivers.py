@@ -24,7 +24,7 @@ class RewardTraits(NamedTuple):
     Attributes:
         desired_speed: at which its speed feature is highest [m/s].
         headway: time gap that its headway feature wants, besides 2 m [s].
-        patience: factor of its comfort of acceleration, 1 for the typical driver; who is patient closes gaps slowly.
+        patience: factor of its comfort of acceleration, 1 for the typical driver; a patient driver closes gaps slowly.
     """
 
     desired_speed: Scalar

@@ -135,7 +135,7 @@ def shipped_drivers() -> LearnedDrivers:
 
 
 def commuter_weights() -> dict[str, float]:
-    """Return weights, by name, of who drives with the traffic: learned on US-101, in units of log-probability.
+    """Return weights, by name, of a driver in everyday traffic: learned on US-101, in units of log-probability.
 
     Those that matter in a lane are learned seconds ahead, see `ms_highway.irl.seconds_ahead`. Those of leaving the
     lane, the road, and of collisions are the paper's: the recordings say little about them.

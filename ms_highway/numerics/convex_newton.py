@@ -20,12 +20,12 @@ from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, Tra
 
 Point = TypeVar("Point", bound=PyTree)
 
-STEPS, ANSWERED_STEPS = 8, 4
-"""Usual numbers of steps of a plan at most, see `until_still`: alone, and with others who answer each of them.
+STEPS, JOINT_STEPS = 8, 4
+"""Usual numbers of steps of a plan at most, see `until_still`: alone, and with others who respond to each of them.
 
-Steps that others answer climb no single reward, and more of them are less steady. Measured in Dense Merge under theory
-of mind: starts 10 um apart are within 0.73 mm of each other two seconds later with four such steps, within 2.0 mm with
-six and within 13 mm with eight (95 % of 100). Naive plans of eight steps: within 0.27 mm."""
+Steps to which others respond climb no single reward, and more of them are less steady. Measured in Dense Merge under
+theory of mind: starts 10 um apart are within 0.73 mm of each other two seconds later with four such steps, within
+2.0 mm with six and within 13 mm with eight (95 % of 100). Naive plans of eight steps: within 0.27 mm."""
 
 EASE = 5.0
 """Usual ease of a planner, see `ms_highway.numerics.solvers.Planner`: braking by 4 m/s^2 costs 0.04 per step.

@@ -8,7 +8,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.numerics.convex_newton import ANSWERED_STEPS, STEPS, Point, convex_newton_steps
+from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS, Point, convex_newton_steps
 from ms_highway.numerics.newton import newton_steps
 from ms_highway.numerics.objective import Objective
 from ms_highway.runtime.arrays import Control, Controls, Scalar
@@ -31,7 +31,7 @@ class Planner:
         horizon: number of planned controls, K in the paper (static).
         iterations: number of gradient steps (static).
         newton_steps: number of steps of the solver for seconds at most (static).
-        answered_steps: the same where humans answer each of them (static).
+        joint_steps: the same where humans respond to each of them (static).
         ease: what plans pay, beside their reward, per squared scaled control that does not keep the velocity, so that
             they do not follow every bump of the reward at once; less for steering at low speed, see
             `ms_highway.game.game.discomfort`.
@@ -50,16 +50,16 @@ class Planner:
     horizon: int = field(default=5, metadata={"static": True})
     iterations: int = field(default=20, metadata={"static": True})
     newton_steps: int = field(default=STEPS, metadata={"static": True})
-    answered_steps: int = field(default=ANSWERED_STEPS, metadata={"static": True})
+    joint_steps: int = field(default=JOINT_STEPS, metadata={"static": True})
     solver: Solver = field(default="gradient", metadata={"static": True})
     smooth: bool = field(default=False, metadata={"static": True})
     persistent: bool = field(default=False, metadata={"static": True})
 
     @property
     def steps(self) -> tuple[int, int]:
-        """Numbers of steps of a plan, at most: where no human answers it, and where some do."""
+        """Numbers of steps of a plan at most: where no human responds to it, and where some do."""
         return (
-            (self.newton_steps, self.answered_steps)
+            (self.newton_steps, self.joint_steps)
             if self.solver == "convex_newton"
             else (self.iterations, self.iterations)
         )

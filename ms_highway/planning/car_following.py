@@ -34,8 +34,8 @@ def idm_acceleration(
 ) -> Numbers:
     """Return the acceleration of a follower, by default with highway-env's parameters; arrays of NumPy or JAX.
 
-    The part of the desired gap that depends on speeds is at least 0, as in the paper; highway-env squares a negative
-    one, of who falls behind.
+    The part of the desired gap that depends on speeds is at least 0, as in the paper; highway-env squares it where the
+    follower is slower and it is negative.
 
     Args:
         speed: of the follower [m/s].

@@ -24,7 +24,7 @@ from ms_highway.game.game import Game, bounded, pair, swap_players
 from ms_highway.game.planning_settings import MOST_ITERATIONS, SHARE, longest_traced_step
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.planning.car_following import FAR, idm_acceleration
-from ms_highway.planning.joint import Answering, joint_ascent
+from ms_highway.planning.joint import Interaction, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start, plan_against
 from ms_highway.runtime.arrays import Car, Control, Controls, State
 
@@ -79,7 +79,7 @@ class HumanModel:
         if self.steps is None:
             return game
         if game.planner.solver == "convex_newton":
-            return replace(game, planner=replace(game.planner, newton_steps=self.steps, answered_steps=self.steps))
+            return replace(game, planner=replace(game.planner, newton_steps=self.steps, joint_steps=self.steps))
         longest = longest_traced_step(game.planner.horizon, game.dynamics.time_step)
         length = jnp.minimum(LENGTH, SHARE * longest)
         planner = replace(game.planner, iterations=self.steps, step_size=length, solver="gradient")
@@ -206,7 +206,7 @@ class TheoryOfMind(HumanModel):
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Improve the robot's and the human's controls by a joint ascent."""
-        return joint_ascent(Answering(game, state), cold_start(game, state) if start is None else start)
+        return joint_ascent(Interaction(game, state), cold_start(game, state) if start is None else start)
 
 
 MODELS: dict[str, HumanModel] = {model.name: model for model in (Naive(), IntelligentDriver(), Turn(), TheoryOfMind())}

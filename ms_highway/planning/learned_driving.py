@@ -74,7 +74,7 @@ def moved(
         drivers: what was learned.
         around: `Surroundings`.
         logarithms: of their traits, see `shown_traits`.
-        side: lanes to the right by which each changes lanes, -1, 0 or 1; who changes follows the leader there.
+        side: lanes to the right by which each changes lanes, -1, 0 or 1; a car that changes follows the leader there.
         wanted: lateral position of the middle of the lane that each wants [m].
         now: states of all.
         others: whom each meets; by default, all as they are.

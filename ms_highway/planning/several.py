@@ -5,7 +5,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.game import Game, bounded, constant_velocity, pair
 from ms_highway.planning.human_models import HumanModel, Naive, is_of_package, scaled_prediction
-from ms_highway.planning.joint import Answering, joint_ascent
+from ms_highway.planning.joint import Interaction, joint_ascent
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State, for_each
 
@@ -50,9 +50,9 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
         if not model.responds and type(model) is not Naive:
             expected = _predict(model, rung, game, state, rungs, start, expected)
     responding = jnp.array([model.responds for model in ladder])[rungs]
-    who = Answering(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
+    interaction = Interaction(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
     first = Plan(start.robot, jnp.where(responding[:, None, None], start.humans, expected))
-    return joint_ascent(who, first, most_steps(ladder, game, rungs))
+    return joint_ascent(interaction, first, most_steps(ladder, game, rungs))
 
 
 def _predict(
@@ -69,12 +69,12 @@ def _predict(
 
 
 def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tuple[Index, Index] | None:
-    """Return the most steps that rungs in use ask for, without answers and with; None if all ask for the planner's.
+    """Return the most steps that rungs in use ask for where nobody responds, and where somebody does.
 
-    Only theory of mind counts for steps that are answered.
+    None if all ask for the planner's. Only theory of mind counts for steps with responses.
     """
     if not any(model.steps for model in ladder):
         return None
-    alone, answered = game.planner.steps
-    each = [(model.steps or alone, model.responds * (model.steps or answered)) for model in ladder]
+    alone, joint = game.planner.steps
+    each = [(model.steps or alone, model.responds * (model.steps or joint)) for model in ladder]
     return tuple(jnp.asarray(each)[rungs].max(axis=0))

@@ -1,6 +1,6 @@
 """Keep a way out: a control is executed only if no escape from humans who do not yield is better than those after it.
 
-Theory of mind counts on humans who answer; one who does not is hit. After a control, a way out is a simple manoeuvre,
+Theory of mind counts on humans who respond; it hits one who does not. After a control, a way out is a simple manoeuvre,
 braking or speeding up in this lane or another, that collides with nobody if all others keep their velocity: passive
 safety against velocity-keepers, as in contingency planning.
 """
