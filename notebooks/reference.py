@@ -21,19 +21,21 @@ INFO = {
     "control": "what the robot did: `acceleration` before friction [m/s²], `steering` of the front wheels [rad]",
     "action": "that was given",
     "rewards": "terms of the reward by feature; `computation` is -lambda T where the agent chooses models",
-    "model": "the most expensive model in the plan that is followed",
+    "model": "the model that predicts the human in the plan that drives; of several humans, their most expensive one",
     "models": "name of every human's model in it",
-    "status": "`planned`, `previous plan`, `braking`, `late` or `way out`: where the control comes from",
-    "choice_failed": "whether the models could not be chosen",
+    "status": "what drives: the step's plan (`planned`); the `previous plan`, where that failed; `braking`, where both "
+    "did; the previous plan again, as the new one came `late`; or a `way out` from humans who do not yield",
+    "choice_failed": "whether no model could be chosen, so that the last ones stayed",
     "timing": "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]",
     "clocked": "whether measured times had a say in the choice, so that the same seed may be another episode",
-    "gains": "highest estimated gain of each model over all humans [reward], by which the choice is made",
-    "counted_seconds": "T of the step's own plan [s]",
+    "gains": "net gain that the controller expects of each other model than the last one [reward]; the largest of "
+    "several humans; empty where nothing is estimated",
+    "counted_seconds": "T of the step's plan [s]",
     "human_status": "a status for each human; None for cars that do not plan",
     "distance_to_cones": "from the robot's front to the first cone ahead in its lane, infinite without one [m]",
-    "success": "whether the robot is in the target lane and has not collided so far",
+    "success": "among several humans: whether the robot is in the target lane and has not collided so far",
     "is_success": "the same, as stable-baselines3 calls it",
-    "humans_idm": "number of humans predicted by the model; likewise `humans_turn` and `humans_tom`",
+    "humans_idm": "among several humans: number predicted by this model; likewise `humans_turn` and `humans_tom`",
     "belief": "with a controller's `belief`: probability of naive, idm, turn and tom for every human, [humans, 4]",
 }
 """What is in `info`, and its unit."""
@@ -43,12 +45,11 @@ OF_HIGHWAY_ENV = [key for key in AbstractEnv.default_config() if key != "action"
 PAGE = """# Environments
 
 Written by `python notebooks/reference.py` from the classes; `help(ms_highway.InteractionEnv)` says more. All lengths are in
-metres, times in seconds, angles in radians; x is along the road, y to the right.
+metres, times in seconds, angles in radians; x is along the road, y to the right. [Words](MAP.md#words) are in the guide.
 
 ```python
 env = gym.make("ms-highway/merger-v1", config={{...}})  # one environment
 envs = gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={{...}})  # many, in JAX; no films
-functions = ms_highway.FunctionalEnv("merger-v1", {{...}})  # reset(key), step(state, action), to jit
 ```
 
 ## Actions
@@ -56,7 +57,7 @@ functions = ms_highway.FunctionalEnv("merger-v1", {{...}})  # reset(key), step(s
 | `config["action"]["type"]` | space | the agent |
 | --- | --- | --- |
 | `Autopilot` (default) | Discrete(1) | lets `config["controller"]` drive |
-| `HumanModelAction` | Discrete(models), or MultiDiscrete of every human | chooses models by their place in `config["ladder"]`; pays `lambda` T |
+| `HumanModelAction` | Discrete(models), or MultiDiscrete of every human | chooses models by their place in `config["ladder"]`; pays `lambda` T(M) for the time of a plan. The price must be given: `{{"type": "HumanModelAction", "lambda": 1.0}}` |
 | `ContinuousAction` | Box(-1, 1, 2) | accelerates by +-5 m/s², steers front wheels by +-0.1 rad; other ranges by `acceleration_range`, `steering_range` |
 | `DiscreteAction` | Discrete | the same, in `actions_per_axis` steps |
 
@@ -74,14 +75,45 @@ An episode ends after its steps (truncated), or with `terminate_on_collision` at
 
 ## Reward
 
-The robot's own, the sum of weighted features after the step; less `lambda` T under `HumanModelAction`. `info["rewards"]`
-has its terms.
+The robot's own, the sum of weighted features after the step; less `lambda` T(M) under `HumanModelAction`. `info["rewards"]`
+has its terms; `ms_highway.game.features.features` defines them, `ms_highway.game.scenarios` has their weights.
 
 ## `info`
 
 {}
 
-Vector environments tell `collision`, `status`, `model`, `counted_seconds` and `success`, with masks.
+What belongs to a plan (`model` to `counted_seconds`) is there after a step in which the robot plans. Vector environments tell `collision`,
+`status`, `model`, `counted_seconds` and, among several humans, `success`, with masks.
+
+## In JAX
+
+`gym.make_vec` and `ms_highway.FunctionalEnv` simulate the same episodes in JAX. `FunctionalEnv` has pure functions of a state, which does not
+reset itself: after its last step, start again. They compile for a minute or two; with `ContinuousAction`, which plans nothing for the robot,
+for less. A rollout of 8 environments:
+
+```python
+import jax
+import ms_highway
+
+env = ms_highway.FunctionalEnv("merger-v1", {{"action": {{"type": "ContinuousAction"}}}})
+
+
+def rollout(key):
+    def step(state, key):
+        action = jax.random.uniform(key, env.action_space.shape, minval=-1, maxval=1)
+        state, observation, reward, terminated, truncated, info = env.step(state, action)
+        return state, reward
+
+    start, actions = jax.random.split(key)
+    state, observation = env.reset(start)
+    return jax.lax.scan(step, state, jax.random.split(actions, 40))[1]
+
+
+rewards = jax.jit(jax.vmap(rollout))(jax.random.split(jax.random.key(0), 8))  # [8, 40]
+```
+
+`ms_highway.plan` compiles and times by itself, and returns NumPy; the function to trace is
+`ms_highway.planning.several.plan_for`, whose controls are scaled.
 
 ## Configuration
 

@@ -29,7 +29,7 @@ PHYSICAL_COSTS = {"naive": 0.0007, "idm": 0.0007, "turn": 0.0013, "tom": 0.0011}
 """Planning time in plans of a second with one human: means of episodes of Merger v1 and Give Way v1 on one core."""
 
 NOT_ESTIMATED = -np.inf
-"""Gain of a rung for which none was estimated; NaN would stop all programs where JAX looks for errors by it."""
+"""Gain of a rung for which none was estimated; not NaN, which trips `jax_debug_nans`."""
 
 NEVER = -(2**20)
 """Step of a check that has not been made."""
@@ -41,7 +41,7 @@ class Memory(NamedTuple):
     Attributes:
         rungs: in use for every human: of the plan that was followed in the last step, or chosen for the coming one.
         step: number of the coming step; 0 before the first one, when nothing has happened yet.
-        last_check: step of every human's last downward check of each rung.
+        last_check: step in which Algorithm 1 last looked, from each rung of every human, whether the one below serves.
     """
 
     rungs: Rungs
@@ -74,9 +74,9 @@ class Decision(NamedTuple):
 
     Attributes:
         memory: with the rungs of the coming step; whoever drives counts the steps.
-        gains: estimated gain of each rung for every human, `NOT_ESTIMATED` where none was: what is compared to choose,
-            over the rung in use and less the price of its time. Those of learned values are also less a margin for
-            doubt; those for budgets are over the first rung, and have no price and margin.
+        gains: estimated gain of each rung over the one in use, net of the price of its time, for every human;
+            `NOT_ESTIMATED` where none was. Rules that `ms_highway.choice.budget.Budget` asks return the gain over the
+            first rung, without a price.
         failed: whether the rule could not estimate what it needs.
     """
 
@@ -103,10 +103,9 @@ class Rule:
         """Choose the rungs of the coming step.
 
         Args:
-            game: that is played; None on stock roads.
+            game: that is played; rules of `ms_highway.road`, which plays none, are given None.
             memory: of the rule.
-            outcome: of the last step; on stock roads, bounds on what the answer of each human is worth, or None for a
-                rule that estimates no gains.
+            outcome: of the last step; rules of `ms_highway.road` are given bounds on the gain of each human's response.
         """
         raise NotImplementedError
 
@@ -154,7 +153,7 @@ class Order(Rule):
     """Take the rungs of a table: a fixed model, a schedule, a period, or what was drawn beforehand.
 
     Attributes:
-        rungs: of every human in each step; the last row is kept. A column serves all humans.
+        rungs: of every human in each step; the last row is kept. With a single column, it is the same for all humans.
         ladder: human models (static).
     """
 

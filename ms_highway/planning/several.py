@@ -13,13 +13,13 @@ from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State, for_e
 def plan_for(
     ladder: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs | None = None, start: Plan | None = None
 ) -> Plan:
-    """Plan as may be executed, all finite controls within the limits of `ms_highway.game.game.bounded`.
+    """Return a plan whose controls keep to the limits of `ms_highway.game.game.bounded`, where they are finite.
 
     Args:
         ladder: human models; with one human, the one that predicts it.
         game: with the humans' rewards as the robot believes them.
         state: all cars now.
-        rungs: of every human; not looked at with one.
+        rungs: of every human; ignored if there is one human.
         start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
     """
     if game.number == 1:
@@ -42,8 +42,8 @@ def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:
 def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, start: Plan) -> Plan:
     """Plan with a rung for each of several humans.
 
-    A loop over the humans under each rung takes as many rounds as there are: the time of a plan is additive in the
-    models, and one compiled function plans under all assignments. See `most_steps` for how many steps it takes.
+    Under each rung, a loop takes a round for every human on it. So the time of a plan is a sum over the humans, and one
+    compiled function plans under all assignments. See `most_steps` for the number of steps of the plan.
     """
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
     for rung, model in enumerate(ladder):
@@ -59,7 +59,7 @@ def _predict(
     model: HumanModel, rung: int, game: Game, state: State, rungs: Rungs, start: Plan, expected: HumansControls
 ) -> HumansControls:
     """Predict the humans on a rung, one after the other, each in the robot's game with it alone."""
-    anew = game.planner.smooth
+    anew = game.planner.smooth  # such plans look for a start of their own
 
     def predict(human: Index, expected: HumansControls) -> HumansControls:
         begin = None if anew else Plan(start.robot, start.humans[human][None])

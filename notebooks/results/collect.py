@@ -36,10 +36,10 @@ RECORDED = "recorded"
 PHYSICAL = {  # in the project's README
     "merger-v1": ["naive", "tom", "learned:1", "switching:0.1"],
     "give-way-v1": ["naive", "tom", "learned:1", "switching:0.1"],
-    "stay-back-v1": ["naive", "turn", "learned:1", "switching:0.1"],
+    "stay-back-v1": ["naive", "turn", "tom", "learned:1", "switching:0.1"],
 }
 REWARD, COLLISIONS = "reward per step (90 % interval)", "episodes with a collision"
-SHOWN_COLUMNS = [REWARD, "plan ms", "naive / turn / tom %", COLLISIONS]
+SHOWN_COLUMNS = [REWARD, "plan ms", COLLISIONS]
 WORTH = {scenario: ["naive", "tom", "tom@6+warm", "learned:10"] for scenario in ("merger", "give_way")}
 CROWD = {"dense_merge": ["naive", "tom", "nearest:2", "learned:1", "budget:20"]}
 LIMITED = {"stay_back": ["turn"], "merger": ["tom"], "give_way": ["tom", "switching:0.01"]}

@@ -18,6 +18,7 @@ from ms_highway.cli.main import parse
 
 ROOT = Path(__file__).parents[2]
 README, MAP, RESULTS = ROOT / "README.md", ROOT / "notebooks" / "MAP.md", ROOT / "notebooks" / "results" / "README.md"
+REFERENCE = ROOT / "notebooks" / "REFERENCE.md"
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
 
@@ -30,7 +31,7 @@ def prose(page: Path) -> str:
     return "\n\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
 
 
-TEXTS = {page: prose(page) for page in (README, RESULTS, MAP, *NOTEBOOKS, *EXAMPLES)}
+TEXTS = {page: prose(page) for page in (README, RESULTS, MAP, REFERENCE, *NOTEBOOKS, *EXAMPLES)}
 
 
 def fences(page: Path, language: str) -> list[str]:
@@ -64,7 +65,7 @@ def test_the_first_example_is_the_file_that_the_tests_run():
 
 def test_every_link_leads_somewhere():
     dead = []
-    for page in (README, RESULTS, MAP, *NOTEBOOKS):
+    for page in (README, RESULTS, MAP, REFERENCE, *NOTEBOOKS):
         for link in re.findall(r"\]\((?!http)([^)]*)\)", TEXTS[page]):
             place, _, anchor = link.partition("#")
             target = (page.parent / place).resolve() if place else page

@@ -5,7 +5,9 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
+from test_pages import REFERENCE, fences
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
 
@@ -35,3 +37,12 @@ def test_all_that_a_step_tells_is_explained(reference, name, humans):
     told = {*info} - {f"humans_{model}" for model in ENVIRONMENTS[name].scenario.ladder}
     assert told <= {*reference.INFO}
     assert {*reference.configuration_keys()} == {*ENVIRONMENTS[name].default_config()} - {*reference.OF_HIGHWAY_ENV}
+
+
+@pytest.mark.slow
+def test_the_rollout_in_jax_of_the_page_runs():
+    (_, rollout) = fences(REFERENCE, "python")
+    found = {}
+    exec(rollout, found)
+    assert found["rewards"].shape == (8, 40)
+    assert np.isfinite(found["rewards"]).all()
