@@ -12,10 +12,8 @@ from ms_highway.envs.configuration import RANGES, Config, Positive
 from ms_highway.envs.game_env import GameEnv, straight_road
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import (
-    CAR_SIZE,
     COMMON_WEIGHTS,
     LANE_WIDTH,
-    PAPER_UNIT,
     SPEED_LIMIT,
     TIME_STEP,
     driving_game,
@@ -49,16 +47,7 @@ Without a key, the engine makes up for the friction at 20 m/s; with one, the car
 def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
     """Build the game of the driver, for weights by name, on three lanes of the paper's scenes."""
     lanes = np.arange(LANES) * LANE_WIDTH
-    scene = Scene(
-        lanes=lanes,
-        lane_width=LANE_WIDTH,
-        obstacles=np.zeros((0, 2)),
-        obstacle_size=np.ones(2),
-        car_size=np.array(CAR_SIZE),
-        corner=0.5,
-        target_lane=lanes[0],
-        length_unit=PAPER_UNIT,
-    )
+    scene = Scene(lanes, LANE_WIDTH, target_lane=lanes[0])
     return driving_game(scene, SPEED_LIMIT, weights, grip=None)
 
 

@@ -29,7 +29,7 @@ PHYSICAL_COSTS = {"naive": 0.0007, "idm": 0.0007, "turn": 0.0013, "tom": 0.0011}
 """Planning time in plans of a second with one human: means of episodes of Merger v1 and Give Way v1 on one core."""
 
 NOT_ESTIMATED = -np.inf
-"""Gain of a rung for which none was estimated; not NaN, which trips `jax_debug_nans`."""
+"""Gain of a rung for which none was estimated; not NaN, which trips ``jax_debug_nans``."""
 
 NEVER = -(2**20)
 """Step of a check that has not been made."""

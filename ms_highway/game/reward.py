@@ -101,7 +101,7 @@ def add_feature(name: str, function: Feature) -> None:
     if not isinstance(name, str) or not name.isidentifier() or name in taken:
         raise ValueError(f"a feature cannot be called {name!r}; choose one word other than {', '.join(taken)}")
     own, others = (Motion(*np.zeros((5, *shape), np.float32)) for shape in ((), (3,)))
-    scene = Scene(np.zeros(3), 0.0, np.zeros((2, 2)), np.ones(2), np.ones(2), 0.5, 0.0, 1.0)
+    scene = Scene(np.zeros(3), 0.0, obstacles=np.zeros((2, 2)))
     try:
         hash(function)
         value = jax.eval_shape(function, scene, own, others)

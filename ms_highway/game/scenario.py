@@ -15,17 +15,13 @@ from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.game.reward import Reward, features_for, linear_reward
-from ms_highway.game.scene import Scene
+from ms_highway.game.scene import CAR_SIZE, CONE_SIZE, PAPER_UNIT, Scene
 from ms_highway.numerics.convex_newton import EASE
 from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import Planner, Solver
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
-PAPER_UNIT = 100 / 3  # m
-
-CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)  # m: 5 by 2.5
-CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)  # m
 LANE_WIDTH = 0.1 * PAPER_UNIT  # m
 SPEED_LIMIT = 0.6 * PAPER_UNIT  # m/s: 20
 TIME_STEP = 0.1  # s

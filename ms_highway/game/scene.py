@@ -9,6 +9,10 @@ from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array, Scalar
 
+PAPER_UNIT = 100 / 3  # m
+CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)  # m: 5 by 2.5
+CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)  # m
+
 REACHED = 0.8  # m, from the centre of the target lane, within which a car has reached it
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
@@ -27,14 +31,14 @@ class Scene:
     Attributes:
         lanes: lateral position of each lane's centre, array [lanes].
         lane_width: width of a lane; the road ends half of it beyond the outermost centres.
-        obstacles: centres (x, y) of the static obstacles, which are parallel to the axes, array [n, 2]; for none,
-            ``np.zeros((0, 2))``.
-        obstacle_size: length and width of every obstacle, array [2].
-        car_size: length and width of every car, array [2].
-        corner: position of the outermost body points of the collision feature, as a share of length and width (1/2 is
-            the corner of the body).
-        target_lane: lateral position of the lane that a merging car enters.
-        length_unit: unit of lengths in features [m]; 100/3 in the paper's units.
+        obstacles: centres (x, y) of static obstacles, which are parallel to the axes, array [n, 2]; none by default.
+        obstacle_size: length and width of every obstacle, array [2]; a cone of the paper by default.
+        car_size: length and width of every car, array [2]; 5 by 2.5 m by default.
+        corner: position of the outermost body points of the collision feature, as a share of length and width: 1/2, the
+            corner of the body, by default.
+        target_lane: lateral position of the lane that a merging car enters; it matters to rewards that weigh it.
+        length_unit: unit of lengths in features [m]. Weights belong to it: those of the package to the paper's unit,
+            100/3 m, the default.
         bend: curvature of the road [1/m], positive to the right, which its coordinates straighten; None on a straight
             road.
         leader: index of the car that the gap feature refers to, None without one (static).
@@ -45,12 +49,12 @@ class Scene:
 
     lanes: Float[Array, "lanes"]
     lane_width: Scalar
-    obstacles: Float[Array, "obstacles 2"]
-    obstacle_size: Float[Array, "2"]
-    car_size: Float[Array, "2"]
-    corner: Scalar
-    target_lane: Scalar
-    length_unit: Scalar
+    obstacles: Float[Array, "obstacles 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    obstacle_size: Float[Array, "2"] = CONE_SIZE
+    car_size: Float[Array, "2"] = CAR_SIZE
+    corner: Scalar = 0.5
+    target_lane: Scalar = 0.0
+    length_unit: Scalar = PAPER_UNIT
     bend: Scalar | None = None
     leader: int | None = field(default=None, metadata={"static": True})
 

@@ -279,6 +279,10 @@ def register(model: HumanModel, before: str | None = None) -> None:
     if not isinstance(model, HumanModel) or getattr(type(model), "name", None) != model.name:
         remedy = "make it a frozen dataclass derived from ms_highway.HumanModel, whose class has a name"
         raise ValueError(f"{model!r} is no model; {remedy}")
+    predicts = type(model).predict is not HumanModel.predict
+    if not predicts if isinstance(model, PredictedHuman) else type(model).plan is HumanModel.plan:
+        remedy = "derive it from ms_highway.PredictedHuman and define `predict`, or define `plan`"
+        raise ValueError(f"human model {model.name!r} neither predicts nor plans; {remedy}")
     try:
         hash(model)
     except TypeError as error:

@@ -14,7 +14,6 @@ from highway_env.vehicle.objects import Obstacle
 
 from ms_highway import (
     COMMON_WEIGHTS,
-    PAPER_UNIT,
     PUBLISHED_COSTS,
     Autopilot,
     Costs,
@@ -30,12 +29,9 @@ from ms_highway import (
 SCENE = Scene(  # what planners know of the road; metres, y to the right
     lanes=np.array([0.0, 4.0]),
     lane_width=4.0,
-    target_lane=0.0,
     obstacles=np.array([[160.0, 4.0]]),
     obstacle_size=np.array([2.0, 2.0]),
-    car_size=np.array([5.0, 2.5]),
-    corner=0.5,
-    length_unit=PAPER_UNIT,
+    target_lane=0.0,
 )
 GAME = driving_game(SCENE, 20.0, {**COMMON_WEIGHTS, "target_lane": 150})  # what robot and partner drive for
 LADDER = ladder(["naive", "turn", "tom"])

@@ -16,7 +16,9 @@ from ms_highway.numerics.solvers import project
 from ms_highway.planning.human_models import (
     BEST_LADDER,
     MODELS,
+    HumanModel,
     Naive,
+    PredictedHuman,
     human_model,
     is_model,
     known_models,
@@ -76,6 +78,12 @@ def test_the_ladder_that_serves_best_has_a_name_which_no_model_may_have():
         assert tuple(model.name for model in ladder(names)) == BEST_LADDER
     with pytest.raises(ValueError, match="'best'"):
         register(type("Best", (Lazy,), {"name": "best"})())
+
+
+@pytest.mark.parametrize("base", [HumanModel, PredictedHuman])
+def test_a_model_that_neither_predicts_nor_plans_is_refused(base):
+    with pytest.raises(ValueError, match="'empty' neither predicts nor plans; .* define `predict`"):
+        register(type("Empty", (base,), {"name": "empty"})())
 
 
 def test_registered_models_have_efforts_too(lazy, played):
