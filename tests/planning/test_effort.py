@@ -82,7 +82,7 @@ def test_the_ladder_that_serves_best_has_a_name_which_no_model_may_have():
 
 @pytest.mark.parametrize("base", [HumanModel, PredictedHuman])
 def test_a_model_that_neither_predicts_nor_plans_is_refused(base):
-    with pytest.raises(ValueError, match="'empty' neither predicts nor plans; .* define `predict`"):
+    with pytest.raises(ValueError, match=r"'empty' neither predicts nor plans; .* define `predict`"):
         register(type("Empty", (base,), {"name": "empty"})())
 
 
