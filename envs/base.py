@@ -11,20 +11,19 @@ from jaxtyping import Int
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
-from ms_highway.envs.controllers import AgentSettings, DriverSettings
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.keyboard import keyboard_control
-from ms_highway.envs.registry import controller_config, controller_settings
-from ms_highway.envs.settings import KEYBOARD, Settings
+from ms_highway.envs.registry import controller_config
+from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.driver import Driver, drivable, fixed
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver
+from ms_highway.loop.driver import fixed
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, KEYBOARD, FunctionDriver
 from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
@@ -170,16 +169,14 @@ class InteractionEnv(GameEnv):
             config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
-        if config["action"]["type"] == "Autopilot" and isinstance(settings.controller, AgentSettings):
-            remedy = "call it yourself, or make the environment with ms_highway.experiments.runner.make_environment"
-            raise ValueError(f"config['controller'] is {config['controller']}: an agent acts from outside; {remedy}")
-        if config["action"]["type"] == "Autopilot" and not isinstance(settings.controller, DriverSettings):
-            start = settings.start(settings.seconds, 1, np.random.default_rng())
+        controller, place = settings.controller, f"config['controller'] is {config['controller']}"
+        if config["action"]["type"] == "HumanModelAction" and not controller.predicts:
+            raise ValueError(f"{place}, with which no model is chosen; leave it out, or the action HumanModelAction")
+        if config["action"]["type"] == "Autopilot":
             try:
-                rule = settings.controller.rule(start)
+                controller.check(settings.start(settings.seconds, 1, np.random.default_rng()))
             except ValueError as error:
-                raise ValueError(f"config['controller'] is {config['controller']}: {error}") from error
-            drivable(rule, settings.controller.belief)
+                raise ValueError(f"{place}: {error}") from error
             settings.warn_of_other_values(cls.scenario)
         return config | {"ladder": [model.name for model in settings.models]}
 
@@ -244,15 +241,11 @@ class InteractionEnv(GameEnv):
 
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs if they are yet to be measured."""
-        settings, controller = self.settings, controller_settings(self.config["controller"])
-        if isinstance(controller, DriverSettings):
-            function = HUMAN_DRIVERS[controller.name]
-            self.robot.drive_with(FunctionDriver(game, controller.name, function), self.road.vehicles[1:])
-            return
+        settings = self.settings
         start = settings.start(self.seconds, self.episode_steps, self.np_random)
         asked = isinstance(self.action_type, HumanModelAction)
-        rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
-        driver = Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
+        order = Order(np.zeros((1, 1), int), settings.models) if asked else None
+        driver = settings.controller.driver(game, start, settings.way_out, order)
         self.robot.drive_with(driver, self.road.vehicles[1:])
 
     def measure(self) -> None:

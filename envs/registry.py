@@ -1,10 +1,11 @@
 """Define the controllers that choose models online; know all by type and by short name; add rules of one's own."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
+from highway_env.vehicle.kinematics import Vehicle
 from msgspec import Meta, field, json
 
 from ms_highway.choice.budget import Budget, OneStepGains
@@ -26,8 +27,8 @@ from ms_highway.envs.controllers import (
     Start,
 )
 from ms_highway.game.scenario import Semantics
-from ms_highway.loop.human_drivers import function_names
-from ms_highway.planning.human_models import is_model, model_names
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, KEYBOARD, DriverFunction, function_names
+from ms_highway.planning.human_models import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
 AGENT = "agent"  # type of controllers that act from outside the environment
@@ -147,7 +148,19 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {
 }
 """The controllers by type: those of the package, and those that `add_rule` adds."""
 
-OURS = tuple(CONTROLLERS)
+OURS, RESERVED = tuple(CONTROLLERS), (*HUMAN_DRIVERS, KEYBOARD, "usual", "mixed")
+
+
+def check_name(what: str, name: object, taken: Iterable[str]) -> None:
+    """Make sure that what is added has a name of its own: one word in lower case.
+
+    Raises:
+        ValueError: naming the remedy.
+    """
+    taken = list(dict.fromkeys(taken))
+    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in taken:
+        remedy = f"choose one word in lower case other than {', '.join(taken)}"
+        raise ValueError(f"{what} cannot be called {name!r}; {remedy}")
 
 
 def add_rule(settings: type[ControllerSettings]) -> None:
@@ -161,7 +174,7 @@ def add_rule(settings: type[ControllerSettings]) -> None:
         settings: class of the rule's settings, whose ``rule`` makes it, and whose tag is its name.
 
     Raises:
-        ValueError: if the class is no such one, or the name is one of the package's, a human model's or no word.
+        ValueError: if the class is no such one, or the name is taken or no word in lower case.
     """
     if (
         not (isinstance(settings, type) and issubclass(settings, ControllerSettings))
@@ -169,9 +182,7 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     ):
         raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
     name = str(settings.__struct_config__.tag)
-    if name in OURS or is_model(name) or not (name.isidentifier() and name.islower()):
-        remedy = f"choose a tag of one word in lower case other than {', '.join(OURS)} and human models"
-        raise ValueError(f"a rule cannot be called {name!r}; {remedy}")
+    check_name("a rule", name, [*OURS, *MODELS, *HUMAN_DRIVERS, *AGENTS])
     CONTROLLERS[name] = settings
 
 
@@ -188,18 +199,41 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
             the action is the one of its action space, and the observation is the environment's own.
 
     Raises:
-        ValueError: if the name is a controller's, a human model's or no such word, or for another key of ``config``.
+        ValueError: if the name is taken or no such word, or for another key of ``config``.
         TypeError: if it is no agent.
     """
-    is_word = isinstance(name, str) and name.isidentifier() and name.islower()
-    if not is_word or name in (*CONTROLLERS, *function_names()) or is_model(name):
-        remedy = "choose one word in lower case that is no human model's and no controller's"
-        raise ValueError(f"an agent cannot be called {name!r}; {remedy}")
+    check_name("an agent", name, [*CONTROLLERS, *MODELS, *HUMAN_DRIVERS])
     if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
         remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
         raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
     refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
     AGENTS[name] = AddedAgent(agent, dict(config or {}))
+
+
+def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
+    """Make known by a name what a human really does; `ms_highway.register` adds what the robot believes that it does.
+
+    It drives every human of an environment with ``config={"human_driver": name}``, in commands with
+    ``--set human_driver=NAME``; added again, it takes the place of the one of that name. A function also drives the
+    robot, as the controller ``name``: it is then told the game of the robot, where the humans come next.
+
+    Args:
+        name: one word in lower case.
+        driver: a pure function, or a class of highway-env vehicles, such as ``IDMVehicle``. A function takes the game
+            of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and speed [m/s], itself first,
+            then the robot. It returns its curvature omega [1/m] and its acceleration a before friction [m/s^2], under
+            which the speed v changes by ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
+            ``game.world`` makes up for friction. Written with `jax.numpy`, it also drives in simulations of many
+            episodes (``ms-highway sweep``); a class of vehicles does not.
+
+    Raises:
+        ValueError: if the name is taken or no such word, or the driver is neither.
+    """
+    check_name("a human driver", name, [*RESERVED, *CONTROLLERS, *MODELS, *AGENTS])
+    if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
+        remedy = "give a function of the game and the state, or a class of highway-env vehicles"
+        raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
+    HUMAN_DRIVERS[name] = driver
 
 
 def priced_types() -> list[str]:

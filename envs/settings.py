@@ -17,7 +17,7 @@ from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, KEYBOARD
 from ms_highway.numerics.convex_newton import ANSWERED_STEPS, STEPS
 from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
@@ -28,9 +28,6 @@ HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "publish
 
 YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
 """The human drivers for each way to yield."""
-
-KEYBOARD = "keyboard"
-"""Name of the human driver that reads the keyboard."""
 
 LADDER = "give a list of human models, cheapest first, or say 'best'"
 COSTS = (

@@ -15,7 +15,7 @@ from ms_highway.choice.rule import Order
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
-from ms_highway.envs.controllers import ControllerSettings, DriverSettings, OrderSettings, RandomSettings
+from ms_highway.envs.controllers import ControllerSettings, OrderSettings, RandomSettings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, StateObservation, executed_controls
 from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import Given, Now, Own, begin_episode, step_episodes
@@ -23,7 +23,7 @@ from ms_highway.loop.devices import usual_chunk
 from ms_highway.loop.human_drivers import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import Naive, cheapest_first, human_model
+from ms_highway.planning.human_models import Naive, cheapest_first, human_model, warn_of_limits
 from ms_highway.runtime.arrays import Index, Rungs, State
 
 STEP = (
@@ -49,8 +49,8 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
         reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
         remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
         raise ValueError(f"{reason}; {remedy}")
-    if any(isinstance(each, DriverSettings) for each in controllers):
-        raise ValueError("a function that drives the robot is not simulated; use `compare`")
+    if not all(each.predicts for each in controllers):
+        raise ValueError("a function or an agent that drives the robot is not simulated; use `compare`")
     if settings.beliefs == "true":
         reason = f"{environment.scenario.name} is configured with beliefs 'true', which a simulation does not do"
         raise ValueError(f"{reason}; use `compare`")
@@ -127,6 +127,9 @@ class Simulated:
         self.loop: Loop = replace(loop, belief=self.controller.belief and not self.agent_drives)
         seconds = [settings.seconds.get(model.name, np.nan) for model in loop.models]
         self.costs = Costs.of(seconds, settings.humans)
+        if not self.agent_drives:
+            states, _ = self.environment.draw_episode(np.random.default_rng(0))
+            warn_of_limits(self.loop.models, self.loop.game, states)
         self.price = float(self.environment.config["action"].get("lambda", 0.0))
 
     def given(self, schedules: Any, places: Any, now: State, actions: Any) -> Given:
@@ -149,7 +152,7 @@ class Simulated:
 
     def reward(self, records: Records) -> Any:
         """Return the reward of a step: the robot's, less lambda T where the agent chooses the models."""
-        return records.reward - self.price * self.costs.total(records.rungs) if self.price else records.reward
+        return records.reward - self.price * self.costs.total(records.planned) if self.price else records.reward
 
     def observe(self, states: State, places: Any) -> Any:
         """Return the observations of states [n, cars, 4]; ``places`` counts the steps of each episode so far."""

@@ -115,11 +115,14 @@ class InteractionVectorEnv(VectorEnv):
         if never or (self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any()):
             places = "all of them" if never else np.flatnonzero(self._ended).tolist()
             raise ValueError(f"environments are to be reset before they can step: {places}")
-        actions = np.asarray(actions)
-        typed = actions.astype(self.action_space.dtype)
-        fractional = typed.dtype.kind == "i" and (typed != actions).any()
-        if fractional or not self.action_space.contains(typed):
-            raise ValueError(f"the actions {actions!r} are impossible; give some of {self.action_space}")
+        actions, space = np.asarray(actions), self.action_space
+        typed = actions.astype(space.dtype)
+        if self._simulated.agent_drives:  # beyond the ends of the space, actions are clipped
+            possible = typed.shape == space.shape and np.isfinite(typed).all()
+        else:
+            possible = space.contains(typed) and (typed == actions).all()
+        if not possible:
+            raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
         resets = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._ended)
         records = self._advance(actions)
         self._steps += 1
@@ -202,7 +205,7 @@ class InteractionVectorEnv(VectorEnv):
         if not simulated.agent_drives:
             names = np.array([model.name for model in simulated.loop.models])
             info |= {"status": np.array(STATUSES)[records.status], "model": names[records.rungs.max(axis=1)]}
-            info["counted_seconds"] = simulated.costs.total(records.rungs)
+            info["counted_seconds"] = simulated.costs.total(records.planned)
         if simulated.environment.scenario.streams:
             info["success"] = simulated.success(records.states) & ~self._collided
         return info | {f"_{name}": stepped for name in info}

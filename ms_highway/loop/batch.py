@@ -231,7 +231,7 @@ def _move(loop: Loop, now: Now, own: Own, decision: Decision, plan: Plan, seen: 
     control = _executed(game, now.state[0, 3], followed.now.plan.robot[0] * game.planner.control_scale)
     after, humans, reward, collision = _world(loop, now, own, control)
     gains = jnp.asarray(decision.gains, jnp.float32)
-    records = Records(followed.now.rungs, followed.status, reward, collision, gains, after)
+    records = Records(followed.now.rungs, decision.memory.rungs, followed.status, reward, collision, gains, after)
     return Now(after, advance(robot, decision, followed, seen), followed.kept, humans), records
 
 
@@ -240,7 +240,8 @@ def _steer(loop: Loop, now: Now, own: Own, control: Control) -> tuple[Now, Recor
     after, humans, reward, collision = _world(loop, now, own, control)
     number, rungs = loop.game.number, len(loop.rule.ladder)
     gains = jnp.full((number, rungs), jnp.nan, jnp.float32)
-    records = Records(jnp.zeros(number, jnp.int32), jnp.int32(PLANNED), reward, collision, gains, after)
+    none = jnp.zeros(number, jnp.int32)
+    records = Records(none, none, jnp.int32(PLANNED), reward, collision, gains, after)
     return now._replace(state=after, humans=humans), records
 
 

@@ -21,6 +21,9 @@ HARDEST = 8.0  # m/s^2
 CLOSEST = 0.5  # m, gap from which on braking grows no more
 BESIDE = 1.5  # lanes to the side, up to which room is made
 
+KEYBOARD = "keyboard"
+"""Name of the human driver that reads the keyboard."""
+
 DriverFunction: TypeAlias = Callable[[Game, State], Control]
 """Control of a human from its own game, where it is car 0 and the robot car 1, and the state of all cars [cars, 4]."""
 
@@ -31,7 +34,7 @@ class FunctionDriver:
     Args:
         game: of which car 0 is driven.
         name: of the driver, in records.
-        function: see `add_driver`.
+        function: see `ms_highway.add_driver`.
     """
 
     def __init__(self, game: Game, name: str, function: DriverFunction) -> None:
@@ -117,34 +120,3 @@ def traceable(name: str, game: Game) -> DriverFunction:
     if jax.tree.map(jnp.shape, control) != (2,):
         raise ValueError(f"the human driver {name!r} returns {control}; return a curvature and an acceleration")
     return driver
-
-
-RESERVED = (*HUMAN_DRIVERS, "keyboard", "usual", "mixed")
-
-
-def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
-    """Make known by a name what a human really does; `ms_highway.register` adds what the robot believes that it does.
-
-    It drives every human of an environment with ``config={"human_driver": name}``, in commands with
-    ``--set human_driver=NAME``; added again, it takes the place of the one of that name. A function also drives the
-    robot, as the controller ``name``: it is then told the game of the robot, where the humans come next.
-
-    Args:
-        name: one word in lower case.
-        driver: a pure function, or a class of highway-env vehicles, such as ``IDMVehicle``. A function takes the game
-            of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and speed [m/s], itself first,
-            then the robot. It returns its curvature omega [1/m] and its acceleration a before friction [m/s^2], under
-            which the speed v changes by ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
-            ``game.world`` makes up for friction. Written with `jax.numpy`, it also drives in simulations of many
-            episodes (``ms-highway sweep``); a class of vehicles does not.
-
-    Raises:
-        ValueError: if the name is reserved or no such word, or the driver is neither.
-    """
-    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in RESERVED:
-        remedy = f"choose one word in lower case other than {', '.join(RESERVED)}"
-        raise ValueError(f"a human driver cannot be called {name!r}; {remedy}")
-    if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
-        remedy = "give a function of the game and the state, or a class of highway-env vehicles"
-        raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
-    HUMAN_DRIVERS[name] = driver
