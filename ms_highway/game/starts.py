@@ -34,7 +34,7 @@ class TracedRandom:
 
     def __getattr__(self, name: str) -> Any:
         remedy = "draw by normal, uniform or beta, or use the vector environment, which draws by NumPy"
-        raise AttributeError(f"starts drawn by JAX have no method {name!r}; {remedy}")
+        raise AttributeError(f"JAX draws no {name!r} here; {remedy}")
 
     def _next(self) -> jax.Array:
         self._key, key = jax.random.split(self._key)

@@ -110,7 +110,7 @@ class Records(NamedTuple):
     rungs: Int[Array, "episodes steps humans"]
     planned: Int[Array, "episodes steps humans"]
     status: Int[Array, "episodes steps"]
-    reward: Float[Array, "episodes steps"]
-    collision: Bool[Array, "episodes steps"]
-    gains: Float[Array, "episodes steps humans rungs"]
-    states: Float[Array, "episodes steps cars 4"]
+    reward: Float[Array, "episodes steps"] = None
+    collision: Bool[Array, "episodes steps"] = None
+    gains: Float[Array, "episodes steps humans rungs"] = None
+    states: Float[Array, "episodes steps cars 4"] = None

@@ -132,7 +132,7 @@ class DrawingEnv(MergerV1Env):
 
 def test_draws_that_jax_does_not_have_are_refused_with_those_that_it_has():
     env = FunctionalEnv(DrawingEnv, DRIVING)
-    with pytest.raises(AttributeError, match="no method 'exponential'; draw by normal, uniform or beta"):
+    with pytest.raises(AttributeError, match="draws no 'exponential' here; draw by normal, uniform or beta"):
         env.reset(jax.random.key(0))
 
 
