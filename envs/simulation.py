@@ -64,10 +64,8 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
     return Loop(environment.game, order, others, settings.way_out, drivers=drivers, chunk=usual_chunk())
 
 
-def draw_start(
-    environment: InteractionEnv, loop: Loop, settings: ControllerSettings, random: Random
-) -> tuple[Any, ...]:
-    """Draw an episode as the environment draws it at a reset; return an episode's part of `Episodes`, in its order.
+def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSettings, random: Random) -> Episodes:
+    """Draw an episode as the environment draws it at a reset, without an axis of episodes.
 
     Args:
         environment: what is simulated.
@@ -79,16 +77,15 @@ def draw_start(
     drivers, shape = environment.draw_drivers(random), (environment.episode_steps, environment.settings.humans)
     rungs = np.full(shape, DECIDES, np.int32)
     if isinstance(settings, OrderSettings):
-        numbers = {model.name: number for number, model in enumerate(loop.models)}
-        table = np.vectorize(numbers.get)(settings.table(*shape, random))  # type: ignore[arg-type]
-        rungs[:] = table[np.minimum(np.arange(shape[0]), len(table) - 1)]
+        names, table = [model.name for model in loop.models], settings.table(*shape, random)  # type: ignore[arg-type]
+        rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(shape[0]), len(table) - 1)]
     price = np.float32(0.0 if isnan(settings.price) else settings.price)
-    return start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers
+    return Episodes(start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers)
 
 
-def stack_episodes(drawn: Sequence[tuple[Any, ...]]) -> Episodes:
+def stack_episodes(drawn: Sequence[Episodes]) -> Episodes:
     """Put drawn episodes together."""
-    return Episodes(*map(np.array, zip(*drawn, strict=True)))
+    return jax.tree.map(lambda *parts: np.array(parts), *drawn)
 
 
 class EnvState(NamedTuple):
@@ -139,7 +136,7 @@ class FunctionalEnv:
             env.episode_steps,
         )
         settings, controller, kind = env.settings, env.settings.controller, env.action_type
-        self.agent_drives, self._asked = isinstance(kind, ContinuousAction), isinstance(kind, HumanModelAction)
+        self.agent_drives = isinstance(kind, ContinuousAction)
         if not ((type(kind) is ContinuousAction and kind.size == 2) or isinstance(kind, Autopilot)):
             known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
             raise ValueError(f"config['action'] is {env.config['action']}; what is simulated is {known}")
@@ -149,16 +146,15 @@ class FunctionalEnv:
         self.loop = shared_loop(env, [controller])
         seconds = [settings.seconds.get(model.name, np.nan) for model in self.loop.models]
         self.costs, self._price = Costs.of(seconds, settings.humans), float(env.config["action"].get("lambda", 0.0))
-        if self.agent_drives:
-            return
-        states, _ = env.draw_episode(np.random.default_rng(0))
-        warn_of_limits(self.loop.models, self.loop.game, states)
-        self.loop = replace(self.loop, belief=controller.belief)
-        if controller.chooses and not self._asked:
-            rule = controller.rule(settings.start(settings.seconds, self.steps, np.random.default_rng()))
+        random = np.random.default_rng(0)
+        if not self.agent_drives:
+            self.loop = replace(self.loop, belief=controller.belief)
+            warn_of_limits(self.loop.models, self.loop.game, env.draw_episode(random)[0])
+        if controller.chooses and type(kind) is Autopilot:
+            rule = controller.rule(settings.start(settings.seconds, self.steps, random))
             self.loop = replace(self.loop, rule=rule)
 
-    def draw(self, random: Random) -> tuple[Any, ...]:
+    def draw(self, random: Random) -> Episodes:
         """Draw an episode, see `draw_start`."""
         return draw_start(self.environment, self.loop, self.environment.settings.controller, random)
 
@@ -168,7 +164,7 @@ class FunctionalEnv:
         Raises:
             AttributeError: where an episode is drawn by other methods than `ms_highway.game.starts.TracedRandom` has.
         """
-        episodes = Episodes(*(jnp.asarray(part)[None] for part in self.draw(TracedRandom(key))))
+        episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
         state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
         return state, self.observe(episodes.starts, state.step)[0]
 
@@ -196,7 +192,9 @@ class FunctionalEnv:
         if self.agent_drives:
             controls = executed_controls(self.environment.action_type, self.loop.game.world, actions, now[:, 0])
             return Given(scheduled, controls=controls.astype(np.float32))
-        return Given(actions.reshape(scheduled.shape).astype(np.int32) if self._asked else scheduled)
+        if isinstance(self.environment.action_type, HumanModelAction):
+            scheduled = actions.reshape(scheduled.shape).astype(np.int32)
+        return Given(scheduled)
 
     def outcome(self, records: Records, steps: Any) -> tuple[Any, Any, Any, Any]:
         """Return observations, rewards, terminated and truncated of n environments after so many steps of each."""

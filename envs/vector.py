@@ -63,16 +63,17 @@ class InteractionVectorEnv(VectorEnv):
         self.single_observation_space, self.single_action_space = functions.observation_space, functions.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        chunk, groups = functions.loop.together, min(cores(), num_envs)
-        size = -(-num_envs // (groups * chunk)) * chunk
-        self._groups = [slice(first, first + size) for first in range(0, num_envs, size)]
-        self._threads = ThreadPoolExecutor(len(self._groups))
+        self.episode_steps, loop = functions.steps, functions.loop
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
-        self.episode_steps = functions.steps
         self._episodes: Episodes | None = None  # before the first reset
-        self._carried: list[Now | None] = [None] * len(self._groups)
         self._steps, self._states = np.zeros(num_envs, int), np.zeros((num_envs, functions.environment.cars, 4), "f")
         self._begins, self._collided, self._ended = np.zeros((3, num_envs), bool)
+        groups = min(cores(), num_envs)
+        size = -(-num_envs // (groups * loop.together)) * loop.together  # whole chunks, filled up with the last one
+        places = [np.arange(first, first + size) for first in range(0, num_envs, size)]
+        self._groups, self._threads = np.minimum(places, num_envs - 1), ThreadPoolExecutor(len(places))
+        begun = jax.eval_shape(partial(begin_episodes, loop), self._states[self._groups[0]])
+        self._carried = [jax.tree.map(lambda part: np.zeros(part.shape, part.dtype), begun)] * len(places)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Config | None = None
@@ -94,10 +95,12 @@ class InteractionVectorEnv(VectorEnv):
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
         if self._episodes is None and not mask.all():
             raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
-        seeds = [seed + place for place in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + place for place in range(self.num_envs)]
+        seeds = [None] * self.num_envs if seed is None else seed
+        if len(seeds) != self.num_envs:
             raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments; give one for each")
-        for place, own in enumerate(() if seeds is None else seeds):
+        for place, own in enumerate(seeds):
             if own is not None and mask[place]:
                 self._randoms[place] = seeding.np_random(int(own))[0]
         self._renew(mask)
@@ -114,12 +117,11 @@ class InteractionVectorEnv(VectorEnv):
         if never or (self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any()):
             places = "all of them" if never else np.flatnonzero(self._ended).tolist()
             raise ValueError(f"environments are to be reset before they can step: {places}")
-        actions, space = np.asarray(actions), self.action_space
-        typed = actions.astype(space.dtype)
+        actions, space, possible = np.asarray(actions), self.action_space, False
         if self._functions.agent_drives:  # beyond the ends of the space, actions are clipped
-            possible = typed.shape == space.shape and np.isfinite(typed).all()
-        else:
-            possible = space.contains(typed) and (typed == actions).all()
+            possible = actions.shape == space.shape and np.isfinite(actions).all()
+        elif (actions == actions.astype(space.dtype)).all():
+            possible = space.contains(actions.astype(space.dtype))
         if not possible:
             raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
         steps = ~self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.ones(self.num_envs, bool)
@@ -158,20 +160,15 @@ class InteractionVectorEnv(VectorEnv):
         self._ended[mask] = self._collided[mask] = False
 
     def _advance(self, actions: np.ndarray) -> Records:
-        """Step all groups, each in a thread of its own and filled up with its last environment."""
+        """Step all groups, each in a thread of its own."""
         assert self._episodes is not None
         functions, episodes = self._functions, self._episodes
         given = functions.given(episodes.schedules, self._steps, self._states, actions)
         everything = replace(episodes, starts=self._states, schedules=None), self._begins, given
 
         def advance(number: int) -> Records:
-            group, now = self._groups[number], self._carried[number]
-            places = np.minimum(np.arange(group.start, group.stop), self.num_envs - 1)
-            own, begins, given = jax.tree.map(lambda part: np.asarray(part)[places], everything)
-            if now is None:
-                shapes = jax.eval_shape(partial(begin_episodes, functions.loop), own.starts)
-                now = jax.tree.map(lambda part: np.zeros(part.shape, part.dtype), shapes)
-            self._carried[number], records = _advance(functions.loop, own, now, begins, given)
+            own, begins, given = jax.tree.map(lambda part: np.asarray(part)[self._groups[number]], everything)
+            self._carried[number], records = _advance(functions.loop, own, self._carried[number], begins, given)
             return jax.tree.map(np.asarray, records)
 
         parts = list(self._threads.map(advance, range(len(self._groups))))

@@ -139,25 +139,24 @@ def step_episodes(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[No
     own = replace(own, starts=None, schedules=None, errors=None)  # the rest is what a step needs
     if given.controls is not None:
         return _for_each(loop, partial(_steer, loop), now, own, given.controls)
-    each, decides = partial(_for_each, loop), given.scheduled == DECIDES
+    each, game_of = partial(_for_each, loop), partial(believed, loop.game)
     seen = now.state if given.errors is None else now.state.at[:, : given.errors.shape[1]].add(given.errors)
 
     def look_back(own: Episodes, robot: Carry, seen: State) -> Carry:
-        return complete_outcome(believed(loop.game, own), robot, seen, loop.belief)
+        return complete_outcome(game_of(own), robot, seen, loop.belief)
 
     def decide(own: Episodes, robot: Carry) -> Decision:
-        return loop.rule.at_price(own.prices).decide(believed(loop.game, own), robot.memory, robot.outcome)
+        return loop.rule.at_price(own.prices).decide(game_of(own), robot.memory, robot.outcome)
 
     def take(robot: Carry, decision: Decision, scheduled: Rungs) -> Decision:
         rungs = jnp.where(scheduled == DECIDES, decision.memory.rungs, scheduled).astype(jnp.int32)
         rungs = responsive_rungs(loop.models, rungs, robot.belief, loop.unresponsive)
         return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
-    robot = each(look_back, own, now.robot, seen)
+    robot, decides = each(look_back, own, now.robot, seen), (given.scheduled == DECIDES).any(axis=1)
     kept = each(lambda robot: unestimated(robot.memory, robot.memory.rungs), robot)
     decided = jax.lax.cond(decides.any(), lambda: each(decide, own, robot), lambda: kept)
-    chooses = decides.any(axis=1)
-    decision = each(take, robot, choose_episodes(chooses, decided, kept), given.scheduled)
+    decision = each(take, robot, choose_episodes(decides, decided, kept), given.scheduled)
     plans = _plan(loop, own, seen, now.rest, decision.memory.rungs)
     return each(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
 
