@@ -31,7 +31,6 @@ from ms_highway.loop.human_drivers import HUMAN_DRIVERS, KEYBOARD, DriverFunctio
 from ms_highway.planning.human_models import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
-AGENT = "agent"  # type of controllers that act from outside the environment
 BELIEF = "+belief"
 EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
 ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
@@ -134,17 +133,20 @@ class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
 
 
 CONTROLLERS: dict[str, type[ControllerSettings]] = {
-    "switching": SwitchingSettings,
-    "horizon": HorizonSettings,
-    "learned": LearnedSettings,
-    "budget": BudgetSettings,
-    "nearest": NearestSettings,
-    "driver": DriverSettings,
-    AGENT: AgentSettings,
-    "fixed": FixedSettings,
-    "schedule": ScheduleSettings,
-    "period": PeriodSettings,
-    "random": RandomSettings,
+    str(kind.__struct_config__.tag): kind
+    for kind in (
+        SwitchingSettings,
+        HorizonSettings,
+        LearnedSettings,
+        BudgetSettings,
+        NearestSettings,
+        DriverSettings,
+        AgentSettings,
+        FixedSettings,
+        ScheduleSettings,
+        PeriodSettings,
+        RandomSettings,
+    )
 }
 """The controllers by type: those of the package, and those that `add_rule` adds."""
 
@@ -248,7 +250,7 @@ def robot_config(name: str) -> Config:
         ValueError: if there is none.
     """
     config = controller_config(name)
-    return agent_config(name) if config["type"] == AGENT else {"controller": config}
+    return agent_config(name) if config["type"] == "agent" else {"controller": config}
 
 
 def fixed_order_types() -> list[str]:
@@ -290,17 +292,14 @@ def controller_config(text: str) -> Config:
     kind, _, rest = name.partition(":")
     if is_model(name):
         kind, rest = "fixed", name
-    elif kind not in CONTROLLERS and name in function_names():
+    elif name in function_names():
         kind, rest = "driver", name
     elif is_agent(name):
-        kind, rest = AGENT, name
+        kind, rest = "agent", name
     if kind not in CONTROLLERS:
         gone = retired.replacement(retired.CONTROLLERS, kind)
-        known = (
-            f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}; "
-            "--import the module that adds your own"
-        )
-        raise ValueError(gone or f"unknown controller {text!r}; {known}")
+        known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
+        raise ValueError(gone or f"unknown controller {text!r}; {known}; --import the module that adds your own")
     config = CONTROLLERS[kind].parse(rest) | ({"belief": True} if name != text else {})
     try:
         return json.decode(json.encode(read(CONTROLLERS[kind], PLACE, config, strict=False)))

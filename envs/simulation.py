@@ -15,7 +15,7 @@ from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings
-from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, executed_controls
+from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls
 from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import Given, Now, begin_episodes, step_episodes
 from ms_highway.loop.devices import usual_chunk
@@ -140,7 +140,7 @@ class FunctionalEnv:
         if not ((type(kind) is ContinuousAction and kind.size == 2) or isinstance(kind, Autopilot)):
             known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
             raise ValueError(f"config['action'] is {env.config['action']}; what is simulated is {known}")
-        if not isinstance(env.observation_type, CarStates):
+        if type(env.observation_type) not in (CarStates, SceneStates):
             place = f"config['observation'] is {env.config['observation']}"
             raise ValueError(f"{place}; what is simulated is CarStates or SceneStates")
         self.loop = shared_loop(env, [controller])

@@ -98,25 +98,21 @@ def cone_distances(scene: Scene, states: State) -> Any:
     return xp.min(xp.where(counts, ahead, xp.inf), axis=-1, initial=xp.inf) - lengths / 2
 
 
-class CarTracks(ObservationType):
+class CarTracks(CarStates):
     """``presence, x, y, heading, speed`` of the driver and of all others, [cars, 5], in SI units, not scaled.
 
-    Always as many rows as there may be cars; rows of absent cars are zero. ``env.car_states`` may hold anything there,
-    ``env.present`` says which cars are there.
+    Always as many rows as there may be cars; rows of absent cars are zero. ``env.present`` says which cars are there.
     """
 
     BOUND = 1e4  # m, rad or m/s; never reached
 
-    def space(self) -> spaces.Box:
-        """Return the space."""
-        high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.env.cars, 1))
-        return spaces.Box(high * np.array([0, -1, -1, -1, -1], np.float32), high, dtype=np.float32)
+    def ends(self, reached: Vector) -> tuple[Any, Any]:
+        """See `CarStates`."""
+        return [0.0, *[-self.BOUND] * 4], [1.0, *[self.BOUND] * 4]
 
-    def observe(self) -> np.ndarray:
-        """Return what is observed now."""
-        present = self.env.present
-        tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
-        return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
+    def columns(self, states: State, time_left: Any) -> list[Any]:
+        """See `CarStates`."""
+        return [self.env.present, *(states.T * self.env.present)]
 
 
 class TupleObservation(observations.TupleObservation):
