@@ -1,6 +1,7 @@
 """Drive humans by functions of the state instead of plans: users' own, and two that yield never or always."""
 
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 from typing import Any, TypeAlias
 
@@ -23,6 +24,8 @@ BESIDE = 1.5  # lanes to the side, up to which room is made
 
 KEYBOARD = "keyboard"
 """Name of the human driver that reads the keyboard."""
+
+RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
 
 DriverFunction: TypeAlias = Callable[[Game, State], Control]
 """Control of a human from its own game, where it is car 0 and the robot car 1, and the state of all cars [cars, 4]."""
@@ -56,10 +59,9 @@ class FunctionDriver:
         control = np.asarray(self.function(self.game, np.asarray(state, dtype=float)), dtype=float)
         seconds = perf_counter() - start
         if control.shape != (2,) or not np.isfinite(control).all():
-            remedy = "return a curvature [1/m] and an acceleration [m/s^2]"
-            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {remedy}")
-        kept, humans = np.tile(control, (self.game.planner.horizon, 1)), self.game.number
-        return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * humans, seconds)
+            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
+        kept = np.tile(control, (self.game.planner.horizon, 1))
+        return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * self.game.number, seconds)
 
 
 def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) -> Float[SameArray, "2"]:
@@ -84,15 +86,8 @@ def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) 
     return xp.stack([kept[0], kept[1] - xp.minimum(braking, hardest)])
 
 
-def never_yields(game: Game, state: State) -> Control:
-    """Drive as who never yields, see `unmoved_control`."""
-    return unmoved_control(game, state, False)
-
-
-def always_yields(game: Game, state: State) -> Control:
-    """Drive as who always yields, see `unmoved_control`."""
-    return unmoved_control(game, state, True)
-
+never_yields: DriverFunction = partial(unmoved_control, yields=False)
+always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
 HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yields, "always": always_yields}
 """What drives humans who do not plan, by name: functions, and classes of highway-env vehicles."""
@@ -118,5 +113,5 @@ def traceable(name: str, game: Game) -> DriverFunction:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}") from error
     if jax.tree.map(jnp.shape, control) != (2,):
-        raise ValueError(f"the human driver {name!r} returns {control}; return a curvature and an acceleration")
+        raise ValueError(f"the human driver {name!r} returns {control}; {RETURN}")
     return driver
