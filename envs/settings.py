@@ -150,10 +150,12 @@ class Settings(Struct, frozen=True):
         """T(M) by name [s], also of models in an order as far as it is known; none where it is to be measured."""
         named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS if self.humans > 1 else PHYSICAL_COSTS}
         given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
-        known, newton = dict(given), self.solver == "convex_newton"
+        known = dict(given)
         for model in (*map(human_model, self.controller.names()), *self.models):
-            newton_steps = ANSWERED_STEPS if model.responds else STEPS
-            seconds = model.seconds(given, newton_steps if newton else gradient_steps(self.planning)[0])
+            steps = ANSWERED_STEPS if model.responds else STEPS
+            if self.solver != "convex_newton":
+                steps = gradient_steps(self.planning)[0]
+            seconds = model.seconds(given, steps)
             if seconds is not None:
                 known[model.name] = seconds
         return known
