@@ -11,6 +11,7 @@ from jaxtyping import Int
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
+from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.keyboard import keyboard_control
@@ -23,7 +24,7 @@ from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.driver import fixed
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, KEYBOARD, FunctionDriver
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver
 from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State

@@ -21,6 +21,7 @@ from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver, functio
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
 
+KEYBOARD = "keyboard"  # name of the human driver that reads the keyboard
 PLACE = "config['controller']"
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
 REPEATED = re.compile("(.+)=([0-9]{1,5})")  # a model and its number of steps in a short name

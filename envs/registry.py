@@ -16,6 +16,7 @@ from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
 from ms_highway.envs.controllers import (
+    KEYBOARD,
     PLACE,
     AgentSettings,
     ControllerSettings,
@@ -27,7 +28,7 @@ from ms_highway.envs.controllers import (
     Start,
 )
 from ms_highway.game.scenario import Semantics
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, KEYBOARD, DriverFunction, function_names
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction, function_names
 from ms_highway.planning.human_models import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 

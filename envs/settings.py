@@ -10,14 +10,14 @@ from msgspec.structs import force_setattr
 
 from ms_highway.choice.rule import PHYSICAL_COSTS, PUBLISHED_COSTS, SHIPPED_COSTS
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
-from ms_highway.envs.controllers import ControllerSettings, Start
+from ms_highway.envs.controllers import KEYBOARD, ControllerSettings, Start
 from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, KEYBOARD
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS
 from ms_highway.numerics.convex_newton import ANSWERED_STEPS, STEPS
 from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs

@@ -22,9 +22,6 @@ HARDEST = 8.0  # m/s^2
 CLOSEST = 0.5  # m, gap from which on braking grows no more
 BESIDE = 1.5  # lanes to the side, up to which room is made
 
-KEYBOARD = "keyboard"
-"""Name of the human driver that reads the keyboard."""
-
 RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
 
 DriverFunction: TypeAlias = Callable[[Game, State], Control]
