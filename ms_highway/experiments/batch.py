@@ -171,7 +171,7 @@ class Batch:
             "model": np.array(known)[ranks[records.rungs].max(axis=2)],
             "reward": np.asarray(records.reward, float),
             "collision": records.collision,
-            COUNTED: costs.total(records.rungs),
+            COUNTED: costs.total(records.planned),
             "status": np.array(STATUSES)[records.status],
             **by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states),
             **{f"humans_{name}": np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)},

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always
-from ms_highway.game.game import Game, constant_velocity
+from ms_highway.game.game import Game
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.fallback import STATUSES, Followed, brake, follow, follow_escape, no_rest
+from ms_highway.loop.fallback import STATUSES, Followed, follow, follow_escape, no_rest, or_brake
 from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
@@ -210,9 +210,8 @@ class Driver:
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
         """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""
         if followed.now.steps == 0:
-            robot = brake(self.game, state[0]) / np.asarray(self.game.planner.control_scale)
-            humans = constant_velocity(self.game, state[1 : 1 + self.game.number])
-            followed = followed.instead(Plan(robot, humans))
+            with np.errstate(over="ignore", invalid="ignore"):
+                followed = jax.tree.map(np.asarray, or_brake(self.game, state[0], followed))
         if not self.way_out:
             return followed, 0.0
         escape, seconds = self._plans.keep_way_out(state, followed.now.plan.robot[0])
