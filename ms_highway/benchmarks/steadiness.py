@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.summary import interval
 from ms_highway.game.scenario import SPEED_LIMIT
 from ms_highway.loop.devices import use_devices
 from ms_highway.runtime.jax_settings import high_throughput, own_process
@@ -100,7 +100,7 @@ def changes(
     noise = np.concatenate([size * np.array(draws) for size in sizes])
     records = batch.simulate(keys, mesh, **{"errors" if seen else "shifts": noise})
     paths = np.asarray(records.states, float)[:, : AFTER[-1], 0, :2].reshape(len(sizes), len(seeds), AFTER[-1], 2)
-    episodes = batch.episodes_table(batch.steps_table(keys, records))
+    episodes = batch.tables(keys, records)["episodes"]
     without = episodes[: len(seeds)]
     found = {}
     for place, size in enumerate(noises, 1):

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.command import command, number, option, output
-from ms_highway.cli.console import print_tables, telling
+from ms_highway.cli.console import print_tables, tell
 from ms_highway.cli.options import DEVICES, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
 
 if TYPE_CHECKING:
@@ -77,16 +77,15 @@ def bench(options: argparse.Namespace) -> None:
         asked[scenario] = options.controllers or [*rungs, *switching]
     comparison = Comparison(asked, options.seeds or STARTS, options.seed or 0, config)
     results: dict[str, dict[str, Any]] = {scenario: {} for scenario in asked}
-    with telling() as tell:
-        for scenario, names in asked.items():
-            if options.noise:
-                noises = list(dict.fromkeys(options.noise))
-                found = steadiness(comparison, scenario, noises, options.devices, options.modules, options.seen)
-            else:
-                found = speed(scenario, names, config, options.batches or [], options.devices, options.modules)
-            for name, result in found:
-                tell(f"measured {scenario}, {name}")
-                results[scenario][name] = result
+    for scenario, names in asked.items():
+        if options.noise:
+            noises = list(dict.fromkeys(options.noise))
+            found = steadiness(comparison, scenario, noises, options.devices, options.modules, options.seen)
+        else:
+            found = speed(scenario, names, config, options.batches or [], options.devices, options.modules)
+        for name, result in found:
+            tell(f"measured {scenario}, {name}")
+            results[scenario][name] = result
     table = _steadiness_table if options.noise else _speed_table
     print_tables(*(table(scenario, measured) for scenario, measured in results.items()))
     if options.json:

@@ -83,8 +83,9 @@ def bench_road(options: argparse.Namespace) -> None:
 
     from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, run_blocks, summary
     from ms_highway.benchmarks.road.recorded import RecordedStart, starts_of
-    from ms_highway.cli.results_directory import save_figure, write_table
+    from ms_highway.cli.console import save_figure
     from ms_highway.envs.agents import is_agent
+    from ms_highway.experiments.directory import write_table
     from ms_highway.road.constants import MODELS
     from ms_highway.road.driver import SHIPPED_COSTS
     from ms_highway.runtime.files import write_json

@@ -7,10 +7,9 @@ same versions, as these decide the last digits.
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
@@ -19,8 +18,10 @@ import distributed
 import jax
 from distributed.comm import get_address_host_port
 
+from ms_highway.experiments.batch import Tables, simulate_parts
+from ms_highway.experiments.comparison import Comparison, EpisodeKey
 from ms_highway.experiments.directory import PACKAGES
-from ms_highway.experiments.sweep import Compute, Sweep, Tables, compute_here
+from ms_highway.experiments.runner import Compute
 from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.forks import jax_has_begun
 from ms_highway.runtime.jax_settings import keep_compilations
@@ -95,23 +96,23 @@ def _versions() -> list[str]:
     return [f"{package} {version(package)}" for package in PACKAGES]
 
 
-def _compute_there(sweep: Sweep, part: int) -> tuple[int, Tables]:
-    return next(compute_here(sweep, [part]))
+def _compute_there(comparison: Comparison, number: int, part: Sequence[EpisodeKey]) -> tuple[int, Tables]:
+    return next(simulate_parts(comparison, {number: part}))
 
 
 def _compute(
-    client: distributed.Client, address: str, sweep: Sweep, parts: Sequence[int]
+    client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]]
 ) -> Iterator[tuple[int, Tables]]:
     """Submit parts as workers become free; yield each with its rows as it comes back.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
     """
-    waiting, running = iter(parts), distributed.as_completed(loop=client.loop)
+    waiting, running = iter(parts.items()), distributed.as_completed(loop=client.loop)
     while True:
         room = max(AHEAD * sum(client.nthreads().values()), 1) - running.count()
-        for part in islice(waiting, max(room, 0)):  # the copy of the sweep has no batch yet
-            running.add(client.submit(_compute_there, replace(sweep), part, pure=False))
+        for number, part in islice(waiting, max(room, 0)):
+            running.add(client.submit(_compute_there, comparison, number, part, pure=False))
         if not running.count():
             return
         try:

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import msgspec
+import pandas as pd
 
-from ms_highway.runtime.files import PART, held, read_json, reading, tidy, write_json
+from ms_highway.runtime.files import PART, held, read_json, reading, replacing, tidy, write_json
 from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
@@ -118,6 +119,15 @@ def _differences(one: Mapping[str, Any], other: Mapping[str, Any], absent: str, 
     """Say in which keys two mappings differ: what the one has instead of what the other has."""
     pairs = {key: (one.get(key, absent), other.get(key, absent)) for key in {**one, **other} if key not in but}
     return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
+
+
+def write_table(table: pd.DataFrame, file: Path) -> None:
+    """Write a table without its index, as its file's name says: ``.csv`` or ``.parquet``."""
+    with replacing(file) as path:
+        if file.suffix == ".parquet":
+            table.to_parquet(path, index=False)
+        else:
+            table.to_csv(path, index=False)
 
 
 def this_run(command: str = "") -> Run:

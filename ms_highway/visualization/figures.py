@@ -8,8 +8,8 @@ import pandas as pd
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ms_highway.experiments.analysis.findings import choosing_controllers, most_informative_pair
 from ms_highway.experiments.records import common_seeds, one_episode
+from ms_highway.experiments.summary import choosing_controllers, most_informative_pair
 from ms_highway.visualization.comparison import bars, timeline
 from ms_highway.visualization.decisions import decisions
 from ms_highway.visualization.tradeoff import curve
@@ -45,7 +45,7 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
-        summaries: of `ms_highway.experiments.analysis.summary.summary`.
+        summaries: of `ms_highway.experiments.summary.summary`.
         scenario: its name.
     """
     rows = summaries.query("scenario == @scenario")

@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from ms_highway.experiments.analysis.summary import CONFIDENCE
+from ms_highway.experiments.summary import CONFIDENCE
 from ms_highway.planning.human_models import cheapest_first
 from ms_highway.road.constants import MODELS
 from ms_highway.visualization.colors import styled

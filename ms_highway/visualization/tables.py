@@ -70,7 +70,7 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
     """Return regrets per step in one scenario, a table per price; of controllers with a lambda, the best of each kind.
 
     Args:
-        behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
     """
     tables = []

@@ -53,7 +53,7 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     the same for all starts.
 
     Args:
-        behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
         starts: their number.
     """

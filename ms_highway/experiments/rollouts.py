@@ -68,9 +68,14 @@ class Course:
         return self.loop.game
 
     @property
+    def humans(self) -> int:
+        """The number of humans."""
+        return self.game.number
+
+    @property
     def several(self) -> bool:
         """Whether there are several humans."""
-        return self.game.number > 1
+        return self.humans > 1
 
     def starts(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
@@ -82,6 +87,20 @@ class Course:
         starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
         noise = random.uniform(1.0, MOST_NOISE[self.several], (count, 1, 1)).astype(np.float32)
         return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
+
+    def orders(self, random: Random, count: int) -> Array:
+        """Draw orders of models that keep their rungs for some steps, [count, steps, humans].
+
+        Frequencies of rungs differ from order to order. Among several humans, all change at once, each to a rung of its
+        own.
+        """
+        rungs, shape = len(self.rungs), (self.steps, self.humans)
+        orders = np.zeros((count, *shape), np.int32)
+        for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
+            drawn = random.choice(rungs, shape, p=share)
+            changes = random.random(self.steps) > STAYS[self.several]
+            order[:] = drawn[np.maximum.accumulate(np.where(changes, np.arange(self.steps), 0))]
+        return orders
 
 
 @dataclass(frozen=True)
@@ -118,10 +137,10 @@ class Driving:
             schedules: the rung of every human [episodes, steps, humans].
             prices: lambdas [episodes], or the same for all.
         """
-        game, (count, steps, _) = self.course.game, schedules.shape
+        loop, (count, steps, humans) = replace(self.course.loop, rule=self.rule), schedules.shape
         lambdas = np.full(count, prices, np.float32)
-        robot = np.tile(np.asarray(game.robot.weights, np.float32), (count, 1))
-        usual, loop, parts = np.full((count, game.number), PLANS), replace(self.course.loop, rule=self.rule), []
+        robot = np.tile(np.asarray(loop.game.robot.weights, np.float32), (count, 1))
+        usual, parts = np.full((count, humans), PLANS), []
         last = np.minimum(np.arange(steps + -steps % self.horizon), steps - 1)  # whole rollouts
         for part in np.split(schedules[:, last].astype(np.int32), len(last) // self.horizon, axis=1):
             parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.mesh))
@@ -136,18 +155,17 @@ class Driving:
         is followed at the geometric mean of the prices.
         """
         states, weights = self._visited(random, count)
-        own, humans = self.course.rungs, self.course.game.number
+        own, humans = self.course.rungs, self.course.humans
         distances = np.linalg.norm(states[:, 1 : 1 + humans, :2] - states[:, :1, :2], axis=-1)
         likely = 1.0 / (1.0 + np.argsort(np.argsort(distances))) ** 2
         keys = random.exponential(size=likely.shape) / likely  # the smallest are a sample without replacement
         chosen = np.argsort(keys, axis=1)[:, :HUMANS_OF_A_STATE]
-        many = chosen.shape[1] * len(own)
         schedules = np.full((*chosen.shape, len(own), self.horizon, humans), DECIDES if self.learned else 0, np.int32)
         is_chosen = np.arange(humans) == chosen[..., None, None]  # [states, chosen, 1, humans]
         for rung in range(len(own)):
             held = schedules[:, :, rung, : self.held]
             held[:] = np.where(is_chosen, rung, held)
-        starts, drivers = (np.repeat(part, many, axis=0) for part in (states, weights))
+        starts, drivers = (np.repeat(part, chosen.shape[1] * len(own), axis=0) for part in (states, weights))
         price = float(np.sqrt(np.prod(self.prices)))
         rewards = self.drive(starts, drivers, schedules.reshape(-1, self.horizon, humans), price).reward
         earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).sum(axis=1, dtype=float)
@@ -164,11 +182,11 @@ class Driving:
         are drawn mostly of robots that drive and have not reached their lane: measured in Dense Merge, predictions
         hardly matter in others, which are three of four.
         """
-        course, steps, scene = self.course, self.course.steps, self.course.game.scene
+        course, steps, game = self.course, self.course.steps, self.course.game
         each = STATES_OF_AN_EPISODE[course.several]
         number = ceil(count / each)
         starts, weights = course.starts(random, number)
-        orders = _random_orders(random, number, course)
+        orders = course.orders(random, number)
         if self.learned:
             later = steps if course.several else random.integers(1, steps // 2, number)
             takes_over = np.where(random.random(number) < 0.5, 0, later)
@@ -179,26 +197,12 @@ class Driving:
         states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
         finite = np.isfinite(states).all(axis=(1, 2, 3))
         states, weights = states[finite], weights[finite]
-        away = np.abs(states[:, :, 0, 1] - float(scene.target_lane)) > float(scene.lane_width) / 2
-        likely = away * states[:, :, 0, 3] / float(course.game.robot.speed_limit)
+        away = np.abs(states[:, :, 0, 1] - float(game.scene.target_lane)) > float(game.scene.lane_width) / 2
+        likely = away * states[:, :, 0, 3] / float(game.robot.speed_limit)
         likely = np.clip(likely, LEAST_LIKELY[course.several], 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
         visited = [own[random.choice(steps, each, replace=False, p=p)] for own, p in zip(states, likely, strict=True)]
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
-
-
-def _random_orders(random: Random, count: int, course: Course) -> Array:
-    """Draw orders that keep their rungs for some steps, with frequencies of rungs that differ from order to order.
-
-    Among several humans, all change at once, each to a rung of its own.
-    """
-    rungs, humans = len(course.rungs), course.game.number
-    orders = np.zeros((count, course.steps, humans), np.int32)
-    for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
-        drawn = random.choice(rungs, (course.steps, humans), p=share)
-        changes = random.random(course.steps) > STAYS[course.several]
-        order[:] = drawn[np.maximum.accumulate(np.where(changes, np.arange(course.steps), 0))]
-    return orders
 
 
 _describe = jax.jit(jax.vmap(describe, (None, 0)))
