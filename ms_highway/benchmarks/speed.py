@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -68,17 +67,20 @@ def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dic
         resets.
     """
     env: Any = make_environment(scenario, controller, **config)
-    steps = []
-    with one_core():
-        list(episode(env, 0))
-        start = end = perf_counter()
-        for seed in range(1, 1 + EPISODES):
-            for record in episode(env, seed):
-                begun, end = end, perf_counter()
-                cars = (env.unwrapped.robot, *env.unwrapped.humans)
-                plans = sum(car.last_step.planning_seconds for car in cars if car.last_step)
-                rest = end - begun - plans - record["decision_seconds"]
-                steps.append([record["planning_seconds"], record["decision_seconds"], rest])
+    steps, cores = [], os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    if cores:
+        os.sched_setaffinity(0, {min(cores)})
+    list(episode(env, 0))
+    start = end = perf_counter()
+    for seed in range(1, 1 + EPISODES):
+        for record in episode(env, seed):
+            begun, end = end, perf_counter()
+            cars = (env.unwrapped.robot, *env.unwrapped.humans)
+            plans = sum(car.last_step.planning_seconds for car in cars if car.last_step)
+            rest = end - begun - plans - record["decision_seconds"]
+            steps.append([record["planning_seconds"], record["decision_seconds"], rest])
+    if cores:
+        os.sched_setaffinity(0, cores)
     env.close()
     microseconds = 1e6 * pd.DataFrame(steps, columns=["plan", "decision", "rest"])
     middle = microseconds.median()
@@ -88,20 +90,6 @@ def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dic
         "step_us": middle["rest"],
         "environment": len(steps) / (end - start),
     }
-
-
-@contextmanager
-def one_core() -> Iterator[None]:
-    """Keep to one core, where the system lets a process choose."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
 
 
 def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict[str, Any]:
@@ -116,11 +104,7 @@ def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], de
         while not times or (len(times) < RUNS and sum(times) < SECONDS):
             times.append(timed(batch.simulate, keys[:size], mesh)[1])
         rates[str(size)] = size * batch.steps / median(times)
-        memory[str(size)] = most_memory()
+        peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2]  # as Linux reports it
+        memory[str(size)] = int(peak.split()[0]) / 1024
     kind = used.flat[0].device_kind
     return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{used.size} of kind {kind}"}
-
-
-def most_memory() -> float:
-    """Return the peak memory of this process [MiB], which Linux reports."""
-    return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024

@@ -102,7 +102,7 @@ def record(results: "ResultsDirectory", options: argparse.Namespace) -> None:
 def save_figure(figure: "Figure", file: Path) -> None:
     """Write a figure to a file, ``.png``, ``.pdf`` or ``.svg``."""
     from ms_highway.runtime.files import replacing
-    from ms_highway.visualization.figures import content
+    from ms_highway.visualization.style import content
 
     with replacing(file) as path:
         path.write_bytes(content(figure, file.suffix[1:]))

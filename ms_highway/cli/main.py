@@ -9,8 +9,7 @@ from importlib.metadata import version
 from itertools import pairwise
 from typing import Any
 
-from ms_highway.cli.bench import bench
-from ms_highway.cli.bench_road import bench_road
+from ms_highway.cli.bench import bench, bench_road
 from ms_highway.cli.command import Parser
 from ms_highway.cli.console import printing, warn
 from ms_highway.cli.frontier import frontier

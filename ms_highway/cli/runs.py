@@ -63,8 +63,8 @@ def compare(options: argparse.Namespace) -> None:
     from ms_highway.experiments.results import read_results
     from ms_highway.experiments.runner import only, run
     from ms_highway.experiments.summary import summary
-    from ms_highway.visualization.comparison import table
     from ms_highway.visualization.figures import CAPTIONS, figures
+    from ms_highway.visualization.tables import table
 
     asked = comparison(options)
     if not options.controllers:
@@ -91,14 +91,13 @@ def _with_learned(asked: "Comparison") -> "Comparison":
     """Return a comparison with learned values, before switching, where they suit the ladder."""
     controllers = {}
     for scenario, names in asked.controllers.items():
+        controllers[scenario] = list(names)
         place = next((place for place, name in enumerate(names) if name.startswith("switching")), len(names))
-        controllers[scenario] = [*names[:place], LEARNED, *names[place:]]
         try:
             asked.environment_config(scenario, LEARNED)
+            controllers[scenario].insert(place, LEARNED)
         except ValueError as error:
-            reason = str(error).partition("; ")[0]
-            warn(f"{scenario} is compared without {LEARNED}: {reason}")
-            controllers[scenario] = list(names)
+            warn(f"{scenario} is compared without {LEARNED}: {error}")
     return replace(asked, controllers=controllers)
 
 
@@ -163,7 +162,7 @@ def sweep(options: argparse.Namespace) -> None:
     from ms_highway.experiments.summary import summary
     from ms_highway.loop.devices import use_devices
     from ms_highway.runtime.extras import needing
-    from ms_highway.visualization.comparison import table
+    from ms_highway.visualization.tables import table
     from ms_highway.visualization.tradeoff import curve
 
     if options.devices and options.scheduler:

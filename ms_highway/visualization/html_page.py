@@ -13,8 +13,9 @@ from ms_highway.experiments.summary import answer, most_informative_pair
 from ms_highway.game.scenario import title
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
-from ms_highway.visualization.comparison import cells
-from ms_highway.visualization.figures import CAPTIONS, content, figures
+from ms_highway.visualization.figures import CAPTIONS, figures
+from ms_highway.visualization.style import content
+from ms_highway.visualization.tables import cells
 
 
 def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:

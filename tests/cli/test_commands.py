@@ -23,7 +23,6 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("sweep merger --devices 1000 --out out", "1000 devices are wanted; this process has"),
         ("irl evaluate --theta demonstrations --data .", "--theta demonstrations has no drivers"),
         ("values learn merger --set ladder=best --out values.npz", "leave +warm out"),
-        ("bench merger --noise 0.1 --batches 8 --json x.json", "--noise is about driving, and --batches about time"),
         ("bench road merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, human"),
         ("bench road merge --drivers agents/mine.zip", "there is no agent agents/mine.zip; notebooks/examples/train"),
         ("compare merger --controllers oracle", "unknown controller 'oracle'"),

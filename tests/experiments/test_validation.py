@@ -12,7 +12,7 @@ def test_damaged_arrays_are_refused_by_name(reference, tmp_path):
     file = tmp_path / "merger__tom.npz"
     for change, message in (
         ({"models": arrays["models"] + 5}, "no places in naive, turn, tom"),
-        ({"states": arrays["states"] * 1e300}, "states holds .*; it must hold finite numbers"),
+        ({"states": arrays["states"] * 1e300}, "states holds numbers that are not finite"),
     ):
         np.savez(file, **{**arrays, **change})
         with pytest.raises(ValueError, match=message):

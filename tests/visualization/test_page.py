@@ -17,14 +17,13 @@ from commands import run
 
 from ms_highway.cli.options import FORMATS
 from ms_highway.experiments.results import read_results
-from ms_highway.visualization.figures import CAPTIONS, content, figures
-from ms_highway.visualization.roads import success_figure
+from ms_highway.visualization.figures import CAPTIONS, figures
+from ms_highway.visualization.style import content
 from ms_highway.visualization.tradeoff import curve, frontier
 
 KEPT = Path(__file__).parents[2] / "notebooks" / "results"
 CONTROLLERS = ["naive", "switching:0.4"]
 COMPARE = "compare stay_back --controllers naive switching:0.4 --out"
-DRIVER = {"success": 0.5, "episodes": 20}
 
 
 @pytest.fixture(scope="module")
@@ -118,12 +117,11 @@ def drawn(compared):
         **{name: draw() for name, draw in figures(results.records, results.summaries, "stay_back").items()},
         "curve": curve(summaries[summaries["run"] == "curve"], "merger"),
         "frontier": frontier(regrets, "merger", 30),
-        "success": success_figure({"merge-v1": {"priced": DRIVER, "idm": DRIVER}}),
     }
 
 
 @pytest.mark.parametrize("kind", FORMATS)
-@pytest.mark.parametrize("name", [*CAPTIONS, "frontier", "success"])
+@pytest.mark.parametrize("name", [*CAPTIONS, "frontier"])
 def test_every_figure_is_written_in_every_format_and_shows_something(name, kind, drawn):
     written = content(drawn[name], kind)
     if kind == "png":
