@@ -23,11 +23,11 @@ SECONDS, RUNS = 2.0, 5  # of one batch, at most
 def speed(
     scenario: str,
     controllers: Sequence[str],
-    config: Mapping[str, Any],
+    config: Mapping,
     sizes: Sequence[int] = (),
     devices: int | None = None,
     modules: Sequence[str] = (),
-) -> Iterator[tuple[str, dict[str, Any]]]:
+) -> Iterator[tuple[str, dict]]:
     """Measure the closed loop of each controller, warm: live on one core, and in batches in a process of its own.
 
     Args:
@@ -58,7 +58,7 @@ def speed(
             yield controller, result
 
 
-def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dict[str, Any]:
+def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
     """Time a few episodes in the environment on one core, after an episode that compiles.
 
     Returns:
@@ -92,7 +92,7 @@ def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dic
     }
 
 
-def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict[str, Any]:
+def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict:
     """Time batches of a comparison's episodes, after one of a chunk on every device, which may compile."""
     mesh = use_devices(devices)  # before JAX begins to compute
     batch, used = make_batch(comparison, scenario), mesh.devices

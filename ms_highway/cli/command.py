@@ -30,7 +30,7 @@ class Option(NamedTuple):
     """
 
     name: str
-    arguments: dict[str, Any]
+    arguments: dict
     notes: str = ""
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import get_terminal_size
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import PAGE_WIDTH
@@ -61,21 +62,18 @@ def print_tables(*tables: "DataFrame") -> None:
 
 
 def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
-    """Show a progress bar on standard error while episodes are counted; return the last count.
+    """Show on standard error how many episodes are done, in a terminal as they are; return the last count.
 
     Args:
-        counts: the number of episodes, each time that one more is done.
+        counts: the number of episodes, each time that more are done.
         already: the number at the start.
         total: the number at the end.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
-    done = already
-    with Progress(*Progress.get_default_columns(), console=Console(stderr=True)) as bar:
-        task = bar.add_task("episodes", total=total, completed=already)
-        for done in counts:
-            bar.update(task, completed=done)
+    done, start, end = already, perf_counter(), "\r" if sys.stderr.isatty() else "\n"
+    for done in counts:
+        left = (total - done) * (perf_counter() - start) / max(done - already, 1)
+        if end == "\r" or done == total:
+            print(f"episodes: {done:,} of {total:,}, {left:.0f} s left", end=end, file=sys.stderr, flush=True)
     return done
 
 

@@ -115,7 +115,7 @@ def compared(
     ]
 
 
-def configuration(options: argparse.Namespace) -> dict[str, Any]:
+def configuration(options: argparse.Namespace) -> dict:
     """Return the configuration of environments that ``--set`` gives, by key.
 
     Raises:

@@ -2,7 +2,7 @@
 
 import argparse
 from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import command, number, output
 from ms_highway.cli.console import say, tell
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ms_highway.experiments.rollouts import Course
 
 DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
-SEVERAL: dict[str, Any] = {
+SEVERAL: dict = {
     "prices": (30.0, 30.0),
     "rounds": 2,
     "states": (100, 100),

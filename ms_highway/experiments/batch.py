@@ -90,11 +90,7 @@ class Batch:
             keys: which.
             mesh: see `ms_highway.loop.batch.simulate`.
 
-        Raises:
-            ValueError: without an episode, or for a negative seed.
         """
-        if not keys:
-            raise ValueError("there are no episodes to simulate; give one at least")
         alike: dict[Any, list[int]] = {}
         for place, (name, _) in enumerate(keys):
             settings = self.settings(name)
@@ -120,15 +116,9 @@ class Batch:
         return settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
-        """Return what the simulation is given for these episodes, drawn as the environment draws it at a reset.
-
-        Raises:
-            ValueError: for a negative seed.
-        """
+        """Return what the simulation is given for these episodes, drawn as the environment draws it at a reset."""
         drawn = []
         for name, seed in keys:
-            if seed < 0:
-                raise ValueError(f"the seed is {seed}; it must not be negative")
             random = seeding.np_random(seed)[0]
             drawn.append(draw_start(self.environment, self.loop, self.settings(name), random))
         return stack_episodes(drawn)

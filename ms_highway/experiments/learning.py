@@ -66,7 +66,7 @@ class Learning:
     horizon: int = 20
     held: int = 4
     seed: int = 0
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse what a file of values could not hold.

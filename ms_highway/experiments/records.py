@@ -45,7 +45,7 @@ def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> li
     return [*KEYS, *steps, *gains, *STATES, *several]
 
 
-def by_column(gains: Mapping[str, Any], states: Any) -> dict[str, Any]:
+def by_column(gains: Mapping, states: Any) -> dict:
     """Return gains by model, and the states [..., cars, 4] of the first two cars, by the columns of records."""
     first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(len(STATES), *np.shape(states)[:-2])
     return {f"gain_{name}": gain for name, gain in gains.items()} | dict(zip(STATES, first, strict=True))

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -64,7 +63,7 @@ class Results:
     directory: Path
     records: pd.DataFrame
     summaries: pd.DataFrame
-    settings: dict[str, Any]
+    settings: dict
     runs: list[Run]
 
     @property
@@ -80,7 +79,7 @@ class Results:
         return int((asked - there.reindex(asked.index, fill_value=0)).clip(lower=0).sum())
 
     @property
-    def common(self) -> dict[str, Any]:
+    def common(self) -> dict:
         """The part of the settings that configures all environments."""
         return {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
 
@@ -88,7 +87,7 @@ class Results:
         """Return what the paper published of a controller, if these results may be compared with it."""
         return PUBLISHED.get((scenario, controller)) if self.common == PUBLISHED_WITH else None
 
-    def config(self, scenario: str) -> dict[str, Any]:
+    def config(self, scenario: str) -> dict:
         """Return the configuration that a scenario's environment had, but for the controller."""
         measured = self.settings.get("measured", {})
         return self.common | ({"costs": measured[scenario]} if scenario in measured else {})

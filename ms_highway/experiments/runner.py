@@ -181,7 +181,7 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
 
 
-def read_steps(directory: Path, settings: Mapping[str, Any]) -> pd.DataFrame:
+def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
     """Return the records of a directory, also of episodes that are not in ``steps.csv`` yet; check them.
 
     Args:
@@ -218,7 +218,7 @@ def _read(directory: Path, patterns: Iterable[str], needed: Sequence[str], remed
     return pd.concat(tables[1:] or tables)
 
 
-def _driven(comparison: Comparison, measured: Mapping[str, Any], key: EpisodeKey) -> pd.DataFrame:
+def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> pd.DataFrame:
     """Drive one episode and return its records."""
     scenario, controller, seed = key
     config = dict(comparison.config)
@@ -252,7 +252,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
     return AgentDrives(env, controller) if is_agent(controller) else env
 
 
-def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
+def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     """Run one episode with the robot's own controller; yield a record per step.
 
     It has the columns from ``step`` on, see `ms_highway.experiments.records.columns`, and all of ``info``.

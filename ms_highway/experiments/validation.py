@@ -34,7 +34,7 @@ MOST_BYTES = 2**27  # of a file, unpacked
 LARGEST = 1e38  # number, in single precision
 
 
-def validate(directory: Path) -> dict[str, Any]:
+def validate(directory: Path) -> dict:
     """Check every reference file of a directory: ``{"files": {NAME: ...}}``, see `validate_file`.
 
     Raises:
@@ -47,7 +47,7 @@ def validate(directory: Path) -> dict[str, Any]:
     return {"files": {file.name: validate_file(file) for file in files}}
 
 
-def validate_file(file: Path) -> dict[str, Any]:
+def validate_file(file: Path) -> dict:
     """Return the errors of one file, in the units of the logs, each as quantiles over all steps of all episodes.
 
     ``action_error``: largest component of planned minus logged robot control, planning from each logged state with the
@@ -72,7 +72,7 @@ def validate_file(file: Path) -> dict[str, Any]:
         "reward_error": np.abs(rewards - episodes["rewards"][:, :-1]),
         "human_error": np.abs(answered - human).max(axis=-1),
     }
-    report: dict[str, Any] = {
+    report: dict = {
         name: {place: float(np.quantile(error, share)) for place, share in QUANTILES.items()}
         for name, error in errors.items()
     }

@@ -23,7 +23,6 @@ STOPPED = "ms-highway: stopped" + ("; started again in the same way, it resumes"
 """What an interrupted command says last."""
 
 FLUSHING = 1.0  # s, at most, as nobody may be reading the output
-SHOW_CURSOR = "\x1b[?25h"  # hidden by progress bars
 
 
 def watch() -> None:
@@ -49,9 +48,9 @@ def _end() -> NoReturn:
 
     from ms_highway.runtime.files import remove_temporary
 
-    after_a_bar = f"{SHOW_CURSOR}\n" if sys.stderr.isatty() else ""
+    after_a_count = "\n" if sys.stderr.isatty() else ""
     with suppress(OSError):
-        os.write(sys.stderr.fileno(), f"{after_a_bar}{STOPPED}\n".encode())
+        os.write(sys.stderr.fileno(), f"{after_a_count}{STOPPED}\n".encode())
     if "multiprocessing" in sys.modules:
         for worker in sys.modules["multiprocessing"].active_children():
             worker.terminate()

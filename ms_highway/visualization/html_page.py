@@ -71,7 +71,7 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
     return texts
 
 
-def _film(results: Results, scenario: str) -> dict[str, Any]:
+def _film(results: Results, scenario: str) -> dict:
     """Film the most informative controllers from the first start that all of them have driven; sizes are in px."""
     controllers = most_informative_pair(results.summaries, scenario)
     seed = next(iter(common_seeds(results.records, scenario, controllers)), 0)

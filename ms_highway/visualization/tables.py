@@ -66,7 +66,7 @@ SPEED = {
 """Headings of texts, and how they are made of numbers by name."""
 
 
-def texts(forms: Mapping[str, str], rows: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
+def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
     """Return the texts of a table.
 
     A text is empty where a value is missing, None or NaN. Columns that are empty in all rows are left out.
@@ -76,7 +76,7 @@ def texts(forms: Mapping[str, str], rows: Iterable[Mapping[Any, Any]]) -> pd.Dat
         rows: values by name.
     """
 
-    def text(form: str, row: Mapping[Any, Any]) -> str:
+    def text(form: str, row: Mapping) -> str:
         names = [name for _, name, _, _ in Formatter().parse(form) if name]
         return form.format(**row) if all(pd.notna(row.get(name)) for name in names) else ""
 
@@ -164,7 +164,7 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
     return tables
 
 
-def driver_table(title: str, drivers: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
     """Return a table of the drivers in a scene, of stock roads or recorded traffic.
 
     Args:
@@ -183,7 +183,7 @@ def driver_table(title: str, drivers: Mapping[str, Mapping[str, Any]]) -> pd.Dat
     return grid(title, texts({heading or f"{' / '.join(rungs)} %": form for heading, form in DRIVERS.items()}, rows))
 
 
-def speed_table(scenario: str, measured: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
     """Return a table of the figures of ``bench --json`` in a scenario, by controller."""
     forms, title = dict(SPEED), f"{scenario}: medians, on one core"
     for one in measured.values():

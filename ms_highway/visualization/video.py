@@ -37,7 +37,7 @@ class Film:
 
     controller: str
     pictures: list[Picture]
-    records: list[dict[str, Any]]
+    records: list[dict]
     frames_per_second: int
 
 
@@ -153,7 +153,7 @@ def side_by_side(films: Sequence[Film]) -> list[Picture]:
     ]
 
 
-def _seconds(record: Mapping[str, Any]) -> float:
+def _seconds(record: Mapping) -> float:
     """Return the time of planning and deciding in a step [s]."""
     return float(record["planning_seconds"] + record["decision_seconds"])
 

@@ -81,10 +81,7 @@ def test_a_planner_is_told_the_state_in_si_units_and_its_control_is_executed():
     [
         (lambda: step_once("wrong"), "'wrong' chose 7"),
         (lambda: simulated(Comparison({"merger-v1": ["coasts"]})), "'coasts' is not simulated; use `compare`"),
-        (lambda: simulated(Comparison({"merger-v1": ["stays"]})), "not simulated; use `compare`"),
-        (lambda: make_environment("merger-v1", "missing.zip"), "there is no agent missing.zip"),
         (lambda: ms_highway.add_agent("tom", Trained()), "cannot be called 'tom'"),
-        (lambda: ms_highway.add_agent("mine", Trained(), {"horizon": 3}), "unknown key 'horizon'"),
         (lambda: controller_config("nobody"), "unknown controller 'nobody'.*--import"),
     ],
 )

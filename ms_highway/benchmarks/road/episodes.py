@@ -104,9 +104,7 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
 _kept_driver = cache(make_driver)
 
 
-def run_episode(
-    block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None
-) -> dict[str, Any]:
+def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> dict:
     """Drive one episode.
 
     It is no success after a crash. Where the scene has a goal, `ms_highway.road.stock.success` decides at its end;
@@ -162,7 +160,7 @@ def run_episode(
 
 def run_blocks(
     blocks: Sequence[Block], seeds: Sequence[int], films: Path | None = None, modules: Sequence[str] = ()
-) -> Iterator[tuple[Block, list[dict[str, Any]]]]:
+) -> Iterator[tuple[Block, list[dict]]]:
     """Drive the same starts in all blocks; yield each block with its episodes, in the order of blocks and seeds.
 
     Each block has a process of its own, on one core: some scenes change the class of the other vehicles for good.
@@ -180,7 +178,7 @@ def run_blocks(
     for core in range(cores()):
         free.put(core)
 
-    def drive(block: Block) -> tuple[Block, list[dict[str, Any]]]:
+    def drive(block: Block) -> tuple[Block, list[dict]]:
         core = free.get()
         try:
             with own_process(partial(low_latency_on_core, core), modules) as process:
@@ -192,7 +190,7 @@ def run_blocks(
         yield from threads.map(drive, blocks)
 
 
-def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[dict[str, Any]]:
+def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[dict]:
     episodes = [run_episode(block, seed) for seed in seeds]
     firsts = {episode["success"]: episode["seed"] for episode in reversed(episodes)}
     if films is not None:
@@ -230,7 +228,7 @@ def film(block: Block, seed: int, path: Path) -> None:
     write(scaled(pictures, width * min(HIGHEST, height) // height), path, frequency / every)
 
 
-def summary(block: Block, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
     """Return the figures of a driver in a scene, for JSON.
 
     * ``success``, ``off_road``: shares of the episodes in which the goal was reached, and the road was left;
@@ -280,7 +278,7 @@ def _shares(counters: Iterable[Counter[str]]) -> dict[str, float]:
     return {name: number / counts.total() for name, number in counts.items()}
 
 
-def row(block: Block, episode: Mapping[str, Any]) -> dict[str, Any]:
+def row(block: Block, episode: Mapping) -> dict:
     """Return an episode as a row of a table."""
     numbers = {name: value for name, value in episode.items() if name not in ("decisions", "sources", "rungs")}
     start = {"start": block.name(episode["seed"])} if block.starts else {}
