@@ -1,27 +1,10 @@
 """The command ``ms-highway values learn``."""
 
 import argparse
-from math import ceil
-from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import command, number, output
 from ms_highway.cli.console import say, tell
 from ms_highway.cli.options import DEVICES, SCENARIOS, SET, configuration
-
-if TYPE_CHECKING:
-    from ms_highway.experiments.learning import Learning
-    from ms_highway.experiments.rollouts import Course
-
-DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
-SEVERAL: dict = {
-    "prices": (30.0, 30.0),
-    "rounds": 2,
-    "states": (100, 100),
-    "horizon": 25,
-    "held": 25,
-}
-"""How values are learned among several humans, where that differs from the defaults of ``Learning``."""
-
 
 STATES = (
     "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; among several "
@@ -71,10 +54,14 @@ def learn(options: argparse.Namespace) -> None:
     from shutil import rmtree
 
     from ms_highway.choice.values import save_values
-    from ms_highway.experiments.learning import learn
+    from ms_highway.envs import PAPER_SCENARIOS
+    from ms_highway.experiments.comparison import Comparison
+    from ms_highway.experiments.learning import learn, prepare
     from ms_highway.loop.devices import use_devices
 
-    learning, courses = _courses(options)
+    everywhere = {name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS}
+    asked = Comparison(everywhere, config=configuration(options))
+    learning, courses = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
     values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
     tell(f"{courses[0].name}: compiling")
     for done, fitted in learn(learning, courses, kept, use_devices(options.devices)):
@@ -84,49 +71,3 @@ def learn(options: argparse.Namespace) -> None:
         save_values(values, options.out)
     rmtree(kept, ignore_errors=True)
     say(f"values are in {options.out}")
-
-
-def _courses(options: argparse.Namespace) -> tuple["Learning", list["Course"]]:
-    """Return what is to be learned, and where.
-
-    Raises:
-        ValueError: naming what cannot be learned.
-    """
-    from ms_highway.envs import PAPER_SCENARIOS
-    from ms_highway.experiments.batch import make_batch
-    from ms_highway.experiments.comparison import Comparison
-    from ms_highway.experiments.directory import this_run
-    from ms_highway.experiments.learning import Learning
-    from ms_highway.experiments.rollouts import Course
-    from ms_highway.planning.human_models import cheapest_first, human_model
-
-    scenarios = list(options.scenarios or PAPER_SCENARIOS)
-    asked = Comparison({name: ["switching:1"] for name in scenarios}, config=configuration(options))
-    batches = {name: make_batch(asked, name) for name in scenarios}
-    first, *others = batches.values()
-    models = cheapest_first(name for batch in batches.values() for name in batch.rungs)
-    costs = {name: seconds for batch in batches.values() for name, seconds in batch.costs.items()}
-    several = first.humans > 1
-    if any((batch.humans > 1) != several for batch in others):
-        raise ValueError("some scenarios have one human, others several; learn them in a file each")
-    if any(human_model(name).warm for name in models):
-        raise ValueError("rollouts have no rest of a last plan to begin with; leave +warm out of the ladder")
-    if first.loop.drivers:
-        remedy = "leave config['yielding'] and config['human_driver'] out"
-        raise ValueError(f"values are learned among humans who plan for their reward; {remedy}")
-    courses = []
-    for name, batch in batches.items():
-        steps = round(DECIDED * batch.steps) if several else batch.steps
-        places = tuple(map(models.index, batch.rungs))
-        courses.append(Course(name, batch.loop, batch.environment.draw_episode, steps, places))
-    settings = {
-        **asked.common_config(),
-        "versions": this_run()["versions"],
-        "scenarios": scenarios,
-        "seed": options.seed,
-        "planning_horizon": first.environment.settings.horizon,  # "horizon" is that of the rollouts
-    }
-    later = options.states and (options.states if several else ceil(options.states * 5 / 8))
-    given = {"rounds": options.rounds, "horizon": options.horizon, "states": later and (options.states, later)}
-    own = (SEVERAL if several else {}) | {name: value for name, value in given.items() if value}
-    return Learning({name: costs[name] for name in models}, seed=options.seed, settings=settings, **own), courses

@@ -5,9 +5,10 @@ Every number is drawn from its own stream, so that a seed gives the same values,
 not, and on any number of devices.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from itertools import pairwise
+from math import ceil
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -20,10 +21,12 @@ from jax.sharding import Mesh
 from ms_highway.choice.learned_value import Network, noise, outputs
 from ms_highway.choice.situation import description_names
 from ms_highway.choice.values import Values
-from ms_highway.experiments.directory import ResultsDirectory
-from ms_highway.experiments.rollouts import Course, Driving, Random, Rollouts
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.directory import ResultsDirectory, this_run
+from ms_highway.experiments.rollouts import Course, Driving, Learning, Random, Rollouts
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import human_model
+from ms_highway.planning.human_models import cheapest_first, human_model, ladder
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import read_arrays, reading, replacing
@@ -44,62 +47,68 @@ SOFTENING = 1.0  # power of the noise that an error weighs more with than its li
 DECAY = 0.5  # of weights, times the rate and per step
 
 
-@dataclass(frozen=True)
-class Learning:
-    """How values are learned.
+SEVERAL = {"prices": (30.0, 30.0), "rounds": 2, "states": (100, 100), "horizon": 25, "held": 25}
+"""How values are learned among several humans, where that differs from the defaults of `Learning`."""
 
-    Attributes:
-        costs: T(M) by model, cheapest first [s]: the ladder.
-        prices: the least and the largest lambda at which the rule is followed to the states that rollouts start from.
-        rounds: of rollouts and fits.
-        states: that rollouts start from, on each course, in the first round and in the others.
+
+def prepare(
+    comparison: Comparison, rounds: int | None, states: int | None, horizon: int | None, seed: int
+) -> tuple[Learning, list[Course]]:
+    """Return how values are learned, and on which courses.
+
+    Args:
+        comparison: of the scenarios, with a controller that needs all T(M).
+        rounds: of rollouts and fits, None for the usual number, as below.
+        states: that rollouts start from in the first round; later ones have 5 for every 8 with one human.
         horizon: steps of a rollout.
-        held: of them, with the rung whose gain is learned.
-        seed: of all random numbers, which have nothing to do with the numbered starts of environments.
-        settings: what the file of values tells beside this.
+        seed: of everything that is drawn.
+
+    Raises:
+        ValueError: naming what cannot be learned.
     """
+    batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
+    models = cheapest_first(name for batch in batches for name in batch.rungs)
+    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
+    several = batches[0].humans > 1
+    if any((batch.humans > 1) != several for batch in batches):
+        raise ValueError("some scenarios have one human, others several; learn them in a file each")
+    if any(human_model(name).warm for name in models):
+        raise ValueError("rollouts have no rest of a last plan to begin with; leave +warm out of the ladder")
+    if batches[0].loop.drivers:
+        remedy = "leave config['yielding'] and config['human_driver'] out"
+        raise ValueError(f"values are learned among humans who plan for their reward; {remedy}")
+    settings = {
+        **comparison.common_config(),
+        "versions": this_run()["versions"],
+        "scenarios": list(comparison.controllers),
+        "seed": seed,
+        "planning_horizon": batches[0].environment.settings.horizon,  # "horizon" is that of the rollouts
+    }
+    later = states and (states if several else ceil(states * 5 / 8))
+    given = {"rounds": rounds, "horizon": horizon, "states": later and (states, later)}
+    own: dict = (SEVERAL if several else {}) | {name: value for name, value in given.items() if value}
+    courses = [Course(batch, tuple(map(models.index, batch.rungs))) for batch in batches]
+    return Learning({name: costs[name] for name in models}, seed=seed, settings=settings, **own), courses
 
-    costs: Mapping[str, float]
-    prices: tuple[float, float] = (1e-3, 10.0)
-    rounds: int = 4
-    states: tuple[int, int] = (400, 250)
-    horizon: int = 20
-    held: int = 4
-    seed: int = 0
-    settings: Mapping = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        """Refuse what a file of values could not hold.
+def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
+    """Fit values to rollouts in round ``number``, from 1; without any, return values that mean nothing."""
+    random, names = _stream(how, number, FIT), description_names()
+    network = new_network(random, len(names), len(how.costs) - 1)
+    centre, spread = np.zeros(len(names)), np.ones(len(names))
+    if done:
+        rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
+        centre = rollouts.descriptions.mean(axis=0)
+        spread = rollouts.descriptions.std(axis=0) + LEAST_SPREAD
+        network = fit(network, rollouts, centre, spread, random)
+    examples = sum(len(part.descriptions) for part in done)
+    settings = {"examples": examples, "rounds": number, "horizon": how.horizon, "held": how.held}
+    return Values(network, centre, spread, tuple(how.costs), names, {**how.settings, **settings})
 
-        Raises:
-            ValueError: naming it.
-        """
-        self.values([], 0)
 
-    def driving(self, course: Course, values: Values | None, mesh: Mesh) -> Driving:
-        """Return how a course is driven, before any values are learned, with a rule that is not used."""
-        names = [list(self.costs)[rung] for rung in course.rungs]
-        costs = Costs.of([self.costs[name] for name in names], course.game.number)
-        rule = (values or self.values([], 0)).rule(tuple(map(human_model, names)), costs, self.prices[0])
-        return Driving(course, rule, values is not None, self.prices, self.horizon, min(self.held, self.horizon), mesh)
-
-    def values(self, done: Sequence[Rollouts], number: int) -> Values:
-        """Fit values to rollouts in round ``number``, from 1."""
-        random, names = self.stream(number, FIT), description_names()
-        network = new_network(random, len(names), len(self.costs) - 1)
-        centre, spread = np.zeros(len(names)), np.ones(len(names))
-        if done:
-            rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
-            centre = rollouts.descriptions.mean(axis=0)
-            spread = rollouts.descriptions.std(axis=0) + LEAST_SPREAD
-            network = fit(network, rollouts, centre, spread, random)
-        examples = sum(len(part.descriptions) for part in done)
-        settings = {"examples": examples, "rounds": number, "horizon": self.horizon, "held": self.held}
-        return Values(network, centre, spread, tuple(self.costs), names, {**self.settings, **settings})
-
-    def stream(self, *place: int) -> Random:
-        """Return the random numbers of a place, such as a round and the number of a course."""
-        return np.random.default_rng([self.seed, *place])
+def _stream(how: Learning, *place: int) -> Random:
+    """Return the random numbers of a place, such as a round and the number of a course."""
+    return np.random.default_rng([how.seed, *place])
 
 
 def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[tuple[str, Values | None]]:
@@ -124,18 +133,21 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
     settings = {**asdict(learning), "courses": games}
     ResultsDirectory(kept).take_up(settings)
     ResultsDirectory(kept).write_settings(settings)
-    values, done = None, list[Rollouts]()
+    values, done = fitted(learning, [], 0), list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):
             file = kept / f"{number}-{place}.npz"
             if not file.exists():
-                count = learning.states[number > 1]
-                driving, random = learning.driving(course, values, mesh), learning.stream(number, COURSE, place)
+                models = [list(learning.costs)[rung] for rung in course.rungs]
+                costs = Costs.of([learning.costs[name] for name in models], course.batch.humans)
+                rule = values.rule(ladder(models), costs, learning.prices[0])
+                driving = Driving(course, learning, rule, number > 1, mesh)
+                found = driving.roll_out(_stream(learning, number, COURSE, place), learning.states[number > 1])
                 with replacing(file) as path:
-                    np.savez(path, **driving.roll_out(random, count, len(learning.costs))._asdict())
+                    np.savez(path, **found._asdict())
             done.append(read_rollouts(file))
             yield f"round {number} of {learning.rounds}: {course.name}", None
-        values = learning.values(done, number)
+        values = fitted(learning, done, number)
         yield f"round {number} of {learning.rounds}: fitted", values
 
 
