@@ -1,7 +1,7 @@
 """Measure how fast the closed loop is: in the environments, and in batches of many simulated episodes."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -13,7 +13,7 @@ from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.loop.devices import use_devices
-from ms_highway.runtime.jax_settings import high_throughput, own_process
+from ms_highway.runtime.jax_settings import high_throughput, low_latency_on_core, own_process
 from ms_highway.runtime.timing import timed
 
 EPISODES = 5  # of the environment
@@ -28,7 +28,7 @@ def speed(
     devices: int | None = None,
     modules: Sequence[str] = (),
 ) -> Iterator[tuple[str, dict]]:
-    """Measure the closed loop of each controller, warm: live on one core, and in batches in a process of its own.
+    """Measure the closed loop of each controller, warm: live on one core, and in batches, in processes of their own.
 
     Args:
         scenario: its name.
@@ -36,7 +36,7 @@ def speed(
         config: of the environments.
         sizes: numbers of episodes in a batch.
         devices: how many the batches use, see `ms_highway.loop.devices.use_devices`.
-        modules: to import in the other process, for scenarios and models that they add.
+        modules: to import in these processes, for scenarios and models that they add.
 
     Yields:
         For every controller its name and what `live_speed` returns; with batches, also:
@@ -50,16 +50,17 @@ def speed(
         ValueError: for anything unknown or impossible.
     """
     every = {name: Comparison({scenario: [name]}, max([*sizes, 1]), config=config) for name in controllers}
-    with own_process(high_throughput, modules) as process:
+    one_core = partial(low_latency_on_core, 0)
+    with own_process(one_core, modules) as live, own_process(high_throughput, modules) as batches:
         for controller, comparison in every.items():
-            result = live_speed(scenario, controller, config)
+            result = live.submit(live_speed, scenario, controller, config).result()
             if sizes:
-                result |= process.submit(_batch_speed, comparison, scenario, sorted(sizes), devices).result()
+                result |= batches.submit(_batch_speed, comparison, scenario, sorted(sizes), devices).result()
             yield controller, result
 
 
 def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
-    """Time a few episodes in the environment on one core, after an episode that compiles.
+    """Time a few episodes in the environment, after an episode that compiles.
 
     Returns:
         ``plan_us``: median (p50) and p99 of a plan; ``decision_us``: median of a decision; ``step_us``: median of a
@@ -67,9 +68,7 @@ def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
         resets.
     """
     env: Any = make_environment(scenario, controller, **config)
-    steps, cores = [], os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-    if cores:
-        os.sched_setaffinity(0, {min(cores)})
+    steps = []
     list(episode(env, 0))
     start = end = perf_counter()
     for seed in range(1, 1 + EPISODES):
@@ -79,8 +78,6 @@ def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
             plans = sum(car.last_step.planning_seconds for car in cars if car.last_step)
             rest = end - begun - plans - record["decision_seconds"]
             steps.append([record["planning_seconds"], record["decision_seconds"], rest])
-    if cores:
-        os.sched_setaffinity(0, cores)
     env.close()
     microseconds = 1e6 * pd.DataFrame(steps, columns=["plan", "decision", "rest"])
     middle = microseconds.median()

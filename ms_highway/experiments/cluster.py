@@ -12,7 +12,6 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
-from itertools import islice
 
 import distributed
 import jax
@@ -27,7 +26,6 @@ from ms_highway.runtime.forks import jax_has_begun
 from ms_highway.runtime.jax_settings import keep_compilations
 
 PATIENCE = 10  # s, in which a scheduler has to answer
-AHEAD = 2  # parts that are submitted per thread of a worker: more would wait in memory
 
 
 class Setup(distributed.WorkerPlugin):
@@ -103,21 +101,19 @@ def _compute_there(comparison: Comparison, number: int, part: Sequence[EpisodeKe
 def _compute(
     client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]]
 ) -> Iterator[tuple[int, Tables]]:
-    """Submit parts as workers become free; yield each with its rows as it comes back.
+    """Submit all parts; yield each with its rows as it comes back.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
     """
-    waiting, running = iter(parts.items()), distributed.as_completed(loop=client.loop)
-    while True:
-        room = max(AHEAD * sum(client.nthreads().values()), 1) - running.count()
-        for number, part in islice(waiting, max(room, 0)):
-            running.add(client.submit(_compute_there, comparison, number, part, pure=False))
-        if not running.count():
-            return
-        try:
-            yield next(running).result()
-        except (distributed.KilledWorker, CancelledError) as error:
-            reason = " ".join(str(error).split())
-            remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"
-            raise ValueError(f"{address} gave a part up ({reason}); {remedy}") from error
+    compute = partial(_compute_there, comparison)
+    submitted = client.map(compute, list(parts), list(parts.values()), pure=False)
+    running = distributed.as_completed(submitted, loop=client.loop)
+    del submitted  # or else all rows would wait in memory
+    try:
+        for done in running:
+            yield done.result()
+    except (distributed.KilledWorker, CancelledError) as error:
+        reason = " ".join(str(error).split())
+        remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"
+        raise ValueError(f"{address} gave a part up ({reason}); {remedy}") from error

@@ -27,7 +27,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config, robot_config
 from ms_highway.experiments.batch import Tables, make_batch, simulate_parts
 from ms_highway.experiments.comparison import Comparison, EpisodeKey
-from ms_highway.experiments.directory import ResultsDirectory, write_table
+from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, write_table
 from ms_highway.experiments.records import KEYS, NEEDED, by_column, check_table
 from ms_highway.runtime.files import reading
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
@@ -59,7 +59,8 @@ def run(
         ValueError: if the directory holds results of other settings, or records that cannot be read.
     """
     results = ResultsDirectory(Path(directory))
-    settings = {"measured": {}, "asked": {}} | results.take_up(comparison.common_config())
+    settings = results.take_up(comparison.common_config())
+    settings |= {key: settings.get(key, {}) for key in EXTENDED}
     records = read_steps(results.path, settings)
     if len(records) and list(records) != comparison.columns():
         columns = ", ".join(comparison.columns())
