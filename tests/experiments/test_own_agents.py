@@ -7,13 +7,13 @@ from gymnasium import spaces
 import ms_highway
 from ms_highway.envs.agents import AGENTS
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment, read, run
+from ms_highway.experiments.summary import summary
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS
-from ms_highway.visualization.comparison import table
+from ms_highway.visualization.tables import table
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 0.0}}
 

@@ -33,7 +33,7 @@ class RecordedStart(NamedTuple):
     ego: str | int
 
     @property
-    def config(self) -> dict[str, Any]:
+    def config(self) -> dict:
         """What the environment's configuration says of it."""
         return {"recording": self.recording, "ego": self.ego}
 
