@@ -10,7 +10,6 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.dynamics import within_grip
-from ms_highway.game.game import Game
 from ms_highway.game.neighbours import headways
 from ms_highway.geometry.road_map import LIMIT
 from ms_highway.loop.controller import Controller, ControlStep
@@ -28,12 +27,6 @@ from ms_highway.vehicle.road_view import (
 )
 
 STEADINESS = 0.5  # s, by which a neighbour's time gap must be shorter than the partner's to replace it
-
-
-def _at(view: RoadView, game: Game, limit: float) -> Game:
-    """Return a game in a driver's view of a road, at a speed limit."""
-    robot, humans = (replace(reward, speed_limit=limit) for reward in (game.robot, game.humans))
-    return replace(game, scene=view.scene, robot=robot, humans=humans)
 
 
 class PlanningVehicle(BicycleVehicle, ControlledVehicle):
@@ -124,7 +117,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     def _drive_on_road(self, controller: Controller) -> RoadView:
         """Plan as if the lane were straight, and add its bend to the plan's first control; return the view."""
         view = look(self)
-        controller.game = _at(view, controller.game, self.desired_speed(view))
+        limit = min(view.speed_limit, self.target_speed)
+        robot, humans = (replace(who, speed_limit=limit) for who in (controller.game.robot, controller.game.humans))
+        controller.game = replace(controller.game, scene=view.scene, robot=robot, humans=humans)
         if self.target_speed <= 0:
             control, self._before = braking_control(controller.game, view.states[0]), None
         else:
@@ -140,10 +135,6 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
             control = self.last_step.control
         self.execute(control + np.array([view.scene.bend, 0.0]))
         return view
-
-    def desired_speed(self, view: RoadView) -> float:
-        """Return the speed at which its reward of speed is highest [m/s]: the road's limit, at most `target_speed`."""
-        return min(view.speed_limit, self.target_speed)
 
     def _partners_place(self, view: RoadView) -> int:
         """Return the place of the neighbour that is the partner from now on; 0 if there is none."""
