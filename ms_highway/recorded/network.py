@@ -1,7 +1,7 @@
 """Turn lanelets into a road network of highway-env: smooth lanes of their own widths that merge, branch and end."""
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -23,7 +23,6 @@ SMOOTHED = 10.0, 5.0, 2.5, 1.25, 0.625  # m; waves shorter than 2 pi times that,
 FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
 WITHIN = 0.1  # m, from the middle of a lanelet to that of its lane
-ASKED = 5_000  # positions in lanes that are remembered: in a step, each car's is asked for often
 
 
 class Axes(NamedTuple):
@@ -105,7 +104,8 @@ class SampledLane(AbstractLane):
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
         """Return the place along the lane and the distance to the right of its middle [m]."""
-        return _local_coordinates(self, *map(float, position))
+        along, right = self.curve.locate(np.asarray(position))
+        return float(along), float(right)
 
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":
@@ -121,12 +121,6 @@ class SampledLane(AbstractLane):
             "speed_limit": self.speed_limit,
         }
         return {"class_path": get_class_path(self.__class__), "config": config}
-
-
-@lru_cache(ASKED)
-def _local_coordinates(lane: SampledLane, x: float, y: float) -> tuple[float, float]:
-    along, right = lane.curve.locate(np.array([x, y]))
-    return float(along), float(right)
 
 
 class LaneletNetwork(RoadNetwork):
