@@ -64,9 +64,9 @@ class LearnedVehicle(CommuterVehicle):
         later = min(int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)), len(self.way) - 1)
         lane = round(self.way[later, 1] / straight.lane_width)
         beside = start, end, place + int(np.sign(lane - straight.numbers[self.lane_index]))
-        if self.lane_index == self.target_lane_index != beside and beside in straight.numbers:
-            if all(map(self._leaves_room, self.road.neighbour_vehicles(self, beside))):
-                self.target_lane_index = beside
+        may_change = self.lane_index == self.target_lane_index != beside and beside in straight.numbers
+        if may_change and all(map(self._leaves_room, self.road.neighbour_vehicles(self, beside))):
+            self.target_lane_index = beside
 
     def _leaves_room(self, other: Vehicle | None) -> bool:
         """Return whether a vehicle in the lane beside leaves room for a change to that lane."""
