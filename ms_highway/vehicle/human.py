@@ -17,8 +17,8 @@ from ms_highway.game.neighbours import Leader
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
 from ms_highway.geometry.road_map import LIMIT
-from ms_highway.loop.controller import Controller
 from ms_highway.loop.driver import fixed
+from ms_highway.loop.fallback import braking_control
 from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.held_control import held_acceleration
 from ms_highway.planning.learned_driving import NOBODY
@@ -76,20 +76,28 @@ class HumanVehicle(PlanningVehicle):
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan for the own reward: in the game given by `drive_with`, or else on the present road."""
-        if not action and self.controller is None and self.road is not None:
-            view = look(self)
-            game = driving_game(view.scene, view.speed_limit, self.weights, solver=self.solver, planning=self.planning)
-            self.drive_with(fixed(game))
-        super().act(action)
+        if action or self.companions or self.road is None:
+            super().act(action)
+        elif not self.crashed:
+            self._drive_alone(look(self))
 
-    def _drive_on_road(self, controller: Controller) -> RoadView:
-        """Plan, and brake more than planned where that is needed to keep clear of others."""
-        view = super()._drive_on_road(controller)
-        omega, acceleration = self.control
+    def _drive_alone(self, view: RoadView) -> None:
+        """Plan as if the lane were straight, add its bend to the plan's control, and brake more to keep clear."""
+        limit = min(view.speed_limit, self.target_speed)
+        game = driving_game(view.scene, limit, self.weights, solver=self.solver, planning=self.planning)
+        if self.controller is None:
+            self.drive_with(fixed(game))
+        assert self.controller is not None
+        self.controller.game = game
+        if self.target_speed > 0:
+            self.last_state = view.states
+            self.last_step = self.controller.step(view.states)
+            omega, acceleration = self.last_step.control
+        else:
+            omega, acceleration = braking_control(game, view.states[0])
         times = 1 if isinstance(self.road, RegulatedRoad) else len(WATCHED)
         highest = view.clear_acceleration(times) + self.friction
-        self.execute(np.array([omega, min(acceleration, highest)]))
-        return view
+        self.execute(np.array([omega + view.scene.bend, min(acceleration, highest)]))
 
 
 class CommuterVehicle(IDMVehicle):
