@@ -171,8 +171,8 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
     signs = _references(element, "trafficSignRef")
     if missing := set(signs) - limits.keys():
         raise ValueError(f"there is no trafficSign {min(missing)}, which it refers to")
-    beside = [(*_references(element, side), None)[0] for side in ("adjacentLeft", "adjacentRight")]
-    opposite = [side for side in element if side.tag.startswith("adjacent") and side.get("drivingDir") != "same"]
+    sides = (element.find(f"{side}[@drivingDir='same']") for side in ("adjacentLeft", "adjacentRight"))
+    beside = [None if side is None else int(side.get("ref", "")) for side in sides]
     lanelet = Lanelet(
         number=identity,
         left=left,
@@ -180,7 +180,6 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
         before=_references(element, "predecessor"),
         after=_references(element, "successor"),
         beside=(beside[0], beside[1]),
-        opposite=tuple(int(side.get("ref", "")) for side in opposite),
         limit=min(chain(*(limits[sign] for sign in signs)), default=None),
     )
     return lanelet, not NO_LANES & {kind.text for kind in element.iterfind("laneletType")}

@@ -148,7 +148,7 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
     """Build the road network of a recording: lanelets side by side are the lanes of a road, from the left.
 
     Raises:
-        ValueError: for lanes of two directions, a lanelet that is beside itself, or roads that part and meet again.
+        ValueError: for a lanelet that is beside itself, or roads that part and meet again.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
     network, roads = LaneletNetwork(), [*_roads(known)]
@@ -169,11 +169,6 @@ def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
     """Yield the lanelets of each road, from the left."""
     placed = set[int]()
     for lanelet in known.values():
-        if known.keys() & set(lanelet.opposite):
-            raise ValueError(
-                f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
-                "driven here"
-            )
         if lanelet.number in placed:
             continue
         road = [lanelet]

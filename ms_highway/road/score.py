@@ -75,15 +75,15 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     off_road = weights.off_road * (leaves.astype(float) + closed)
     others, intrusion, impact = _collisions(now, driven, lanes)
     target = jax.vmap(aim, (None, 0, 0))(now, plans, s[:, -1])
-    after = terminal_value(now, driven, lanes, goal[:, -1], target)
+    own, after, missing = terminal_value(now, driven, lanes, goal[:, -1], target)
     return Scores(
-        own=planning.time_step * per_second.sum(axis=1) - off_road + after.own,
-        others=others + after.others,
+        own=planning.time_step * per_second.sum(axis=1) - off_road + own,
+        others=others + after,
         answerable=jnp.where(now.leading, 0.0, others),
         intrusion=intrusion,
         impact=impact,
         leaves=leaves | closed,
-        missing=after.missing.max(axis=1),
+        missing=missing.max(axis=1),
     )
 
 
