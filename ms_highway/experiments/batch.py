@@ -32,6 +32,7 @@ from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import cheapest_first
+from ms_highway.runtime.arrays import Array
 
 Key: TypeAlias = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
@@ -83,13 +84,16 @@ class Batch:
         scenario = self.environment.scenario.name
         return [key[1:] for key in self.comparison.episodes() if key[0] == scenario]
 
-    def simulate(self, keys: Sequence[Key], mesh: Mesh | None = None) -> Records:
+    def simulate(
+        self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None, errors: Array | None = None
+    ) -> Records:
         """Simulate episodes, together those of controllers that choose alike but for their lambda.
 
         Args:
             keys: which.
             mesh: see `ms_highway.loop.batch.simulate`.
-
+            shifts: what is added to the starts of the first cars, the robot before the humans [episodes, cars, 4].
+            errors: of what the robot sees, see `ms_highway.loop.records.Episodes`.
         """
         alike: dict[Any, list[int]] = {}
         for place, (name, _) in enumerate(keys):
@@ -99,7 +103,12 @@ class Batch:
         parts = []
         for (settings, belief), places in alike.items():
             loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
-            parts.append(simulate(loop, self.episodes([keys[place] for place in places]), mesh))
+            episodes = self.episodes([keys[place] for place in places])
+            if shifts is not None:
+                episodes.starts[:, : shifts.shape[1]] += shifts[places]
+            if errors is not None:
+                episodes = replace(episodes, errors=errors[places])
+            parts.append(simulate(loop, episodes, mesh))
         order = np.argsort(np.concatenate(list(alike.values())))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 

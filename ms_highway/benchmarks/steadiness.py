@@ -1,0 +1,111 @@
+"""Measure how steady driving is: how far a little noise changes where the robot drives, and what it earns.
+
+Noise is normal, of a standard deviation s in x and y [m] and in the speed [m/s], and of s over the speed limit in the
+heading [rad], so that the velocity changes alike along the road and across it. It is in the start of the robot and of
+every human, or in what the robot sees of them and of itself, in every step anew. Scripted cars have none.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import per_episode
+from ms_highway.experiments.summary import interval
+from ms_highway.game.scenario import SPEED_LIMIT
+from ms_highway.loop.devices import use_devices
+from ms_highway.runtime.jax_settings import high_throughput, own_process
+
+AFTER = 1, 5, 10, 20
+"""Steps from the start after which the change of the robot's path is measured."""
+
+NOISE_OF_A_METRE = 1.0, 1.0, 1 / SPEED_LIMIT, 1.0  # noise of x, y, heading and speed, for 1 m
+RESOLUTION = 1e-6  # m, about that of float32 near a start
+
+
+def steadiness(
+    comparison: Comparison,
+    scenario: str,
+    noises: Sequence[float],
+    seen: bool = False,
+    devices: int | None = None,
+    modules: Sequence[str] = (),
+) -> Iterator[tuple[str, dict]]:
+    """Yield what `changes` measures of every controller, in a process that imports these modules first."""
+    told = {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen}
+    with own_process(high_throughput, modules) as process:
+        for name in comparison.controllers[scenario]:
+            found = process.submit(changes, comparison, scenario, name, noises, seen, devices).result()
+            yield name, {**told, "noise": found}
+
+
+def changes(
+    comparison: Comparison,
+    scenario: str,
+    controller: str,
+    noises: Sequence[float],
+    seen: bool = False,
+    devices: int | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Drive a controller's episodes as drawn and with noise, all in one batch, and compare them start by start.
+
+    The noise of an episode is the same for all controllers, and in proportion for all standard deviations.
+
+    Args:
+        comparison: controllers, seeds, two at least, and configuration.
+        scenario: one of its scenarios.
+        controller: one of its controllers.
+        noises: standard deviations [m].
+        seen: whether the noise is in what the robot sees, rather than in the start.
+        devices: how many to use, see `ms_highway.loop.devices.use_devices`.
+
+    Returns:
+        By noise, for JSON:
+
+        * ``change_m``: by steps of `AFTER`, ``p50`` and ``p95``, quantiles over the starts of the distance between the
+          robot's positions with noise and without [m];
+        * ``growth``: the factor per step by which the median of this distance grows, ``exp`` of the slope of the
+          straight line through its logarithm over the steps up to the last of `AFTER`;
+        * ``reward``: ``mean`` change of the reward per step of an episode, ``low`` and ``high`` its 90 % interval over
+          the starts (Student's t), and ``absolute``, the mean of its magnitude;
+        * ``collisions``: episodes with a collision, without noise and with it;
+        * ``success_changes``: the share of the episodes that succeed with noise and not without, or the other way
+          round; None where the scenario does not define success.
+
+    Raises:
+        ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
+    """
+    mesh = use_devices(devices)  # before JAX begins to compute
+    batch, last = make_batch(comparison, scenario), AFTER[-1]
+    if batch.steps < last:
+        said = f"episodes of {scenario} have {batch.steps} steps"
+        raise ValueError(f"{said}; make their duration {last} steps at least")
+    seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
+    shape = (*([batch.steps + 1] if seen else []), 1 + batch.humans, 4)
+    # from other numbers than the starts, which are drawn by the seed alone
+    draws = [np.random.default_rng([seed, len(shape) - 1]).normal(scale=NOISE_OF_A_METRE, size=shape) for seed in seeds]
+    sizes = [0.0, *noises]
+    keys = [(controller, seed) for seed in seeds] * len(sizes)
+    noise = np.concatenate([size * np.array(draws) for size in sizes])
+    records = batch.simulate(keys, mesh, **{"errors" if seen else "shifts": noise})
+    paths = np.asarray(records.states, float)[:, :last, 0, :2].reshape(len(sizes), len(seeds), last, 2)
+    steps, rows = batch.steps_table(keys, records), len(seeds) * batch.steps
+    without, *noisy = (per_episode(steps[start:][:rows]) for start in range(0, len(steps), rows))
+    found = {}
+    for size, path, own in zip(noises, paths[1:], noisy, strict=True):
+        medians, high = np.quantile(np.linalg.norm(path - paths[0], axis=-1), (0.5, 0.95), axis=0)
+        slope = np.polyfit(np.arange(last), np.log(np.maximum(medians, RESOLUTION)), 1)[0]
+        gained = own["reward"] - without["reward"]
+        low, top = interval(gained)
+        reward = {"mean": gained.mean(), "low": low, "high": top, "absolute": gained.abs().mean()}
+        changed = (own["success"] != without["success"]).mean() if "success" in own else None
+        found[str(size)] = {
+            "change_m": {str(step): {"p50": medians[step - 1], "p95": high[step - 1]} for step in AFTER},
+            "growth": float(np.exp(slope)),
+            "reward": reward,
+            "collisions": [int((table["collisions"] > 0).sum()) for table in (without, own)],
+            "success_changes": changed,
+        }
+    return found
