@@ -62,8 +62,7 @@ class InteractionEnv(GameEnv):
       ``"published"`` (default with one human); ``"shipped"`` (default with several and in physical scenarios), what
       plans take on one core, among several humans or of a second with one; ``"measured"`` on this machine in the first
       step; or seconds by model (``tom@8`` in proportion). T of any plan is additive in the humans. With ``"shipped"``,
-      budgets choose by measured times, and ``counted_seconds`` stay the shipped ones. The same seed is another episode
-      only where the clock has a say, which ``info["clocked"]`` tells.
+      budgets choose by measured times: the same seed may be another episode, which ``info["clocked"]`` tells.
     * ``semantics``: ``"paper"``, ``"physical"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
@@ -85,11 +84,11 @@ class InteractionEnv(GameEnv):
       None sets no such limit, as in the paper; in physical semantics it stands for ``GRIP``. It does not apply where
       the agent drives.
     * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
-      ``"newton"``, or for horizons of seconds ``"convex_newton"``, which climbs a smooth reward with small costs of
-      not keeping the velocity and of leaving no room to stop (`ms_highway.game.stopping`).
+      ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a smooth reward with small costs
+      of not keeping the velocity and of leaving no room to stop (`ms_highway.game.stopping`).
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
-      robot and humans plan, see `ms_highway.game.planning_settings`. Where iterations and step size are None, what
-      suits the horizon is chosen; steps that are too long for it are warned of.
+      robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step size
+      are None, what suits the horizon is chosen; longer steps are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     ``reset`` takes ``options={"initial_states": ...}``, an array [cars, 4] of x, y, heading, speed in SI units, robot
