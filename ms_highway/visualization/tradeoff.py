@@ -77,25 +77,24 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
 
 def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
     """Draw the controllers of a summary over a measure of computation: online ones, random ones and fixed models."""
-
-    def points(own: pd.DataFrame, form: str, color: str, label: str) -> None:
+    own_kinds = ["fixed", "random", *priced_types()]
+    shown = rows[rows["kind"].isin(own_kinds)].sort_values("price", kind="stable")
+    names = shown["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)  # with the file of values, if any
+    for name, own in shown.groupby(names, sort=False):
+        kind = own["kind"].iloc[0]
+        form, color, label = "o-", choosing_shades(kind)[-1], f"{name}, by lambda"
+        if kind == "fixed":
+            form, color, label = "s", color_of(str(name)), str(name)
+        elif kind == "random":
+            form, color, label = "x", RANDOM_COLOR, kind
         reward, errors = own["reward"], whiskers(own)
         axes.errorbar(own[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)
-
-    online = rows[rows["kind"].isin(priced_types())].sort_values("price")
-    names = online["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)  # with the file of values, if any
-    for name, own in online.groupby(names):
-        points(own, "o-", choosing_shades(own["kind"].iloc[0])[-1], f"{name}, by lambda")
-    for name, own in rows.query("kind == 'fixed'").groupby("controller", sort=False):
-        points(own, "s", color_of(str(name)), str(name))
-    for _, own in rows.query("kind == 'random'").groupby("kind"):
-        points(own, "x", RANDOM_COLOR, "random")
     axes.margins(0.1)  # so that labels of points at the edges are inside
     axes.set_xlim(left=0)
     axes.grid()
     axes.autoscale_view()
     labelled: list[np.ndarray] = []
-    for price, *place in online[["price", measure, "reward"]].to_numpy(float):
+    for price, *place in shown.dropna(subset="price")[["price", measure, "reward"]].to_numpy(float):
         spot = axes.transAxes.inverted().transform(axes.transData.transform(place))  # as shares of the axes
         if all((np.abs(spot - other) > LABEL).any() for other in labelled):  # else labels would cover each other
             labelled.append(spot)

@@ -37,15 +37,16 @@ def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dic
     turning = np.hypot(np.diff(speed), speed[:-1] * np.diff(heading)) / time_step
     centre = np.diff(np.diff(np.stack([x, y])[:, : -1 if crashed else None]) / time_step) / time_step
     jerk = np.diff(acceleration) / time_step
-    return {
+    numbers = {
         "frames": len(turning),
-        "distance": float(np.sum(np.abs(speed[1:])) * time_step),
+        "distance": np.sum(np.abs(speed[1:])) * time_step,
         "seconds": len(turning) * time_step,
-        "stood": float(np.sum(np.abs(speed[1:]) < STANDING) * time_step),
-        "max_acceleration": float(max(np.max(turning, initial=0.0), np.max(np.hypot(*acceleration), initial=0.0))),
-        "max_acceleration_of_centre": float(np.max(np.hypot(*centre), initial=0.0)),
-        "squared_jerk": float(np.mean(np.sum(jerk**2, axis=0))) if jerk.size else 0.0,
+        "stood": np.sum(np.abs(speed[1:]) < STANDING) * time_step,
+        "max_acceleration": np.max([turning, np.hypot(*acceleration)], initial=0.0),
+        "max_acceleration_of_centre": np.max(np.hypot(*centre), initial=0.0),
+        "squared_jerk": np.mean(np.sum(jerk**2, axis=0)) if jerk.size else 0.0,
     }
+    return {name: np.asarray(number).item() for name, number in numbers.items()}
 
 
 class Watch:

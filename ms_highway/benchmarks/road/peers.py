@@ -1,4 +1,4 @@
-"""Drivers that are not this package's: highway-env's IDM and MOBIL, and trained agents."""
+"""Drivers that are not this package's: highway-env's IDM and MOBIL, trained agents, and the humans of recordings."""
 
 from time import perf_counter
 from typing import Any
@@ -10,6 +10,9 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
 from ms_highway.envs.agents import check_spaces, policy_of
+from ms_highway.game.scenario import TIME_STEP
+from ms_highway.recorded.environment import RecordedEnv
+from ms_highway.recorded.traffic import GuidedVehicle
 from ms_highway.road.driven import unheeded
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.road.timed_goal import TimedGoal
@@ -126,4 +129,28 @@ class Idm(Peer):
         goal = destination_of(self.inner)
         if isinstance(goal, TimedGoal):
             self.inner.vehicle.target_speed = goal.desired_speed(self.inner.vehicle, self.inner.time)
+        return super().choose()
+
+
+class Human(Peer):
+    """Drive as the recorded vehicle that the ego replaces, and then straight on.
+
+    Raises:
+        ValueError: from a reset, for a planning problem, where the ego replaces no vehicle.
+    """
+
+    def begin(self) -> None:
+        """Put a vehicle that moves to given states in the place of the ego."""
+        env = self.inner
+        if not isinstance(env, RecordedEnv) or env.task.track is None:
+            raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
+        self._track: Any = env.scenario.track(env.task.track)
+        replace_ego(env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
+
+    def choose(self) -> Any:
+        """Give the ego the recorded state at the end of the step."""
+        road, last = self.inner.road, int(self._track.samples[-1, 0])
+        position, heading, speed = road.recorded_state(self._track, road.now + 1)
+        beyond = TIME_STEP * max(road.now + 1 - last, 0) * speed
+        self.inner.vehicle.coming = position + beyond * np.array([np.cos(heading), np.sin(heading)]), heading, speed
         return super().choose()

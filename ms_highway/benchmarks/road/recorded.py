@@ -1,19 +1,12 @@
-"""Choose what to drive in recordings, their planning problems or lane changes, and drive as recorded vehicles did."""
+"""Choose what to drive in recordings: their planning problems or lane changes."""
 
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from ms_highway.benchmarks.road.peers import Peer
-from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.commonroad import scenario_files
-from ms_highway.recorded.environment import RecordedEnv
 from ms_highway.recorded.scenario import SHIPPED, RecordedTrack, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import straight_road
-from ms_highway.recorded.traffic import GuidedVehicle
-from ms_highway.road.stock import replace_ego
 
 LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
@@ -75,27 +68,3 @@ def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
     road = straight_road(scenario)
     begin, end = road.way(track)[[0, -1], 1] / road.lane_width
     return round(begin) != round(end) and abs(end - round(end)) < CENTRED and abs(end - begin) > CHANGED
-
-
-class Human(Peer):
-    """Drive as the recorded vehicle that the ego replaces, and then straight on.
-
-    Raises:
-        ValueError: from a reset, for a planning problem, where the ego replaces no vehicle.
-    """
-
-    def begin(self) -> None:
-        """Put a vehicle that moves to given states in the place of the ego."""
-        env = self.inner
-        if not isinstance(env, RecordedEnv) or env.task.track is None:
-            raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
-        self._track: Any = env.scenario.track(env.task.track)
-        replace_ego(env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
-
-    def choose(self) -> Any:
-        """Give the ego the recorded state at the end of the step."""
-        road, last = self.inner.road, int(self._track.samples[-1, 0])
-        position, heading, speed = road.recorded_state(self._track, road.now + 1)
-        beyond = TIME_STEP * max(road.now + 1 - last, 0) * speed
-        self.inner.vehicle.coming = position + beyond * np.array([np.cos(heading), np.sin(heading)]), heading, speed
-        return super().choose()

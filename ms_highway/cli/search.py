@@ -1,14 +1,18 @@
-"""The command ``ms-highway frontier``."""
+"""The commands ``ms-highway frontier`` and ``ms-highway values learn``: the best choices, and learning to choose."""
 
 import argparse
 
-from ms_highway.cli.command import command, number
+from ms_highway.cli.command import command, number, output
 from ms_highway.cli.console import own_results, print_tables, record, save_figure, say, tell
-from ms_highway.cli.options import DEVICES, compared, comparison
+from ms_highway.cli.options import DEVICES, SCENARIOS, SET, compared, comparison, configuration
 
 LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
 PRICE = (
     "lambda of the meta-reward that orders are searched for and controllers judged by: reward for a second of planning"
+)
+STATES = (
+    "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; among several "
+    "humans 100 in every round)"
 )
 
 
@@ -90,3 +94,64 @@ def frontier(options: argparse.Namespace) -> None:
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")
+
+
+@command(
+    "values learn",
+    "learn values of computation: when it pays to think",
+    SCENARIOS,
+    output("--out", "of the values, such as values.npz", ".npz", required=True),
+    number("--states", None, STATES),
+    number("--rounds", None, "of rollouts and fits (default: 4; among several humans 2)", most=100),
+    number(
+        "--horizon-steps",
+        None,
+        "of a rollout (default: 20; among several humans 25)",
+        most=100,
+        metavar="STEPS",
+        dest="horizon",
+    ),
+    number("--seed", 0, "of everything that is drawn", 0),
+    SET,
+    DEVICES,
+    simulates=True,
+)
+def learn(options: argparse.Namespace) -> None:
+    """Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that
+    episodes come through, a human is predicted by every model of the ladder for some steps, and then as the rule that
+    was learned so far chooses; networks are fitted to what was earned more than by the cheapest model, and so on for
+    some rounds. One file serves all lambdas and costs.
+
+    Among several humans (dense_merge, crossing_crowd), every human has a value of its own. The file is for
+    learned:LAMBDA:FILE there.
+
+    Starts are drawn anew, not by the numbered seeds of environments: all of those are held out, for `ms-highway
+    frontier` to tell the regret of learned:LAMBDA:FILE. The same --seed gives the same values. Rollouts are kept beside
+    the file until it is written: a run that was stopped or killed goes on when it is started again.
+
+    Examples:
+      ms-highway values learn merger give_way --out values.npz
+      ms-highway compare merger --controllers tom learned:1:values.npz
+      ms-highway values learn dense_merge crossing_crowd --out several.npz
+      ms-highway --import zipper values learn zipper --out zipper.npz
+    """
+    from shutil import rmtree
+
+    from ms_highway.choice.values import save_values
+    from ms_highway.envs import PAPER_SCENARIOS
+    from ms_highway.experiments.comparison import Comparison
+    from ms_highway.experiments.learning import learn, prepare
+    from ms_highway.loop.devices import use_devices
+
+    everywhere = {name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS}
+    asked = Comparison(everywhere, config=configuration(options))
+    learning, courses = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
+    values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
+    tell(f"{courses[0].name}: compiling")
+    for done, fitted in learn(learning, courses, kept, use_devices(options.devices)):
+        tell(done)
+        values = fitted or values
+    if values is not None:
+        save_values(values, options.out)
+    rmtree(kept, ignore_errors=True)
+    say(f"values are in {options.out}")
