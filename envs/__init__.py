@@ -45,6 +45,7 @@ __all__ = [
     "StayBackV1Env",
     "add_scenario",
     "environment_id",
+    "scenario_name",
 ]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
@@ -76,14 +77,26 @@ DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 """The Gymnasium id of the `DemonstrationEnv`, with the prefix that lets spawned workers find it."""
 
 
+def scenario_name(name: str) -> str:
+    """Return the name of a scenario that is given by its name or its id: ``merger`` for ``ms-highway/merger-v0``.
+
+    Raises:
+        ValueError: for an unknown scenario.
+    """
+    bare = name.rpartition("/")[2]
+    for known in (name, bare, bare.removesuffix("-v0").replace("-", "_")):
+        if known in ENVIRONMENTS:
+            return known
+    raise ValueError(f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
+
+
 def environment_id(scenario: str) -> str:
     """Return the Gymnasium id of a scenario; the module prefix lets spawned workers find it.
 
     Raises:
         ValueError: for an unknown scenario.
     """
-    if scenario not in ENVIRONMENTS:
-        raise ValueError(f"unknown scenario {scenario!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
+    scenario = scenario_name(scenario)
     version = "" if VERSIONED.fullmatch(scenario) else "-v0"
     return f"ms_highway:ms-highway/{scenario.replace('_', '-')}{version}"
 

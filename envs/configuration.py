@@ -31,6 +31,7 @@ LARGEST = float(np.finfo(np.float32).max)
 
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description=f"it must be a number of at most {LARGEST:.2g}")]
 Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a positive number")]
+Price = Annotated[float, Meta(ge=0, le=LARGEST, description="give the price of a second of planning, such as 1.0")]
 NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}")]
 
 
@@ -61,7 +62,7 @@ def keys_of(kind: type[Any]) -> Config:
 TYPES: Types = {
     "action": {
         "Autopilot": {},
-        "HumanModelAction": {"lambda": NotNegative},
+        "HumanModelAction": {"lambda": Price},
         "ContinuousAction": RANGES,
         "DiscreteAction": RANGES | {"actions_per_axis": Any},
     },

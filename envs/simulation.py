@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from gymnasium.spaces import Discrete, MultiDiscrete
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
 
 from ms_highway.choice.rule import Order
-from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings
@@ -116,7 +117,7 @@ class FunctionalEnv:
         agent_drives: whether the agent says the robot's controls.
 
     Args:
-        scenario: its name, such as ``merger-v1``, or the class of an environment.
+        scenario: its name or id, such as ``merger-v1``, or the class of an environment.
         config: of the environment, see `ms_highway.InteractionEnv`.
 
     Raises:
@@ -127,8 +128,7 @@ class FunctionalEnv:
 
     def __init__(self, scenario: str | type[InteractionEnv], config: Config | None = None) -> None:
         if isinstance(scenario, str):
-            environment_id(scenario)
-            scenario = ENVIRONMENTS[scenario]
+            scenario = ENVIRONMENTS[scenario_name(scenario)]
         self.environment = env = scenario(config)
         self.observation_space, self.action_space, self.steps = (
             env.observation_space,
@@ -171,8 +171,19 @@ class FunctionalEnv:
     def step(
         self, state: EnvState, action: Any
     ) -> tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
-        """Return state, observation, reward, terminated, truncated and info after an action."""
-        given = self.given(state.episodes.schedules, state.step, state.now.state, jnp.asarray(action)[None])
+        """Return state, observation, reward, terminated, truncated and info after an action.
+
+        An episode does not begin anew by itself. Numbers of models beyond the ladder count as its nearest rung.
+
+        Raises:
+            ValueError: for an action of another shape than the action space's.
+        """
+        action, space = jnp.asarray(action), self.action_space
+        if action.shape != space.shape:
+            raise ValueError(f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}")
+        if isinstance(space, Discrete | MultiDiscrete):
+            action = jnp.clip(action, 0, len(self.loop.rule.ladder) - 1)
+        given = self.given(state.episodes.schedules, state.step, state.now.state, action[None])
         now, records = step_episodes(replace(self.loop, chunk=1), state.episodes, state.now, given)
         state = state._replace(now=now, step=state.step + 1)
         info = {"collision": records.collision[0], "states": records.states[0]}

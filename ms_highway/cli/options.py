@@ -161,14 +161,13 @@ def comparison(
     Raises:
         ValueError: naming what cannot be compared.
     """
-    from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, environment_id
+    from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, scenario_name
     from ms_highway.envs.registry import priced_types
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.planning.human_models import rung_names
 
     config, controllers = configuration(options), {}
-    for name in options.scenarios or PAPER_SCENARIOS:
-        environment_id(name)
+    for name in map(scenario_name, options.scenarios or PAPER_SCENARIOS):
         scenario = ENVIRONMENTS[name].scenario
         given = list(options.controllers or ["switching"])
         if always or not options.controllers:

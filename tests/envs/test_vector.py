@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from jax import numpy as jnp
 
 from ms_highway import FunctionalEnv, PredictedHuman, register
-from ms_highway.envs import MergerV1Env
+from ms_highway.envs import MergerV1Env, scenario_name
 from ms_highway.planning.human_models import MODELS
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}}
@@ -122,6 +122,14 @@ def test_pure_functions_can_be_jitted_and_vmapped_and_do_what_the_environment_do
         assert float(reward[1]) == pytest.approx(wanted, abs=2e-3)
         assert not (terminated | truncated | info["collision"]).any()
     assert env.observation_space.contains(np.asarray(seen[0]))
+    with pytest.raises(ValueError, match=r"shape \(1,\); give one of Discrete\(3\)"):
+        env.step(state, np.array([2]))
+
+
+@pytest.mark.parametrize("name", ["merger", "merger-v0", "ms-highway/merger-v0", NAME + "merger-v0"])
+def test_a_scenario_is_known_by_its_name_and_by_its_id(name):
+    assert scenario_name(name) == "merger"
+    assert FunctionalEnv(name).environment.scenario.name == "merger"
 
 
 class DrawingEnv(MergerV1Env):
