@@ -58,37 +58,38 @@ class InteractionEnv(GameEnv):
       which model predicts it (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm``, or ``"best"``, see
       `ms_highway.planning.human_models`.
-    * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
-      ``"published"`` (default with one human); ``"shipped"`` (default with several and in physical scenarios), what
-      plans take on one core, among several humans or of a second with one; ``"measured"`` on this machine in the first
-      step; or seconds by model (``tom@8`` in proportion). T of any plan is additive in the humans. With ``"shipped"``,
-      budgets choose by measured times: the same seed may be another episode, which ``info["clocked"]`` tells.
-    * ``semantics``: ``"paper"``, ``"physical"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
+    * ``costs``: T(M), the time that planning under model M counts [s]: ``"published"``, the paper's; ``"shipped"``,
+      what plans take on one core; ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in
+      proportion). Among several humans, one is predicted by M, all others by the first rung: T is additive. With
+      ``"shipped"``, budgets choose by measured times: the same seed may be another episode, see ``info["clocked"]``.
+    * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within what tyres hold; or
+      ``"released"``, the paper's released code; see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
       belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
       its lane, stays unless weights name it. A learned reward has no weight of ``collision``.
     * ``humans``: their number, from 2 to 20 in scenarios with streams.
-    * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
-      are drawn around, or ``"true"``, their own.
+    * ``beliefs``: which rewards the robot assumes of several humans: ``"learned"``, for all the one that theirs are
+      drawn around, or ``"true"``, for each its own. A controller's ``"belief"`` is about models, not rewards.
     * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"`` yield, but keep
       their velocity; ``"always"``, make room for it (`ms_highway.loop.human_drivers`); or ``"mixed"``, each of
       them never or always, drawn when the episode starts.
     * ``human_driver``: what drives the humans instead of plans for their reward: a name of `ms_highway.add_driver`, or
       ``"keyboard"``: the arrow keys drive the first human, in a window (``render_mode="human"``).
     * ``way_out``: whether the robot keeps a way out from humans who do not yield, see `ms_highway.planning.way_out`.
-    * ``control_limit``: bounds (omega, acceleration) on plans; ``"unlimited"``; or None for what belongs to the
-      semantics: the scenario's in paper semantics, unlimited in released semantics.
+    * ``control_limit``: bounds on curvature [1/m] and acceleration [m/s^2] of plans; ``"unlimited"``; or None for the
+      scenario's, in released semantics for no bounds.
     * ``grip``: the total acceleration that tyres hold, of steering and speeding up or braking together [m/s^2], such as
       `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
       None sets no such limit, as in the paper; in physical semantics it stands for ``GRIP``. It does not apply where
       the agent drives.
-    * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
-      ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a smooth reward with small costs
-      of not keeping the velocity and of leaving no room to stop (`ms_highway.game.stopping`).
-    * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
-      robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step size
-      are None, what suits the horizon is chosen; longer steps are warned of.
+    * ``solver``: how plans under models that do not respond are improved: ``"gradient"``, the paper's, ``"newton"``, or
+      for horizons of seconds ``"convex_newton"``, up a smooth reward with room to stop (`ms_highway.game.stopping`).
+    * ``horizon``: number of planned controls, of robot and humans.
+    * ``time_step``: duration of a step of plans and of the environment [s].
+    * ``iterations``: number of gradient steps of a plan; None for what suits the horizon.
+    * ``step_size``: length of a gradient step per unit of gradient; None for what suits the horizon; longer ones are
+      warned of. See `ms_highway.game.planning_settings.PlanningSettings`.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     ``reset`` takes ``options={"initial_states": ...}``, an array [cars, 4] of x, y, heading, speed in SI units, robot
