@@ -53,14 +53,12 @@ class Results:
     """What a comparison has found.
 
     Attributes:
-        directory: where it lies.
         records: a row per step.
         summaries: a row per scenario and controller, see `ms_highway.experiments.summary.summary`.
         settings: what the environments had in common, T(M), and the numbers of episodes that were asked for.
         runs: what made it; empty if that is not known.
     """
 
-    directory: Path
     records: pd.DataFrame
     summaries: pd.DataFrame
     settings: dict
@@ -106,4 +104,4 @@ def read_results(directory: Path) -> Results:
     records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")
-    return Results(directory, records, summary(records), settings, results.runs())
+    return Results(records, summary(records), settings, results.runs())

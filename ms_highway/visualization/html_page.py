@@ -35,9 +35,7 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
         pictures = {}
         for name, draw in figures(results.records, summaries, scenario).items():
-            file = results.directory / f"{scenario}_{name}.png"  # drawn by compare, perhaps
-            png = file.read_bytes() if file.exists() else content(draw())
-            pictures[name] = _data("image/png", png), CAPTIONS[name]
+            pictures[name] = _data("image/png", content(draw())), CAPTIONS[name]
         sections.append(
             {
                 "title": title(scenario),

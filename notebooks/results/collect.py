@@ -82,7 +82,7 @@ def collect(results: Path) -> None:
 def comparison(run: str) -> Results:
     """A kept comparison, without its records."""
     made = json.loads((KEPT / "settings.json").read_text())[run]
-    return Results(Path(run), pd.DataFrame(), kept_table("summary", run), made["settings"], made["provenance"])
+    return Results(pd.DataFrame(), kept_table("summary", run), made["settings"], made["provenance"])
 
 
 def kept_table(name: str, run: str) -> pd.DataFrame:
