@@ -77,5 +77,6 @@ def test_an_editable_installation_finds_the_environments_where_there_are_no_link
         f"assert ms_highway.envs.__file__ == {str(source / 'envs' / '__init__.py')!r}, ms_highway.envs.__file__\n"
         "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
     )
+    alone = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     without_site = [sys.executable, "-S"]  # which would find this checkout, where that is installed as editable
-    subprocess.run([*without_site, "-c", program], cwd=tmp_path, check=True)
+    subprocess.run([*without_site, "-c", program], cwd=tmp_path, env=alone, check=True)
