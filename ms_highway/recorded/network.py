@@ -198,13 +198,16 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
     centre = lanelet.centre
     before = [_last(known[number].centre) for number in lanelet.before[:1] if number in known]
     after = [_last(known[number].centre[::-1])[::-1] for number in lanelet.after[:1] if number in known]
-    limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
     for smooth in chain(fits(np.concatenate([*before, centre, *after])), fits(centre)):
         along, _ = smooth.locate(centre)
         places = np.linspace(along[0], along[-1], max(round((along[-1] - along[0]) / STEP), 2) + 1)
-        order = np.argsort(along, kind="stable")
-        widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
-        lane = SampledLane(axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)), widths, lines, limit)
+        widths = np.interp(places, np.maximum.accumulate(along), np.linalg.norm(lanelet.left - lanelet.right, axis=-1))
+        lane = SampledLane(
+            axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)),
+            widths,
+            lines,
+            lanelet.limit or SPEED_LIMIT,
+        )
         along, aside = lane.curve.locate(axes.positions(resample(centre.T, STEP).T))
         off = max(np.abs(aside).max(), -along.min(), along.max() - lane.length)
         if off <= WITHIN:

@@ -62,9 +62,9 @@ class LearnedVehicle(CommuterVehicle):
         straight, (start, end, place) = self.road.straight, self.lane_index
         x, *_, speed = self.road.states[self]
         later = min(int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)), len(self.way) - 1)
-        lane = round(self.way[later, 1] / straight.lane_width)
-        beside = start, end, place + int(np.sign(lane - straight.numbers[self.lane_index]))
-        may_change = self.lane_index == self.target_lane_index != beside and beside in straight.numbers
+        aside = self.way[later, 1] - straight.centres[self.lane_index]
+        beside = start, end, place + int(np.sign(round(aside / straight.lane_width)))
+        may_change = self.lane_index == self.target_lane_index != beside and beside in straight.centres
         if may_change and all(map(self._leaves_room, self.road.neighbour_vehicles(self, beside))):
             self.target_lane_index = beside
 
@@ -136,7 +136,7 @@ class RecordedRoad(Road):
     def neighbour_vehicles(self, vehicle: Vehicle, lane_index: LaneIndex | None = None) -> tuple[Any, Any]:
         """Return the nearest vehicles ahead and behind in a lane and those before and after it, None without one."""
         vehicles, (x, y, *_) = [*self.states], np.array([*self.states.values()]).T
-        centre = self.straight.lane_width * self.straight.numbers[lane_index or vehicle.lane_index]
+        centre = self.straight.centres[lane_index or vehicle.lane_index]
         inside = np.abs(y - centre) < self.straight.lane_width / 2 + BESIDE
         found = [nearest_ahead(way * (x - self.states[vehicle][0]), inside) for way in (1, -1)]
         ahead, behind = (vehicles[place] if there else None for place, there in found)
@@ -205,7 +205,5 @@ def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two things on a road overlap."""
-    (pose, size), (other_pose, sizes) = (
-        ((*item.position, item.heading), (item.LENGTH, item.WIDTH)) for item in (one, other)
-    )
-    return bool(separation(pose, size, other_pose, sizes) < 0)
+    own, theirs = ((*item.position, item.heading) for item in (one, other))
+    return bool(separation(own, (one.LENGTH, one.WIDTH), theirs, (other.LENGTH, other.WIDTH)) < 0)

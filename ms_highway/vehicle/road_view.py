@@ -77,16 +77,11 @@ def states_of(cars: Iterable[RoadObject]) -> State:
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
-def straightened(route: Curve, states: State) -> State:
-    """Transform states of cars from highway-env's coordinates to those of a route."""
-    x, y, heading, speed = states.T
-    return np.stack([*route.project(x, y, heading), speed], axis=-1)
-
-
 def look(driver: Vehicle) -> RoadView:
     """View the road from a driver now, whose size is assumed for all; it follows its ``route``, if it has one."""
     seen = observe_road(driver)
-    (own,), others = straightened(seen.route, states_of([driver])), _others(seen)
+    x, y, heading, speed = states_of([driver])[0]
+    own, others = np.array([*seen.route.project(x, y, heading), speed]), _others(seen)
     lanes, wanted, (first, last) = interpolate(seen.lanes, own[0]), 1 + int(np.sign(seen.changes[1])), TAPER
     lanes[1] += (lanes[wanted] - lanes[1]) * np.clip((first - seen.room) / (first - last), 0.0, 1.0)
     lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
