@@ -126,11 +126,13 @@ DENSE_MERGE_V1 = _physical(
     DENSE_MERGE,
     10,
     steps=60,
+    ladder=("naive", "tom"),
     robot_weights={**DENSE_MERGE.robot_weights, "collision_risk": -4},
     cones=_lane_end(2.5),
     streams=(Stream(-0.1 * UNIT, spacing=(7.0, 13.0)),),
     caution=1.0,
     careless=0.0,
+    way_out=False,
 )
 """All humans yield to who asks, and the robot is careful: it does not push into a gap that it does not expect to open.
 
