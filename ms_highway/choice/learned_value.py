@@ -55,7 +55,7 @@ class LearnedValue(Rule):
         """Choose in the state after the last step; where no value is known, the first rung."""
         values, gains, failed = jax.vmap(self._values)(describe(game, outcome.after), jnp.asarray(memory.rungs))
         rank = nearness(game, outcome.after)
-        worth = values[:, 1:].max(axis=1)[jnp.argsort(rank)][:TOGETHER]
+        worth = (values[:, 1:].max(axis=1) - values[:, 0])[jnp.argsort(rank)][:TOGETHER]
         count = jnp.argmax(jnp.concatenate([jnp.zeros(1), jnp.cumsum(worth)]))
         rungs = jnp.where(rank < count, 1 + values[:, 1:].argmax(axis=1), 0)
         return Decision(memory._replace(rungs=rungs.astype(jnp.int32)), gains, failed.any())
