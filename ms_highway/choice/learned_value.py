@@ -41,6 +41,8 @@ class LearnedValue(Rule):
         ladder: human models, cheapest first (static).
         cautious: whether gains are what is compared to choose, net of the price and of a margin for doubt; or else what
             is expected over the first rung, as budgets need it (static).
+        together: whether a value is what a human adds to nearer ones, so that some of the nearest are chosen together;
+            or else that of each human alone, as the values of Dense Merge and Crossing Crowd were learned (static).
     """
 
     costs: Costs
@@ -50,14 +52,16 @@ class LearnedValue(Rule):
     spread: Float[Array, "inputs"]
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     cautious: bool = field(default=True, metadata={"static": True})
+    together: bool = field(default=True, metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
         """Choose in the state after the last step; where no value is known, the first rung."""
         values, gains, failed = jax.vmap(self._values)(describe(game, outcome.after), jnp.asarray(memory.rungs))
         rank = nearness(game, outcome.after)
-        worth = (values[:, 1:].max(axis=1) - values[:, 0])[jnp.argsort(rank)][:TOGETHER]
-        count = jnp.argmax(jnp.concatenate([jnp.zeros(1), jnp.cumsum(worth)]))
-        rungs = jnp.where(rank < count, 1 + values[:, 1:].argmax(axis=1), 0)
+        worth = values[:, 1:].max(axis=1) - values[:, 0]
+        count = jnp.argmax(jnp.concatenate([jnp.zeros(1), jnp.cumsum(worth[jnp.argsort(rank)][:TOGETHER])]))
+        thinks = rank < count if self.together else worth > 0
+        rungs = jnp.where(thinks, 1 + values[:, 1:].argmax(axis=1), 0)
         return Decision(memory._replace(rungs=rungs.astype(jnp.int32)), gains, failed.any())
 
     def _values(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:

@@ -105,7 +105,8 @@ class Values:
         places += [gains + place for place in places]
         *hidden, (weights, biases) = self.network
         network = (*hidden, (weights[..., places], biases[..., places]))
-        return LearnedValue(costs, price, network, self.centre, self.spread, models)
+        together = bool(self.provenance.get("together"))
+        return LearnedValue(costs, price, network, self.centre, self.spread, models, together=together)
 
 
 class _About(Structure):

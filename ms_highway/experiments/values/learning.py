@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
+from ms_highway.choice.learned_value import TOGETHER
 from ms_highway.choice.situation import description_names
 from ms_highway.choice.values import Values
 from ms_highway.experiments.directory import ResultsDirectory
@@ -80,6 +81,7 @@ class Learning:
             network = fit(network, rollouts, centre, spread, random)
         examples = sum(len(part.descriptions) for part in done)
         settings = {"examples": examples, "rounds": number, "horizon": self.horizon, "held": self.held}
+        settings["together"] = TOGETHER
         return Values(network, centre, spread, tuple(self.costs), names, {**self.settings, **settings})
 
     def stream(self, *place: int) -> Random:
