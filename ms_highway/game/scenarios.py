@@ -132,7 +132,6 @@ DENSE_MERGE_V1 = _physical(
     streams=(Stream(-0.1 * UNIT, spacing=(7.0, 13.0)),),
     caution=1.0,
     careless=0.0,
-    way_out=False,
 )
 """All humans yield to who asks, and the robot is careful: it does not push into a gap that it does not expect to open.
 
