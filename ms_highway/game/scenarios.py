@@ -135,7 +135,8 @@ DENSE_MERGE_V1 = _physical(
 )
 """All humans yield to who asks, and the robot is careful: it does not push into a gap that it does not expect to open.
 
-Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in all.
+Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
+nearly all.
 """
 
 CROSSING_CROWD = _merge_among_several(
