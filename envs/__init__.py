@@ -14,6 +14,7 @@ from gymnasium.envs.registration import EnvCreator
 
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
+from ms_highway.envs.registry import check_name
 from ms_highway.envs.scenes import (
     CrossingCrowdEnv,
     DenseMergeEnv,
@@ -105,9 +106,7 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         ValueError: if the name is one of the package's, or no such word.
     """
     name = environment.scenario.name
-    if name in PACKAGE_SCENARIOS or not (name.isidentifier() and name.islower()):
-        others = ", ".join(PACKAGE_SCENARIOS)
-        raise ValueError(f"a scenario cannot be called {name!r}; choose one word in lower case other than {others}")
+    check_name("a scenario", name, PACKAGE_SCENARIOS)
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
     gymnasium.registry.pop(bare_id, None)

@@ -11,24 +11,24 @@ from jaxtyping import Int
 
 from ms_highway.choice.rule import Order
 from ms_highway.envs.configuration import Changes, Config, read_own
-from ms_highway.envs.controllers import AgentSettings, DriverSettings
+from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.keyboard import keyboard_control
-from ms_highway.envs.registry import controller_config, controller_settings
-from ms_highway.envs.settings import KEYBOARD, Settings
+from ms_highway.envs.registry import controller_config
+from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.driver import Driver, drivable, fixed
+from ms_highway.loop.driver import fixed
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver
 from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
-from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle, states_of
+from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
 
 class InteractionEnv(GameEnv):
@@ -45,35 +45,29 @@ class InteractionEnv(GameEnv):
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
       by accelerations of +-5 m/s^2, front-wheel angles of +-0.1 rad and speeds from 0 to 40 m/s unless
-      ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise (highway-env's own +-45 degrees spin
-      a car of 20 m/s at the first step).
+      ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise.
     * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default,
-      for naive, turn and tom), a learned value of computation does, with ``"values"``,
-      ``"shipped"`` or a file of ``ms-highway values learn``;
-      ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``, the paper's Algorithm 1 does, with
-      the numbers of `ms_highway.choice.quadratic.Quadratic`; ``{"type": "budget", "milliseconds":
-      20}``, what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the two
-      nearest humans; ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom",
-      "naive"]}``, a model per step, the last one kept; ``{"type": "period", "models": ["tom", "naive"]}``, the same
-      repeated; or ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}``, drawn when the episode starts. All of
-      them have short names, such as ``"tom"`` or ``"learned:1"``, which may be given instead, see
-      `ms_highway.envs.registry.controller_config`; `ms_highway.add_rule` adds more.
-      Any of them with ``"belief": True`` infers from what a human does which model predicts it
-      (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
+      for naive, turn and tom), a learned value of computation does, with ``"values"``, ``"shipped"`` or a file of
+      ``ms-highway values learn``; ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``, the
+      paper's Algorithm 1 does (`ms_highway.choice.quadratic.Quadratic`); ``{"type": "budget", "milliseconds": 20}``,
+      what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the nearest humans;
+      ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom", "naive"]}``, a model per
+      step, the last one kept, and ``"period"``, the same repeated; ``{"type": "random", "shares": {"naive": 0.7, "tom":
+      0.3}}``, drawn when the episode starts; or a short name of them, such as ``"tom"`` or ``"learned:1"``, see
+      `ms_highway.envs.registry.controller_config`. Any of them with ``"belief": True`` infers from what a human does
+      which model predicts it (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
     * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm``, or ``"best"``, see
       `ms_highway.planning.human_models`.
     * ``costs``: T(M) of a plan in which one human is predicted by M, all others by the first rung:
       ``"published"`` (default with one human); ``"shipped"`` (default with several and in physical scenarios), what
       plans take on one core, among several humans or of a second with one; ``"measured"`` on this machine in the first
       step; or seconds by model (``tom@8`` in proportion). T of any plan is additive in the humans. With ``"shipped"``,
-      budgets choose by measured times, and ``counted_seconds`` stay the shipped ones. The same seed is another episode
-      only where the clock has a say, which ``info["clocked"]`` tells.
+      budgets choose by measured times: the same seed may be another episode, which ``info["clocked"]`` tells.
     * ``semantics``: ``"paper"``, ``"physical"`` or ``"released"``, see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
       belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
-      its lane, stays unless weights name it. A learned reward has no weight of ``collision``: it is an indicator,
-      without a gradient but under the solver ``convex_newton``.
+      its lane, stays unless weights name it. A learned reward has no weight of ``collision``.
     * ``humans``: their number, from 2 to 20 in scenarios with streams.
     * ``beliefs``: what the robot takes the humans' rewards to be: ``"learned"``, that all have the reward that theirs
       are drawn around, or ``"true"``, their own.
@@ -90,33 +84,20 @@ class InteractionEnv(GameEnv):
       None sets no such limit, as in the paper; in physical semantics it stands for ``GRIP``. It does not apply where
       the agent drives.
     * ``solver``: how the robot improves its plans under models that do not respond: ``"gradient"``, the paper's,
-      ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a reward whose jumps are smooth,
-      with a small cost of not keeping the velocity (`ms_highway.numerics.convex_newton.EASE`), so that what is
-      seen changes plans steadily, and a cost of leaving no room to stop (`ms_highway.game.stopping`).
+      ``"newton"``, or for horizons of seconds ``"convex_newton"``. That one climbs a smooth reward with small costs
+      of not keeping the velocity and of leaving no room to stop (`ms_highway.game.stopping`).
     * ``horizon``, ``time_step``, ``iterations``, ``step_size``: how far ahead, how often and by which gradient steps
-      robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step
-      size are None, what suits the horizon is chosen; steps that are longer than
-      `ms_highway.game.planning_settings.longest_step` are warned of.
+      robot and humans plan, see `ms_highway.game.planning_settings.PlanningSettings`. Where iterations and step size
+      are None, what suits the horizon is chosen; longer steps are warned of.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     ``reset`` takes ``options={"initial_states": ...}``, an array [cars, 4] of x, y, heading, speed in SI units, robot
     first, then the humans, then the scripted cars, instead of drawn starts.
 
-    The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push
-    each other nor stop, and ``info["collision_effect"]`` says so.
-
-    ``info`` holds after every step: ``control``, what the robot did, by whatever action: ``acceleration`` [m/s^2] and
-    ``steering`` [rad]. Plans ask for more than the default ranges of actions reach; divided by the ends of wider ones,
-    such as `ms_highway.envs.demonstration.ACTION` for the default ``control_limit``, the control is the
-    ``ContinuousAction`` that does the same within ``speed_range``. It holds
-    ``models``, the name of every human's model in the plan that is followed; ``model``, the most expensive of them;
-    ``gains``, the highest estimated gain of each model over all humans, by which the choice is made, see
-    `ms_highway.choice.rule.Decision`; ``status``, ``human_status``, a status for each human; ``timing``,
-    ``counted_seconds``, T of the step's own plan; with a controller's ``belief``, ``belief``, the probability of every
-    model for every human, [humans, 4] in the order naive, idm, turn, tom. In scenarios with streams it also holds
-    ``humans_MODEL``, how many humans each model above the first predicts; ``success`` and ``is_success``, whether the
-    robot is in the target lane and has not collided so far; and ``distance_to_cones``, from the robot's front to the
-    first cone ahead in its lane, infinite without one [m].
+    The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push each
+    other nor stop. ``notebooks/REFERENCE.md`` tells what ``info`` holds. Its ``control``, what the robot did, may go
+    beyond the default ranges of actions; divided by the ends of wider ones, such as
+    `ms_highway.envs.demonstration.ACTION`, it is the ``ContinuousAction`` that does the same within ``speed_range``.
 
     Attributes:
         settings: of the configuration.
@@ -170,16 +151,14 @@ class InteractionEnv(GameEnv):
             config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
-        if config["action"]["type"] == "Autopilot" and isinstance(settings.controller, AgentSettings):
-            remedy = "call it yourself, or make the environment with ms_highway.experiments.runner.make_environment"
-            raise ValueError(f"config['controller'] is {config['controller']}: an agent acts from outside; {remedy}")
-        if config["action"]["type"] == "Autopilot" and not isinstance(settings.controller, DriverSettings):
-            start = settings.start(settings.seconds, 1, np.random.default_rng())
+        controller, place = settings.controller, f"config['controller'] is {config['controller']}"
+        if config["action"]["type"] == "HumanModelAction" and not controller.predicts:
+            raise ValueError(f"{place}, with which no model is chosen; leave it out, or the action HumanModelAction")
+        if config["action"]["type"] == "Autopilot":
             try:
-                rule = settings.controller.rule(start)
+                controller.check(settings.start(settings.seconds, 1, np.random.default_rng()))
             except ValueError as error:
-                raise ValueError(f"config['controller'] is {config['controller']}: {error}") from error
-            drivable(rule, settings.controller.belief)
+                raise ValueError(f"{place}: {error}") from error
             settings.warn_of_other_values(cls.scenario)
         return config | {"ladder": [model.name for model in settings.models]}
 
@@ -197,18 +176,16 @@ class InteractionEnv(GameEnv):
             if states.shape != shape or not np.isfinite(states).all():
                 message = f"{self.scenario.name} needs an array {shape} of finite numbers"
                 raise ValueError(f"options['initial_states'] is {states.tolist()}; {message}")
-        humans = self.settings.humans
-        driver = HUMAN_DRIVERS.get(self.settings.human_driver or "")
+        humans, driver = self.settings.humans, HUMAN_DRIVERS.get(self.settings.human_driver or "")
         human = driver if isinstance(driver, type) else HumanVehicle
         kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
         self.road = Road(straight_road(self.game), np_random=self.np_random)
-        cars = [kind(self.road, state[:2], *state[2:]) for kind, state in zip(kinds, states, strict=True)]
-        self._place(cars)
-        for car in cars[: 1 + humans if human is HumanVehicle else 1]:
+        self._place([kind(self.road, state[:2], *state[2:]) for kind, state in zip(kinds, states, strict=True)])
+        for car in self.road.vehicles[: 1 + humans if human is HumanVehicle else 1]:
             car.dynamics = jax.tree.map(float, self.game.world)
         self.road.objects = [Cone(self.road, place) for place in np.asarray(self.game.scene.obstacles, dtype=float)]
-        self._drive()
         self.history, self._collided = [], False
+        self._drive()
 
     @property
     def cars(self) -> int:
@@ -222,37 +199,30 @@ class InteractionEnv(GameEnv):
     def draw_drivers(self, random: Random) -> Int[Any, "humans"]:
         """Return the number of every human's driver: `PLANS`, or one more than its place in ``settings.drivers``."""
         names, humans = self.settings.drivers, self.settings.humans
-        if names == (KEYBOARD,):
-            return np.array([PLANS + 1, *[PLANS] * (humans - 1)])
         if len(names) > 1:
             return PLANS + 1 + (random.uniform(size=humans) < 0.5)
-        return np.full(humans, PLANS + len(names))
+        return np.where((np.arange(humans) > 0) & (names == (KEYBOARD,)), PLANS, PLANS + len(names))
 
     def _drive(self) -> None:
         """Give the cars their drivers."""
         cars, game = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
         names = (None, *self.settings.drivers)
-        for number, name in enumerate(names[place] for place in self.draw_drivers(self.np_random)):
-            own, human = swap_roles(game, number), self.humans[number]
-            function = HUMAN_DRIVERS.get(name) if name else None
-            if isinstance(function, type):  # a vehicle of this class drives by itself
-                continue
-            driver = fixed(own) if name is None else FunctionDriver(own, name, function or keyboard_control)
-            human.drive_with(driver, [car for car in cars if car is not human])
+        for place, (human, number) in enumerate(zip(self.humans, self.draw_drivers(self.np_random), strict=True)):
+            own, name = swap_roles(game, place), names[number]
+            function = HUMAN_DRIVERS.get(name, keyboard_control) if name else None
+            if not isinstance(function, type):  # or else a vehicle of this class drives by itself
+                driver = FunctionDriver(own, name, function) if name and function else fixed(own)
+                human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
             self._drive_robot(game if self.settings.beliefs == "true" else self.game)
 
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs if they are yet to be measured."""
-        settings, controller = self.settings, controller_settings(self.config["controller"])
-        if isinstance(controller, DriverSettings):
-            function = HUMAN_DRIVERS[controller.name]
-            self.robot.drive_with(FunctionDriver(game, controller.name, function), self.road.vehicles[1:])
-            return
+        settings, order = self.settings, None
+        if isinstance(self.action_type, HumanModelAction):
+            order = Order(np.zeros((1, 1), int), settings.models)
         start = settings.start(self.seconds, self.episode_steps, self.np_random)
-        asked = isinstance(self.action_type, HumanModelAction)
-        rule = Order(np.zeros((1, 1), int), settings.models) if asked else controller.rule(start)
-        driver = Driver(game, rule, budget=controller.budget, way_out=settings.way_out, belief=controller.belief)
+        driver = settings.controller.driver(game, start, settings.way_out, order)
         self.robot.drive_with(driver, self.road.vehicles[1:])
 
     def measure(self) -> None:
@@ -266,11 +236,10 @@ class InteractionEnv(GameEnv):
 
     def counted_seconds(self, names: Sequence[str]) -> float | None:
         """Return T of a plan in which humans are predicted by these models [s]; None where it is not known."""
-        seconds = self._counted
-        if not seconds.keys() >= {*names}:
+        if not self._counted.keys() >= {*names}:
             return None
-        base = seconds[self.settings.models[0].name] if len(names) > 1 else 0.0
-        return float(base + sum(seconds[name] - base for name in names))
+        base = self._counted[self.settings.models[0].name] if len(names) > 1 else 0.0
+        return float(base + sum(self._counted[name] - base for name in names))
 
     @property
     def robot(self) -> RobotVehicle:
@@ -281,11 +250,6 @@ class InteractionEnv(GameEnv):
     def humans(self) -> list[HumanVehicle]:
         """The cars of the humans."""
         return self.road.vehicles[1 : 1 + self.settings.humans]
-
-    @property
-    def car_states(self) -> State:
-        """``(x, y, heading, speed)`` of robot, humans and scripted cars in SI units."""
-        return states_of(self.road.vehicles)
 
     @property
     def success(self) -> bool:
@@ -315,11 +279,11 @@ class InteractionEnv(GameEnv):
         info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
-            if self.steps:
-                info["success"] = info["is_success"] = self.success
         if self.steps:
             steps = [getattr(human, "last_step", None) for human in self.humans]  # other vehicles have none
             info["human_status"] = tuple(step and step.status for step in steps)
+            if streams:
+                info["success"] = info["is_success"] = self.success
         if step is None:
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
@@ -328,9 +292,8 @@ class InteractionEnv(GameEnv):
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
         info["gains"] = step.highest_gains()
-        for name, value in (("belief", step.belief), ("counted_seconds", self.counted_seconds(step.thought))):
-            if value is not None:
-                info[name] = value
+        known = {"belief": step.belief, "counted_seconds": self.counted_seconds(step.thought)}
+        info |= {name: value for name, value in known.items() if value is not None}
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}
         return info

@@ -13,11 +13,15 @@ from msgspec import Meta, Struct
 from ms_highway.choice.rule import Order
 from ms_highway.choice.values import Values
 from ms_highway.envs.configuration import Config, NotNegative
+from ms_highway.game.game import Game
 from ms_highway.game.scenario import Semantics
-from ms_highway.loop.human_drivers import function_names
+from ms_highway.loop.controller import Controller
+from ms_highway.loop.driver import Driver, drivable
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver, function_names
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
 
+KEYBOARD = "keyboard"  # name of the human driver that reads the keyboard
 PLACE = "config['controller']"
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
 REPEATED = re.compile("(.+)=([0-9]{1,5})")  # a model and its number of steps in a short name
@@ -55,10 +59,12 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
     Attributes:
         belief: whether it infers which model predicts each human, see `ms_highway.choice.belief`.
         chooses: whether a rule chooses from the ladder.
+        predicts: whether the robot plans with predictions of human models.
         price: lambda, NaN where no rule chooses at one.
     """
 
     chooses: ClassVar[bool] = True
+    predicts: ClassVar[bool] = True
     price = nan
     belief: bool = False
 
@@ -86,6 +92,26 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
         """Return the `ms_highway.choice.rule.Rule` of an episode."""
         raise NotImplementedError
 
+    def check(self, start: Start) -> None:
+        """Make sure that it drives the robot.
+
+        Raises:
+            ValueError: for an agent, and for a rule that does not fit the ladder, the costs or a belief.
+        """
+        drivable(self.rule(start), self.belief)
+
+    def driver(self, game: Game, start: Start, way_out: bool, order: Order | None = None) -> Controller:
+        """Return what drives the robot in an episode.
+
+        Args:
+            game: as the robot believes it.
+            start: what the rule is built from.
+            way_out: whether the robot keeps a way out, see `ms_highway.planning.way_out`.
+            order: stands in for the rule, where an agent chooses the models.
+        """
+        rule = self.rule(start) if order is None else order
+        return Driver(game, rule, budget=self.budget, way_out=way_out, belief=self.belief)
+
 
 class OrderSettings(ControllerSettings, frozen=True):
     """Plans each step with models that are known when the episode starts."""
@@ -108,30 +134,47 @@ class OrderSettings(ControllerSettings, frozen=True):
         return Order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
 
 
-class DriverSettings(ControllerSettings, frozen=True, tag="driver"):
-    """A function of the state drives, see `ms_highway.loop.human_drivers.add_driver`; no human is predicted."""
+class NamedSettings(ControllerSettings, frozen=True):
+    """Something of a user's drives that is known by its name, and predicts no human."""
 
     chooses: ClassVar[bool] = False
+    predicts: ClassVar[bool] = False
     name: str
 
     def __post_init__(self) -> None:
+        if self.belief:
+            raise ValueError(f"{PLACE}['belief'] is True, and {self.name!r} predicts no human; leave the belief out")
+
+
+class DriverSettings(NamedSettings, frozen=True, tag="driver"):
+    """A function of the state drives, see `ms_highway.add_driver`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.name not in function_names():
-            known = ", ".join(function_names())
-            raise ValueError(
-                f"{PLACE} names the driver {self.name!r}; add it with ms_highway.add_driver: there are {known}"
-            )
+            remedy = f"add it with ms_highway.add_driver: there are {', '.join(function_names())}"
+            raise ValueError(f"{PLACE} names the driver {self.name!r}; {remedy}")
+
+    def check(self, start: Start) -> None:
+        """See `ControllerSettings.check`: nothing to check."""
+
+    def driver(self, game: Game, start: Start, way_out: bool, order: Order | None = None) -> Controller:
+        """See `ControllerSettings.driver`."""
+        return FunctionDriver(game, self.name, HUMAN_DRIVERS[self.name])
 
 
-class AgentSettings(ControllerSettings, frozen=True, tag="agent"):
+class AgentSettings(NamedSettings, frozen=True, tag="agent"):
     """An agent acts from outside the environment, see `ms_highway.envs.agents`."""
-
-    chooses: ClassVar[bool] = False
-    name: str
 
     @classmethod
     def parse(cls, text: str) -> Config:
         """See `ControllerSettings.parse`."""
         return {"name": text}
+
+    def check(self, start: Start) -> None:
+        """See `ControllerSettings.check`."""
+        remedy = "call it yourself, or make the environment with ms_highway.experiments.runner.make_environment"
+        raise ValueError(f"an agent acts from outside; {remedy}")
 
 
 class FixedSettings(OrderSettings, frozen=True, tag="fixed"):

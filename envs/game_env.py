@@ -1,6 +1,5 @@
 """What the environments share: configuration, road and cones, car 0's reward by feature, and what a step took."""
 
-from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,6 +19,7 @@ from ms_highway.game.reward import Reward
 from ms_highway.game.scenario import CONE_SIZE
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import State
+from ms_highway.vehicle import states_of
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
 
@@ -83,9 +83,9 @@ class GameEnv(ConfiguredEnv):
         self._terms = dict.fromkeys(self.game.robot.names, 0.0)
 
     @property
-    @abstractmethod
     def car_states(self) -> State:
-        """``(x, y, heading, speed)`` of all cars in SI units."""
+        """``(x, y, heading, speed)`` of all cars in SI units, the driven one first."""
+        return states_of(self.road.vehicles)
 
     @property
     def episode_steps(self) -> int:

@@ -62,37 +62,33 @@ class InteractionViewer(Viewer):
         for cone in env.road.objects:
             pygame.draw.polygon(surface, CONE, [surface.vec2pix(corner) for corner in cone.polygon()])
             pygame.draw.circle(surface, PAPER, surface.vec2pix(cone.position), surface.pix(cone.WIDTH / 4))
-        for place, human in enumerate(env.humans if len(env.humans) > 1 else ()):
+        alone = len(env.humans) == 1
+        for place, human in enumerate(() if alone else env.humans):
             human.color = model_color(step.models[place] if step else env.settings.models[0].name)
         RoadGraphics.display_traffic(env.road, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
-        self._draw_names()
+        names = ["human"] if alone else map(str, range(1, 1 + len(env.humans)))
+        for name, car in zip(("robot", *names), (env.robot, *env.humans), strict=True):
+            self._write(name, SMALL, PAPER, ASPHALT, center=surface.vec2pix(car.position))
         self._draw_panel(step)
         self.show(surface)
 
     def _draw_plan(self, step: ControlStep) -> None:
         """Draw the predicted paths as dots in the colours of their models, and the robot's plan as a line."""
         surface, (own, *others) = self.sim_surface, self.env.robot.last_state
+        dynamics = jax.tree.map(float, self.env.game.dynamics)
+
+        def path(state: Car, controls: Controls) -> list[tuple[int, int]]:
+            return [surface.vec2pix(each) for each in accumulate(controls, partial(move, dynamics), initial=state)]
+
         every, radius = (1, 4) if len(step.models) == 1 else (2, 2)
         for state, controls, model in zip(others, step.humans, step.models, strict=False):
-            for point in self._path(state, controls)[every::every]:
+            for point in path(state, controls)[every::every]:
                 pygame.draw.circle(surface, PAPER, point, radius + 2)
                 pygame.draw.circle(surface, model_color(model), point, radius)
         for color, width in ((PAPER, 8), (model_color(step.model), 4)):
-            pygame.draw.lines(surface, color, False, self._path(own, step.plan), width)
-
-    def _path(self, state: Car, controls: Controls) -> list[tuple[int, int]]:
-        dynamics = jax.tree.map(float, self.env.game.dynamics)
-        states = accumulate(controls, partial(move, dynamics), initial=state)
-        return [self.sim_surface.vec2pix(each) for each in states]
-
-    def _draw_names(self) -> None:
-        """Write "robot" and "human" on the roofs of the cars; number several humans."""
-        humans = self.env.humans
-        names = ["human"] if len(humans) == 1 else map(str, range(1, 1 + len(humans)))
-        for name, car in zip(("robot", *names), (self.env.robot, *humans), strict=True):
-            self._write(name, SMALL, PAPER, ASPHALT, center=self.sim_surface.vec2pix(car.position))
+            pygame.draw.lines(surface, color, False, path(own, step.plan), width)
 
     def _draw_panel(self, step: ControlStep | None) -> None:
         env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
@@ -122,20 +118,20 @@ class InteractionViewer(Viewer):
         """Draw the model with what it means; of several humans, how many each model predicts."""
         alone = len(step.models) == 1
         for name in step.models if alone else dict.fromkeys((*step.ladder, *step.models)):
-            text = f" {name} " if alone else f" {name} {step.models.count(name)} "
-            left = 8 + self._write(text, LARGE, PAPER, model_color(name), topleft=(left, top)).right
+            count = "" if alone else f"{step.models.count(name)} "
+            left = 8 + self._write(f" {name} {count}", LARGE, PAPER, model_color(name), topleft=(left, top)).right
         if alone:
             self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
     def _thoughts(self, step: ControlStep) -> tuple[str, str]:
         """Return two lines: the times; why the only human's model plans, the way to the cones, the plan's status."""
-        controller, cones, remarks = self.env.robot.controller, self.env.distance_to_cones, []
+        controller, cones = self.env.robot.controller, self.env.distance_to_cones
         times = {"planning": step.planning_seconds, "deciding": step.decision_seconds}
-        chooses = isinstance(controller, Driver) and not isinstance(controller.rule, Order)
-        if isinstance(controller, Driver) and controller.budget:
-            times["budget"] = controller.budget
-        if len(step.models) == 1 and chooses:
-            remarks.append(_reason(step))
+        remarks = []
+        if isinstance(controller, Driver):
+            times["budget"] = controller.budget or 0.0
+            if len(step.models) == 1 and not isinstance(controller.rule, Order):
+                remarks.append(_reason(step))
         if self.env.scenario.streams and cones < np.inf:
             remarks.append(f"cones in {cones:.0f} m")
         if step.status != "planned":
@@ -161,14 +157,14 @@ class InteractionViewer(Viewer):
     ) -> list[pygame.Rect]:
         """Draw a heading above, a line below, and both ends on the left; return the bar of every step's value."""
         self._write(heading, SMALL, FAINT, topleft=(box.left, box.top - 20))
-        self._write(f"{high:.3g}", SMALL, FAINT, midright=(box.left - 8, box.top))
-        self._write(f"{low:.3g}", SMALL, FAINT, midright=(box.left - 8, box.bottom))
+        for end, y in ((high, box.top), (low, box.bottom)):
+            self._write(f"{end:.3g}", SMALL, FAINT, midright=(box.left - 8, y))
         pygame.draw.line(self.sim_surface, FAINT, box.bottomleft, box.bottomright)
         width = box.width / max(self.env.episode_steps, len(values))
-        heights = np.interp(values, [low, high], [3, box.height])
+        tops = np.interp(values, [low, high], [box.bottom - 3, box.top])
         return [
-            pygame.Rect(box.left + place * width, box.bottom - height, max(1, width - 2), height)
-            for place, height in enumerate(heights)
+            pygame.Rect(box.left + place * width, top, max(1, width - 2), box.bottom - top)
+            for place, top in enumerate(tops)
         ]
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:

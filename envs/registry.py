@@ -1,10 +1,11 @@
 """Define the controllers that choose models online; know all by type and by short name; add rules of one's own."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
+from highway_env.vehicle.kinematics import Vehicle
 from msgspec import Meta, field, json
 
 from ms_highway.choice.budget import Budget, OneStepGains
@@ -15,6 +16,7 @@ from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
 from ms_highway.envs.controllers import (
+    KEYBOARD,
     PLACE,
     AgentSettings,
     ControllerSettings,
@@ -26,11 +28,10 @@ from ms_highway.envs.controllers import (
     Start,
 )
 from ms_highway.game.scenario import Semantics
-from ms_highway.loop.human_drivers import function_names
-from ms_highway.planning.human_models import is_model, model_names
+from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction, function_names
+from ms_highway.planning.human_models import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
-AGENT = "agent"  # type of controllers that act from outside the environment
 BELIEF = "+belief"
 EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
 ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
@@ -132,21 +133,36 @@ class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
 
 
 CONTROLLERS: dict[str, type[ControllerSettings]] = {
-    "switching": SwitchingSettings,
-    "horizon": HorizonSettings,
-    "learned": LearnedSettings,
-    "budget": BudgetSettings,
-    "nearest": NearestSettings,
-    "driver": DriverSettings,
-    AGENT: AgentSettings,
-    "fixed": FixedSettings,
-    "schedule": ScheduleSettings,
-    "period": PeriodSettings,
-    "random": RandomSettings,
+    str(kind.__struct_config__.tag): kind
+    for kind in (
+        SwitchingSettings,
+        HorizonSettings,
+        LearnedSettings,
+        BudgetSettings,
+        NearestSettings,
+        DriverSettings,
+        AgentSettings,
+        FixedSettings,
+        ScheduleSettings,
+        PeriodSettings,
+        RandomSettings,
+    )
 }
 """The controllers by type: those of the package, and those that `add_rule` adds."""
 
-OURS = tuple(CONTROLLERS)
+OURS, RESERVED = tuple(CONTROLLERS), (*HUMAN_DRIVERS, KEYBOARD, "usual", "mixed")
+
+
+def check_name(what: str, name: object, taken: Iterable[str]) -> None:
+    """Make sure that what is added has a name of its own: one word in lower case.
+
+    Raises:
+        ValueError: naming the remedy.
+    """
+    taken = list(dict.fromkeys(taken))
+    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in taken:
+        remedy = f"choose one word in lower case other than {', '.join(taken)}"
+        raise ValueError(f"{what} cannot be called {name!r}; {remedy}")
 
 
 def add_rule(settings: type[ControllerSettings]) -> None:
@@ -160,7 +176,7 @@ def add_rule(settings: type[ControllerSettings]) -> None:
         settings: class of the rule's settings, whose ``rule`` makes it, and whose tag is its name.
 
     Raises:
-        ValueError: if the class is no such one, or the name is one of the package's, a human model's or no word.
+        ValueError: if the class is no such one, or the name is taken or no word in lower case.
     """
     if (
         not (isinstance(settings, type) and issubclass(settings, ControllerSettings))
@@ -168,9 +184,7 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     ):
         raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
     name = str(settings.__struct_config__.tag)
-    if name in OURS or is_model(name) or not (name.isidentifier() and name.islower()):
-        remedy = f"choose a tag of one word in lower case other than {', '.join(OURS)} and human models"
-        raise ValueError(f"a rule cannot be called {name!r}; {remedy}")
+    check_name("a rule", name, [*OURS, *MODELS, *HUMAN_DRIVERS, *AGENTS])
     CONTROLLERS[name] = settings
 
 
@@ -187,18 +201,41 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
             the action is the one of its action space, and the observation is the environment's own.
 
     Raises:
-        ValueError: if the name is a controller's, a human model's or no such word, or for another key of ``config``.
+        ValueError: if the name is taken or no such word, or for another key of ``config``.
         TypeError: if it is no agent.
     """
-    is_word = isinstance(name, str) and name.isidentifier() and name.islower()
-    if not is_word or name in (*CONTROLLERS, *function_names()) or is_model(name):
-        remedy = "choose one word in lower case that is no human model's and no controller's"
-        raise ValueError(f"an agent cannot be called {name!r}; {remedy}")
+    check_name("an agent", name, [*CONTROLLERS, *MODELS, *HUMAN_DRIVERS])
     if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
         remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
         raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
     refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
     AGENTS[name] = AddedAgent(agent, dict(config or {}))
+
+
+def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
+    """Make known by a name what a human really does; `ms_highway.register` adds what the robot believes that it does.
+
+    It drives every human of an environment with ``config={"human_driver": name}``, in commands with
+    ``--set human_driver=NAME``; added again, it takes the place of the one of that name. A function also drives the
+    robot, as the controller ``name``: it is then told the game of the robot, where the humans come next.
+
+    Args:
+        name: one word in lower case.
+        driver: a pure function, or a class of highway-env vehicles, such as ``IDMVehicle``. A function takes the game
+            of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and speed [m/s], itself first,
+            then the robot. It returns its curvature omega [1/m] and its acceleration a before friction [m/s^2], under
+            which the speed v changes by ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
+            ``game.world`` makes up for friction. Written with `jax.numpy`, it also drives in simulations of many
+            episodes (``ms-highway sweep``); a class of vehicles does not.
+
+    Raises:
+        ValueError: if the name is taken or no such word, or the driver is neither.
+    """
+    check_name("a human driver", name, [*RESERVED, *CONTROLLERS, *MODELS, *AGENTS])
+    if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
+        remedy = "give a function of the game and the state, or a class of highway-env vehicles"
+        raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
+    HUMAN_DRIVERS[name] = driver
 
 
 def priced_types() -> list[str]:
@@ -213,7 +250,7 @@ def robot_config(name: str) -> Config:
         ValueError: if there is none.
     """
     config = controller_config(name)
-    return agent_config(name) if config["type"] == AGENT else {"controller": config}
+    return agent_config(name) if config["type"] == "agent" else {"controller": config}
 
 
 def fixed_order_types() -> list[str]:
@@ -255,17 +292,14 @@ def controller_config(text: str) -> Config:
     kind, _, rest = name.partition(":")
     if is_model(name):
         kind, rest = "fixed", name
-    elif kind not in CONTROLLERS and name in function_names():
+    elif name in function_names():
         kind, rest = "driver", name
     elif is_agent(name):
-        kind, rest = AGENT, name
+        kind, rest = "agent", name
     if kind not in CONTROLLERS:
         gone = retired.replacement(retired.CONTROLLERS, kind)
-        known = (
-            f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}; "
-            "--import the module that adds your own"
-        )
-        raise ValueError(gone or f"unknown controller {text!r}; {known}")
+        known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
+        raise ValueError(gone or f"unknown controller {text!r}; {known}; --import the module that adds your own")
     config = CONTROLLERS[kind].parse(rest) | ({"belief": True} if name != text else {})
     try:
         return json.decode(json.encode(read(CONTROLLERS[kind], PLACE, config, strict=False)))

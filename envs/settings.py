@@ -10,7 +10,7 @@ from msgspec.structs import force_setattr
 
 from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS, shipped_kind
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
-from ms_highway.envs.controllers import ControllerSettings, Start
+from ms_highway.envs.controllers import KEYBOARD, ControllerSettings, Start
 from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
@@ -28,9 +28,6 @@ HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "publish
 
 YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
 """The human drivers for each way to yield."""
-
-KEYBOARD = "keyboard"
-"""Name of the human driver that reads the keyboard."""
 
 LADDER = "give a list of human models, cheapest first, or say 'best'"
 COSTS = (
@@ -82,13 +79,14 @@ class Settings(Struct, frozen=True):
         if self.duration < time_step:
             why = f"an episode has one time step at least, {time_step:g} s"
             raise ValueError(f"config['duration'] is {self.duration!r}; {why}")
-        known = [name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING]
-        if self.human_driver is not None and self.human_driver not in known:
-            remedy = f"add it with ms_highway.add_driver, or name one of {', '.join(known)}"
-            raise ValueError(f"config['human_driver'] is {self.human_driver!r}; {remedy}")
-        if self.human_driver is not None and self.yielding != "usual":
-            why = f"humans who are driven by {self.human_driver!r} cannot be told how to yield"
-            raise ValueError(f"config['yielding'] is {self.yielding!r}; {why}")
+        if self.human_driver is not None:
+            known = [name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING]
+            if self.human_driver not in known:
+                remedy = f"add it with ms_highway.add_driver, or name one of {', '.join(known)}"
+                raise ValueError(f"config['human_driver'] is {self.human_driver!r}; {remedy}")
+            if self.yielding != "usual":
+                why = f"humans who are driven by {self.human_driver!r} cannot be told how to yield"
+                raise ValueError(f"config['yielding'] is {self.yielding!r}; {why}")
         if isinstance(self.human_reward, dict):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
@@ -104,30 +102,28 @@ class Settings(Struct, frozen=True):
         Raises:
             ValueError: for an impossible number of humans.
         """
-        fewest, most = HUMANS if scenario.streams else (scenario.humans, scenario.humans)
+        fewest, most = HUMANS if scenario.streams else (1, 1)
         if not fewest <= self.humans <= most:
             raise ValueError(f"config['humans'] is {self.humans}; it must be a whole number from {fewest} to {most}")
         longest = longest_step(self.horizon, self.time_step)
         if self.step_size is not None and self.step_size > longest:
-            why = (
-                f"plans of {self.horizon} steps of {self.time_step:g} s overshoot with steps longer than {longest:.2g}"
-            )
-            warn(f"config['step_size'] is {self.step_size:g}: {why}; leave it out to have one chosen", stacklevel=2)
+            plans = f"plans of {self.horizon} steps of {self.time_step:g} s"
+            why = f"{plans} overshoot with steps longer than {longest:.2g}; leave it out to have one chosen"
+            warn(f"config['step_size'] is {self.step_size:g}: {why}", stacklevel=2)
 
     def warn_of_other_values(self, scenario: Scenario) -> None:
         """Warn of learned values from another scenario, semantics, solver or horizon than they are to choose in."""
         values = self.controller.learned(self.semantics, self.humans)
         if values is None:
             return
-        learned_in = values.provenance.get("scenarios", [scenario.name])
-        learned = {"semantics": self.semantics, "solver": self.solver, "horizon": scenario.planning.horizon}
-        if "planning_horizon" in values.provenance:
-            learned["horizon"] = values.provenance["planning_horizon"]
-        learned |= {name: values.provenance[name] for name in ("semantics", "solver") if name in values.provenance}
-        other = [name for name, value in learned.items() if getattr(self, name) not in [value, *np.ravel(value)]]
-        if scenario.name in learned_in and not other:
+        told = values.provenance
+        scenarios = told.get("scenarios", [scenario.name])
+        learned = {name: told[name] for name in ("semantics", "solver") if name in told}
+        learned["horizon"] = told.get("planning_horizon", scenario.planning.horizon)
+        other = {name: value for name, value in learned.items() if getattr(self, name) not in np.ravel(value)}
+        if scenario.name in scenarios and not other:
             return
-        known = ", ".join([*learned_in, *(f"{name} {learned[name]}" for name in other)])
+        known = ", ".join([*scenarios, *(f"{name} {value}" for name, value in other.items())])
         here = ", ".join([scenario.name, *(f"{name} {getattr(self, name)}" for name in other)])
         changes = "".join(f" --set {name}={getattr(self, name)}" for name in other)
         command = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"

@@ -14,41 +14,42 @@ from highway_env.envs.common.observation import ObservationType
 from ms_highway.choice.rule import Order
 from ms_highway.game.dynamics import Dynamics, keep_velocity
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import State
+from ms_highway.runtime.arrays import State, Vector
 from ms_highway.vehicle import BicycleVehicle
 
 SPEED_RANGE = (0.0, 40.0)  # m/s, the highest is highway-env's
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
 
-class StateObservation(ObservationType):
-    """Observe the states of all cars, [cars, columns], within finite bounds; the same of many environments at once.
+class CarStates(ObservationType):
+    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
 
-    Attributes:
-        FASTEST: speed of cars at most [m/s], which says how far they come in an episode.
-        WIDEST: distance to the side at most [m].
+    The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
+    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Who drives further than 100 m still
+    sees where it is.
     """
 
-    FASTEST: ClassVar[float]
-    WIDEST: ClassVar[float]
+    REACHED: ClassVar[tuple[float, float]] = 400.0, 1000.0  # m/s and m to the side, at most: cars speed up by 50 m/s^2
 
     def __init__(self, env: Any, **_: Any) -> None:
         super().__init__(env)
-        low, high = self.bounds()
-        self.low, self.high = (np.tile(np.array(end, np.float32), (env.cars, 1)) for end in (low, high))
+        fastest, widest = self.REACHED
+        farthest = 100.0 + fastest * env.config["duration"]
+        reached = np.array([farthest, widest, fastest, fastest, 1.0, 1.0]) / SCALES
+        self.low, self.high = (np.tile(np.float32(end), (env.cars, 1)) for end in self.ends(reached))
 
-    def bounds(self) -> tuple[list[float], list[float]]:
-        """Return the lowest and the highest value of each column."""
-        raise NotImplementedError
-
-    def reached(self) -> list[float]:
-        """Return the highest values of `_scaled_states` that cars reach in an episode."""
-        farthest = 100.0 + self.FASTEST * self.env.config["duration"]
-        return (np.array([farthest, self.WIDEST, self.FASTEST, self.FASTEST, 1.0, 1.0]) / SCALES).tolist()
+    def ends(self, reached: Vector) -> tuple[Any, Any]:
+        """Return the lowest and the highest value of each column, from what states reach, scaled."""
+        return -reached, reached
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
         """Return the columns, arrays [..., cars], of states [..., cars, 4] and the share of the episode's time left."""
-        raise NotImplementedError
+        xp = states.__array_namespace__()
+        x, y, heading, speed = xp.moveaxis(states, -1, 0)
+        cosine, sine = xp.cos(heading), xp.sin(heading)
+        is_other = np.arange(states.shape[-2]) > 0
+        parts = [part - is_other * part[..., :1] for part in (x, y, speed * cosine, speed * sine)]
+        return [part / scale for part, scale in zip((*parts, cosine, sine), SCALES, strict=True)]
 
     def space(self) -> spaces.Box:
         """Return the space."""
@@ -59,42 +60,13 @@ class StateObservation(ObservationType):
         return self.of(self.env.car_states, np.array(1 - self.env.steps / self.env.episode_steps))
 
     def of(self, states: State, time_left: Any) -> Any:
-        """Return the observation of states [..., cars, 4], computed by NumPy or JAX; see `columns`."""
+        """Return the observations of states [..., cars, 4], computed by NumPy or JAX, within the bounds."""
         xp = states.__array_namespace__()
         rows = xp.stack(self.columns(states, time_left), axis=-1)
         return xp.clip(rows, self.low, self.high).astype(np.float32)
 
 
-def _scaled_states(states: State) -> list[Any]:
-    """Return ``x, y, vx, vy, cos_h, sin_h``, all but the robot's relative to it, divided by `SCALES`."""
-    xp = states.__array_namespace__()
-    x, y, heading, speed = xp.moveaxis(states, -1, 0)
-    cosine, sine = xp.cos(heading), xp.sin(heading)
-    is_other = np.arange(states.shape[-2]) > 0
-    parts = [part - is_other * part[..., :1] for part in (x, y, speed * cosine, speed * sine)]
-    return [part / scale for part, scale in zip((*parts, cosine, sine), SCALES, strict=True)]
-
-
-class CarStates(StateObservation):
-    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
-
-    The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
-    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Who drives further than 100 m still
-    sees where it is.
-    """
-
-    FASTEST, WIDEST = 400.0, 1000.0  # in the paper's scenes, cars accelerate by up to 50 m/s^2
-
-    def bounds(self) -> tuple[list[float], list[float]]:
-        """See `StateObservation`."""
-        return [-each for each in self.reached()], self.reached()
-
-    def columns(self, states: State, time_left: Any) -> list[Any]:
-        """See `StateObservation`."""
-        return _scaled_states(states)
-
-
-class SceneStates(StateObservation):
+class SceneStates(CarStates):
     """All that an agent needs of a scene, [cars, 9], in the order of robot, humans and scripted cars.
 
     ``presence``, 1, or 0 for a car that is not there; ``x, y, vx, vy, cos_h, sin_h`` as in `CarStates`;
@@ -102,19 +74,18 @@ class SceneStates(StateObservation):
     so near; and ``time_left``, the share of the episode's time that is left, the same in all rows.
     """
 
-    FASTEST, WIDEST = 80.0, 100.0
+    REACHED = 80.0, 100.0
 
-    def bounds(self) -> tuple[list[float], list[float]]:
-        """See `StateObservation`."""
-        states = self.reached()
-        return [0.0, *(-each for each in states), 0.0, 0.0], [1.0, *states, 1.0, 1.0]
+    def ends(self, reached: Vector) -> tuple[Any, Any]:
+        """See `CarStates`."""
+        return [0.0, *-reached, 0.0, 0.0], [1.0, *reached, 1.0, 1.0]
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
-        """See `StateObservation`."""
+        """See `CarStates`."""
         xp = states.__array_namespace__()
         ones = xp.ones_like(states[..., 0])
         distances = cone_distances(self.env.game.scene, states) / SCALES[0]
-        return [ones, *_scaled_states(states), distances, ones * xp.asarray(time_left)[..., None]]
+        return [ones, *super().columns(states, time_left), distances, ones * xp.asarray(time_left)[..., None]]
 
 
 def cone_distances(scene: Scene, states: State) -> Any:
@@ -127,25 +98,21 @@ def cone_distances(scene: Scene, states: State) -> Any:
     return xp.min(xp.where(counts, ahead, xp.inf), axis=-1, initial=xp.inf) - lengths / 2
 
 
-class CarTracks(ObservationType):
+class CarTracks(CarStates):
     """``presence, x, y, heading, speed`` of the driver and of all others, [cars, 5], in SI units, not scaled.
 
-    Always as many rows as there may be cars; rows of absent cars are zero. ``env.car_states`` may hold anything there,
-    ``env.present`` says which cars are there.
+    Always as many rows as there may be cars; rows of absent cars are zero. ``env.present`` says which cars are there.
     """
 
     BOUND = 1e4  # m, rad or m/s; never reached
 
-    def space(self) -> spaces.Box:
-        """Return the space."""
-        high = np.tile(np.array([1, *[self.BOUND] * 4], np.float32), (self.env.cars, 1))
-        return spaces.Box(high * np.array([0, -1, -1, -1, -1], np.float32), high, dtype=np.float32)
+    def ends(self, reached: Vector) -> tuple[Any, Any]:
+        """See `CarStates`."""
+        return [0.0, *[-self.BOUND] * 4], [1.0, *[self.BOUND] * 4]
 
-    def observe(self) -> np.ndarray:
-        """Return what is observed now."""
-        present = self.env.present
-        tracks = np.concatenate([present[:, None], self.env.car_states], axis=-1) * present[:, None]
-        return tracks.clip(-self.BOUND, self.BOUND).astype(np.float32)
+    def columns(self, states: State, time_left: Any) -> list[Any]:
+        """See `CarStates`."""
+        return [self.env.present, *(states.T * self.env.present)]
 
 
 class TupleObservation(observations.TupleObservation):
@@ -177,26 +144,24 @@ def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | N
 
     No subclass does, as highway-env's keyboard drives its own class only.
     """
-    kind.speed_range = speed_range and tuple(speed_range)
-    kind.get_action = partial(_within_speeds, kind)
+    kind.speed_range, kind.get_action = speed_range and tuple(speed_range), partial(_limited_action, kind)
 
 
-def _within_speeds(kind: actions.ContinuousAction, action: np.ndarray) -> dict[str, float]:
+def _limited_action(kind: actions.ContinuousAction, action: np.ndarray) -> dict[str, float]:
     """Return the control of an action, less what would lead beyond the range of speeds."""
     control, vehicle = actions.ContinuousAction.get_action(kind, action), kind.controlled_vehicle
     friction = getattr(vehicle, "friction", 0.0)
-    limited = within_speeds(kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction)
+    limited = _within_speeds(kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction)
     return control | {"acceleration": float(limited)}
 
 
-def within_speeds(kind: actions.ContinuousAction, acceleration: Any, speed: Any, friction: Any) -> Any:
+def _within_speeds(kind: actions.ContinuousAction, acceleration: Any, speed: Any, friction: Any) -> Any:
     """Limit accelerations that would lead beyond the range of speeds within a step [m/s^2]."""
     if kind.speed_range is None:
         return acceleration
-    xp, (lowest, highest) = speed.__array_namespace__(), kind.speed_range
-    frequency = kind.env.config["simulation_frequency"]
-    least = xp.minimum((lowest - speed) * frequency, 0.0) + friction
-    return xp.clip(acceleration, least, xp.maximum((highest - speed) * frequency, 0.0) + friction)
+    xp, frequency = speed.__array_namespace__(), kind.env.config["simulation_frequency"]
+    least, most = ((end - speed) * frequency for end in kind.speed_range)
+    return xp.clip(acceleration, xp.minimum(least, 0.0) + friction, xp.maximum(most, 0.0) + friction)
 
 
 def executed_controls(kind: actions.ContinuousAction, dynamics: Dynamics, action: Any, cars: Any) -> Any:
@@ -205,7 +170,7 @@ def executed_controls(kind: actions.ContinuousAction, dynamics: Dynamics, action
     shares = ((xp.clip(action, -1, 1) if kind.clip else action) + 1) / 2
     (slowest, fastest), (left, right) = kind.acceleration_range, kind.steering_range
     acceleration = slowest + shares[..., 0] * (fastest - slowest)
-    acceleration = within_speeds(kind, acceleration, speed, keep_velocity(dynamics, cars)[..., 1])
+    acceleration = _within_speeds(kind, acceleration, speed, keep_velocity(dynamics, cars)[..., 1])
     curvature = xp.tan(left + shares[..., 1] * (right - left)) / BicycleVehicle.LENGTH
     omega = curvature if dynamics.steering == "curvature" else curvature * speed
     return xp.stack([omega, acceleration], axis=-1)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,11 +16,10 @@ from jax import numpy as jnp
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, refuse_unknown
-from ms_highway.envs.simulation import Simulated, draw_start, stack_episodes
-from ms_highway.loop.batch import Given, Now, Own, begin_episode, choose_episodes, step_episodes
+from ms_highway.envs.simulation import FunctionalEnv, stack_episodes
+from ms_highway.loop.batch import Given, Now, begin_episodes, choose_episodes, step_episodes
 from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
-from ms_highway.runtime.arrays import State
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import cores
 
@@ -44,7 +44,7 @@ class InteractionVectorEnv(VectorEnv):
         render_mode: None.
 
     Raises:
-        ValueError: as `Simulated` does, and for a mode of rendering.
+        ValueError: as `FunctionalEnv` does, and for a mode of rendering.
     """
 
     def __init__(
@@ -57,23 +57,23 @@ class InteractionVectorEnv(VectorEnv):
     ) -> None:
         if render_mode is not None:
             raise ValueError(f"render_mode is {render_mode!r}; nothing is drawn here, make a single environment")
-        self._simulated = simulated = Simulated(environment, config)
+        self._functions = functions = FunctionalEnv(environment, config)
         self.num_envs, self.autoreset_mode = num_envs, AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
-        self.single_observation_space = simulated.environment.observation_space
-        self.single_action_space = simulated.environment.action_space
+        self.single_observation_space, self.single_action_space = functions.observation_space, functions.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        chunk, groups = simulated.loop.together, min(cores(), num_envs)
-        size = -(-num_envs // (groups * chunk)) * chunk
-        self._groups = [slice(first, first + size) for first in range(0, num_envs, size)]
-        self._threads = ThreadPoolExecutor(len(self._groups))
+        self.episode_steps, loop = functions.steps, functions.loop
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
-        self.episode_steps = simulated.steps
         self._episodes: Episodes | None = None  # before the first reset
-        self._carried: list[Any] = [None] * len(self._groups)
-        self._ended = np.zeros(num_envs, bool)
-        self._steps, self._collided = np.zeros(num_envs, int), np.zeros(num_envs, bool)
+        self._steps, self._states = np.zeros(num_envs, int), np.zeros((num_envs, functions.environment.cars, 4), "f")
+        self._begins, self._collided, self._ended = np.zeros((3, num_envs), bool)
+        groups = min(cores(), num_envs)
+        size = -(-num_envs // (groups * loop.together)) * loop.together  # whole chunks, filled up with the last one
+        places = [np.arange(first, first + size) for first in range(0, num_envs, size)]
+        self._groups, self._threads = np.minimum(places, num_envs - 1), ThreadPoolExecutor(len(places))
+        begun = jax.eval_shape(partial(begin_episodes, loop), self._states[self._groups[0]])
+        self._carried = [jax.tree.map(lambda part: np.zeros(part.shape, part.dtype), begun)] * len(places)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Config | None = None
@@ -95,14 +95,16 @@ class InteractionVectorEnv(VectorEnv):
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
         if self._episodes is None and not mask.all():
             raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
-        seeds = [seed + place for place in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + place for place in range(self.num_envs)]
+        seeds = [None] * self.num_envs if seed is None else seed
+        if len(seeds) != self.num_envs:
             raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments; give one for each")
-        for place, own in enumerate(() if seeds is None else seeds):
+        for place, own in enumerate(seeds):
             if own is not None and mask[place]:
                 self._randoms[place] = seeding.np_random(int(own))[0]
         self._renew(mask)
-        return self._observe(), {}
+        return self._functions.observe(self._states, self._steps), {}
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step all environments; those whose episode has ended are reset as the autoreset mode says.
@@ -115,35 +117,33 @@ class InteractionVectorEnv(VectorEnv):
         if never or (self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any()):
             places = "all of them" if never else np.flatnonzero(self._ended).tolist()
             raise ValueError(f"environments are to be reset before they can step: {places}")
-        actions = np.asarray(actions)
-        typed = actions.astype(self.action_space.dtype)
-        fractional = typed.dtype.kind == "i" and (typed != actions).any()
-        if fractional or not self.action_space.contains(typed):
-            raise ValueError(f"the actions {actions!r} are impossible; give some of {self.action_space}")
-        resets = self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._ended)
+        actions, space, possible = np.asarray(actions), self.action_space, False
+        if self._functions.agent_drives:  # beyond the ends of the space, actions are clipped
+            possible = actions.shape == space.shape and np.isfinite(actions).all()
+        elif (actions == actions.astype(space.dtype)).all():
+            possible = space.contains(actions.astype(space.dtype))
+        if not possible:
+            raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
+        steps = ~self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.ones(self.num_envs, bool)
         records = self._advance(actions)
         self._steps += 1
-        collision = np.array(records.collision)
-        self._collided |= collision
-        terminated = collision & self._simulated.environment.config["terminate_on_collision"] & ~resets
-        truncated = (self._steps >= self._simulated.steps) & ~resets
-        rewards = np.where(resets, 0.0, self._simulated.reward(records)).astype(np.float64)
-        info = self._info(records, ~resets)
-        self._ended = terminated | truncated
-        if resets.any():
-            self._renew(resets)
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+        self._collided |= records.collision
+        seen, rewards, terminated, truncated = self._functions.outcome(records, self._steps)
+        rewards = np.where(steps, rewards, 0.0).astype(np.float64)
+        terminated, truncated, values = terminated & steps, truncated & steps, self._info(records)
+        ended, info = terminated | truncated, _masked(values, steps)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             final = np.full(self.num_envs, None, dtype=object)
-            seen = self._observe()
-            for place in np.flatnonzero(self._ended):
+            for place in np.flatnonzero(ended):
                 final[place] = seen[place]
-            values = {name: part for name, part in info.items() if not name.startswith("_")}
-            info = values | {f"_{name}": ~self._ended for name in values}  # as the others have begun anew
-            info |= {"final_obs": final, "final_info": values | {f"_{name}": self._ended for name in values}}
-            info |= {"_final_obs": self._ended, "_final_info": self._ended}
-            ended, self._ended = self._ended, np.zeros_like(self._ended)
-            self._renew(ended)
-        return self._observe(), rewards, terminated, truncated, info
+            info = _masked(values, ~ended)  # as the others have begun anew
+            info |= _masked({"final_obs": final, "final_info": _masked(values, ended)}, ended)
+            steps, ended = ~ended, np.zeros_like(ended)
+        self._ended = ended
+        if not steps.all():
+            self._renew(~steps)
+            seen = self._functions.observe(self._states, self._steps)
+        return seen, rewards, terminated, truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""
@@ -151,74 +151,53 @@ class InteractionVectorEnv(VectorEnv):
 
     def _renew(self, mask: np.ndarray) -> None:
         """Draw new episodes of some environments."""
-        simulated = self._simulated
-        environment, loop, controller = simulated.environment, simulated.loop, simulated.controller
-        drawn = [draw_start(environment, loop, controller, self._randoms[place]) for place in np.flatnonzero(mask)]
-        new = stack_episodes(drawn)
+        new = stack_episodes([self._functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)])
         if self._episodes is None:
-            self._episodes, self._states = new, np.array(new.starts)
-        else:
-            for old, part in zip(jax.tree.leaves(self._episodes), jax.tree.leaves(new), strict=True):
-                old[mask] = part
-            self._states[mask] = new.starts
-        self._steps[mask], self._ended[mask], self._collided[mask] = 0, False, False
-        for number, group in enumerate(self._groups):
-            if mask[group].any():
-                own = Own.of(self._padded(self._episodes, group))
-                now, renewed = self._padded((self._states, mask), group)
-                begun = _begin(loop, now)
-                if self._carried[number] is not None:
-                    begun = _renewed(renewed, begun, self._carried[number][1])
-                self._carried[number] = own, begun
-
-    def _padded(self, tree: Any, group: slice) -> Any:
-        """Return a group's part of arrays [environments, ...], filled up with its last environment."""
-        places = np.minimum(np.arange(group.start, group.stop), self.num_envs - 1)
-        return jax.tree.map(lambda part: np.asarray(part)[places], tree)
+            self._episodes = new
+        for old, part in zip(jax.tree.leaves(self._episodes), jax.tree.leaves(new), strict=True):
+            old[mask] = part
+        self._states[mask], self._steps[mask], self._begins[mask] = new.starts, 0, True
+        self._ended[mask] = self._collided[mask] = False
 
     def _advance(self, actions: np.ndarray) -> Records:
         """Step all groups, each in a thread of its own."""
         assert self._episodes is not None
-        given = self._simulated.given(self._episodes.schedules, self._steps, self._states, actions)
+        functions, episodes = self._functions, self._episodes
+        given = functions.given(episodes.schedules, self._steps, self._states, actions)
+        everything = replace(episodes, starts=self._states, schedules=None), self._begins, given
 
         def advance(number: int) -> Records:
-            own, now = self._carried[number]
-            now, records = _advance(self._simulated.loop, own, now, self._padded(given, self._groups[number]))
-            self._carried[number] = own, now
+            own, begins, given = jax.tree.map(lambda part: np.asarray(part)[self._groups[number]], everything)
+            self._carried[number], records = _advance(functions.loop, own, self._carried[number], begins, given)
             return jax.tree.map(np.asarray, records)
 
         parts = list(self._threads.map(advance, range(len(self._groups))))
         records = jax.tree.map(lambda *part: np.concatenate(part)[: self.num_envs], *parts)
-        self._states = np.array(records.states)
+        self._states, self._begins = records.states, np.zeros_like(self._begins)
         return records
 
-    def _observe(self) -> np.ndarray:
-        return self._simulated.observe(self._states, self._steps)
-
-    def _info(self, records: Records, stepped: np.ndarray) -> dict[str, Any]:
-        """Return the ``info`` of a step, with a mask of the environments that stepped for each key."""
-        simulated = self._simulated
-        info: dict[str, Any] = {"collision": np.array(records.collision)}
-        if not simulated.agent_drives:
-            names = np.array([model.name for model in simulated.loop.models])
+    def _info(self, records: Records) -> dict[str, Any]:
+        """Return the values of ``info`` after a step."""
+        functions, loop = self._functions, self._functions.loop
+        info: dict[str, Any] = {"collision": records.collision}
+        if not functions.agent_drives:
+            names = np.array([model.name for model in loop.models])
             info |= {"status": np.array(STATUSES)[records.status], "model": names[records.rungs.max(axis=1)]}
-            info["counted_seconds"] = simulated.costs.total(records.rungs)
-        if simulated.environment.scenario.streams:
-            info["success"] = simulated.success(records.states) & ~self._collided
-        return info | {f"_{name}": stepped for name in info}
+            info["counted_seconds"] = functions.costs.total(records.planned)
+        if functions.environment.scenario.streams:
+            info["success"] = loop.game.scene.is_reached(records.states[:, 0, 1]) & ~self._collided
+        return info
 
 
-_renewed = jit_quickly(choose_episodes)
-
-
-@jit_quickly
-def _begin(loop: Loop, starts: State) -> Now:
-    return jax.vmap(partial(begin_episode, loop))(starts)
+def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
+    """Return the values of ``info`` with the mask of the environments that they are of."""
+    return values | {f"_{name}": mask for name in values}
 
 
 @jit_quickly
-def _advance(loop: Loop, own: Own, now: Now, given: Given) -> tuple[Now, Records]:
+def _advance(loop: Loop, own: Episodes, now: Now, begins: Any, given: Given) -> tuple[Now, Records]:
     """Step environments chunk by chunk, those with the same model together, as a chunk computes each model in use."""
+    now = choose_episodes(begins, begin_episodes(loop, own.starts), now)
     order = jnp.argsort(given.scheduled.max(axis=1), stable=True)
     chunks = jax.tree.map(lambda part: part[order].reshape(-1, loop.together, *part.shape[1:]), (own, now, given))
     results = jax.lax.map(lambda items: step_episodes(loop, *items), chunks)

@@ -30,6 +30,7 @@ from .envs import add_scenario as add_scenario
 from .envs.base import InteractionEnv as InteractionEnv
 from .envs.controllers import ControllerSettings as ControllerSettings
 from .envs.registry import add_agent as add_agent
+from .envs.registry import add_driver as add_driver
 from .envs.registry import add_rule as add_rule
 from .envs.simulation import FunctionalEnv as FunctionalEnv
 from .envs.spaces import Autopilot as Autopilot
@@ -45,7 +46,6 @@ from .irl.forecast import Forecast as Forecast
 from .irl.forecast import predict as predict
 from .loop.driver import Driver as Driver
 from .loop.driver import fixed as fixed
-from .loop.human_drivers import add_driver as add_driver
 from .planning.compiled_plans import Costs as Costs
 from .planning.compiled_plans import plan as plan
 from .planning.human_models import HumanModel as HumanModel

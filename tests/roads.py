@@ -64,7 +64,6 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         lanes=np.tile(lanes[:, None], KNOTS).astype(np.float32),
         open=np.ones((LANES, KNOTS), bool),
         edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
-        paved=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         changes=np.zeros(LANES, np.float32),
         room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
@@ -86,8 +85,8 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
 def country_road(*cars, speed=8.0):
     """A road of one lane for each direction: nobody but who goes round something drives on the left."""
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=cars, limit=10.0)
-    paved = np.tile(np.array([[-6.0], [2.0]], np.float32), KNOTS)
-    return replace(scene, open=ONE_LANE, edges=np.clip(paved, -2.0, 2.0), paved=paved)
+    edges = np.tile(np.array([[-2.0], [2.0]], np.float32), KNOTS)
+    return replace(scene, open=ONE_LANE, edges=edges)
 
 
 def crossing(robot_s, come_from, speed=10.0):

@@ -1,8 +1,7 @@
 """Measure how fast the closed loop is: in the environments, and in batches of many simulated episodes."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -14,7 +13,7 @@ from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.loop.devices import use_devices
-from ms_highway.runtime.jax_settings import high_throughput, own_process
+from ms_highway.runtime.jax_settings import high_throughput, low_latency_on_core, own_process
 from ms_highway.runtime.timing import timed
 
 EPISODES = 5  # of the environment
@@ -24,12 +23,12 @@ SECONDS, RUNS = 2.0, 5  # of one batch, at most
 def speed(
     scenario: str,
     controllers: Sequence[str],
-    config: Mapping[str, Any],
+    config: Mapping,
     sizes: Sequence[int] = (),
     devices: int | None = None,
     modules: Sequence[str] = (),
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Measure the closed loop of each controller, warm: live on one core, and in batches in a process of its own.
+) -> Iterator[tuple[str, dict]]:
+    """Measure the closed loop of each controller, warm: live on one core, and in batches, in processes of their own.
 
     Args:
         scenario: its name.
@@ -37,7 +36,7 @@ def speed(
         config: of the environments.
         sizes: numbers of episodes in a batch.
         devices: how many the batches use, see `ms_highway.loop.devices.use_devices`.
-        modules: to import in the other process, for scenarios and models that they add.
+        modules: to import in these processes, for scenarios and models that they add.
 
     Yields:
         For every controller its name and what `live_speed` returns; with batches, also:
@@ -51,16 +50,17 @@ def speed(
         ValueError: for anything unknown or impossible.
     """
     every = {name: Comparison({scenario: [name]}, max([*sizes, 1]), config=config) for name in controllers}
-    with own_process(high_throughput, modules) as process:
+    one_core = partial(low_latency_on_core, 0)
+    with own_process(one_core, modules) as live, own_process(high_throughput, modules) as batches:
         for controller, comparison in every.items():
-            result = live_speed(scenario, controller, config)
+            result = live.submit(live_speed, scenario, controller, config).result()
             if sizes:
-                result |= process.submit(_batch_speed, comparison, scenario, sorted(sizes), devices).result()
+                result |= batches.submit(_batch_speed, comparison, scenario, sorted(sizes), devices).result()
             yield controller, result
 
 
-def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dict[str, Any]:
-    """Time a few episodes in the environment on one core, after an episode that compiles.
+def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
+    """Time a few episodes in the environment, after an episode that compiles.
 
     Returns:
         ``plan_us``: median (p50) and p99 of a plan; ``decision_us``: median of a decision; ``step_us``: median of a
@@ -69,16 +69,15 @@ def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dic
     """
     env: Any = make_environment(scenario, controller, **config)
     steps = []
-    with one_core():
-        list(episode(env, 0))
-        start = end = perf_counter()
-        for seed in range(1, 1 + EPISODES):
-            for record in episode(env, seed):
-                begun, end = end, perf_counter()
-                cars = (env.unwrapped.robot, *env.unwrapped.humans)
-                plans = sum(car.last_step.planning_seconds for car in cars if car.last_step)
-                rest = end - begun - plans - record["decision_seconds"]
-                steps.append([record["planning_seconds"], record["decision_seconds"], rest])
+    list(episode(env, 0))
+    start = end = perf_counter()
+    for seed in range(1, 1 + EPISODES):
+        for record in episode(env, seed):
+            begun, end = end, perf_counter()
+            cars = (env.unwrapped.robot, *env.unwrapped.humans)
+            plans = sum(car.last_step.planning_seconds for car in cars if car.last_step)
+            rest = end - begun - plans - record["decision_seconds"]
+            steps.append([record["planning_seconds"], record["decision_seconds"], rest])
     env.close()
     microseconds = 1e6 * pd.DataFrame(steps, columns=["plan", "decision", "rest"])
     middle = microseconds.median()
@@ -90,21 +89,7 @@ def live_speed(scenario: str, controller: str, config: Mapping[str, Any]) -> dic
     }
 
 
-@contextmanager
-def one_core() -> Iterator[None]:
-    """Keep to one core, where the system lets a process choose."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
-
-
-def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict[str, Any]:
+def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict:
     """Time batches of a comparison's episodes, after one of a chunk on every device, which may compile."""
     mesh = use_devices(devices)  # before JAX begins to compute
     batch, used = make_batch(comparison, scenario), mesh.devices
@@ -116,11 +101,7 @@ def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], de
         while not times or (len(times) < RUNS and sum(times) < SECONDS):
             times.append(timed(batch.simulate, keys[:size], mesh)[1])
         rates[str(size)] = size * batch.steps / median(times)
-        memory[str(size)] = most_memory()
+        peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2]  # as Linux reports it
+        memory[str(size)] = int(peak.split()[0]) / 1024
     kind = used.flat[0].device_kind
     return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{used.size} of kind {kind}"}
-
-
-def most_memory() -> float:
-    """Return the peak memory of this process [MiB], which Linux reports."""
-    return int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024

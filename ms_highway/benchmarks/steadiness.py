@@ -1,11 +1,8 @@
-"""How steady driving is: how far a little noise changes where the robot drives, and what it earns.
+"""Measure how steady driving is: how far a little noise changes where the robot drives, and what it earns.
 
 Noise is normal, of a standard deviation s in x and y [m] and in the speed [m/s], and of s over the speed limit in the
-heading [rad], so that the velocity changes alike along the road and across it. It is
-
-* in the start of the robot and of every human. Scripted cars stay as they were drawn: they correct nothing, and another
-  velocity of theirs would be another scene; or
-* in what the robot sees of itself and of every human, in every step anew; scripted cars it sees as they are.
+heading [rad], so that the velocity changes alike along the road and across it. It is in the start of the robot and of
+every human, or in what the robot sees of them and of itself, in every step anew. Scripted cars have none.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ms_highway.experiments.analysis.summary import interval
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.records import per_episode
+from ms_highway.experiments.summary import interval
 from ms_highway.game.scenario import SPEED_LIMIT
 from ms_highway.loop.devices import use_devices
 from ms_highway.runtime.jax_settings import high_throughput, own_process
@@ -31,32 +29,16 @@ def steadiness(
     comparison: Comparison,
     scenario: str,
     noises: Sequence[float],
+    seen: bool = False,
     devices: int | None = None,
     modules: Sequence[str] = (),
-    seen: bool = False,
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Drive the same episodes as drawn and with noise, in batches in a process of its own.
-
-    Args:
-        comparison: controllers, seeds, two at least, and configuration.
-        scenario: one of its scenarios.
-        noises: standard deviations [m].
-        devices: how many to use, see `ms_highway.loop.devices.use_devices`.
-        modules: to import in the other process, for scenarios and models that they add.
-        seen: whether the noise is in what the robot sees, rather than in the start.
-
-    Yields:
-        For every controller its name and ``seeds``, the first and how many; ``seen``, whether the noise was in what the
-        robot sees; and ``noise``, by noise what `changes` returns.
-
-    Raises:
-        ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
-    """
-    seeds = [comparison.first_seed, comparison.seeds]
+) -> Iterator[tuple[str, dict]]:
+    """Yield what `changes` measures of every controller, in a process that imports these modules first."""
+    told = {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen}
     with own_process(high_throughput, modules) as process:
-        for controller in comparison.controllers[scenario]:
-            noise = process.submit(changes, comparison, scenario, controller, noises, devices, seen).result()
-            yield controller, {"seeds": seeds, "seen": seen, "noise": noise}
+        for name in comparison.controllers[scenario]:
+            found = process.submit(changes, comparison, scenario, name, noises, seen, devices).result()
+            yield name, {**told, "noise": found}
 
 
 def changes(
@@ -64,13 +46,20 @@ def changes(
     scenario: str,
     controller: str,
     noises: Sequence[float],
-    devices: int | None = None,
     seen: bool = False,
+    devices: int | None = None,
 ) -> dict[str, dict[str, Any]]:
     """Drive a controller's episodes as drawn and with noise, all in one batch, and compare them start by start.
 
-    The noise of an episode is the same for all controllers, and in proportion for all standard deviations. Arguments
-    are those of `steadiness`.
+    The noise of an episode is the same for all controllers, and in proportion for all standard deviations.
+
+    Args:
+        comparison: controllers, seeds, two at least, and configuration.
+        scenario: one of its scenarios.
+        controller: one of its controllers.
+        noises: standard deviations [m].
+        seen: whether the noise is in what the robot sees, rather than in the start.
+        devices: how many to use, see `ms_highway.loop.devices.use_devices`.
 
     Returns:
         By noise, for JSON:
@@ -78,19 +67,21 @@ def changes(
         * ``change_m``: by steps of `AFTER`, ``p50`` and ``p95``, quantiles over the starts of the distance between the
           robot's positions with noise and without [m];
         * ``growth``: the factor per step by which the median of this distance grows, ``exp`` of the slope of the
-          straight line through its logarithm over the steps up to the last of `AFTER`: below 1 where noise is
-          forgotten, 1.05 where a car keeps its velocity, above that where it is amplified;
+          straight line through its logarithm over the steps up to the last of `AFTER`;
         * ``reward``: ``mean`` change of the reward per step of an episode, ``low`` and ``high`` its 90 % interval over
           the starts (Student's t), and ``absolute``, the mean of its magnitude;
         * ``collisions``: episodes with a collision, without noise and with it;
         * ``success_changes``: the share of the episodes that succeed with noise and not without, or the other way
           round; None where the scenario does not define success.
+
+    Raises:
+        ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
     """
     mesh = use_devices(devices)  # before JAX begins to compute
-    batch = make_batch(comparison, scenario)
-    if batch.steps < AFTER[-1]:
+    batch, last = make_batch(comparison, scenario), AFTER[-1]
+    if batch.steps < last:
         said = f"episodes of {scenario} have {batch.steps} steps"
-        raise ValueError(f"{said}; make their duration {AFTER[-1]} steps at least")
+        raise ValueError(f"{said}; make their duration {last} steps at least")
     seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
     shape = (*([batch.steps + 1] if seen else []), 1 + batch.humans, 4)
     # from other numbers than the starts, which are drawn by the seed alone
@@ -99,27 +90,22 @@ def changes(
     keys = [(controller, seed) for seed in seeds] * len(sizes)
     noise = np.concatenate([size * np.array(draws) for size in sizes])
     records = batch.simulate(keys, mesh, **{"errors" if seen else "shifts": noise})
-    paths = np.asarray(records.states, float)[:, : AFTER[-1], 0, :2].reshape(len(sizes), len(seeds), AFTER[-1], 2)
-    episodes = batch.episodes_table(batch.steps_table(keys, records))
-    without = episodes[: len(seeds)]
+    paths = np.asarray(records.states, float)[:, :last, 0, :2].reshape(len(sizes), len(seeds), last, 2)
+    steps, rows = batch.steps_table(keys, records), len(seeds) * batch.steps
+    without, *noisy = (per_episode(steps[start:][:rows]) for start in range(0, len(steps), rows))
     found = {}
-    for place, size in enumerate(noises, 1):
-        own = episodes[place * len(seeds) :][: len(seeds)].reset_index(drop=True)
-        medians, high = np.quantile(np.linalg.norm(paths[place] - paths[0], axis=-1), (0.5, 0.95), axis=0)
-        slope = np.polyfit(np.arange(AFTER[-1]), np.log(np.maximum(medians, RESOLUTION)), 1)[0]
+    for size, path, own in zip(noises, paths[1:], noisy, strict=True):
+        medians, high = np.quantile(np.linalg.norm(path - paths[0], axis=-1), (0.5, 0.95), axis=0)
+        slope = np.polyfit(np.arange(last), np.log(np.maximum(medians, RESOLUTION)), 1)[0]
         gained = own["reward"] - without["reward"]
-        low, high_end = interval(gained)
-        changed = own["success"] != without["success"] if "success" in own else None
+        low, top = interval(gained)
+        reward = {"mean": gained.mean(), "low": low, "high": top, "absolute": gained.abs().mean()}
+        changed = (own["success"] != without["success"]).mean() if "success" in own else None
         found[str(size)] = {
-            "change_m": {str(step): {"p50": float(medians[step - 1]), "p95": float(high[step - 1])} for step in AFTER},
+            "change_m": {str(step): {"p50": medians[step - 1], "p95": high[step - 1]} for step in AFTER},
             "growth": float(np.exp(slope)),
-            "reward": {
-                "mean": float(gained.mean()),
-                "low": float(low),
-                "high": float(high_end),
-                "absolute": float(gained.abs().mean()),
-            },
+            "reward": reward,
             "collisions": [int((table["collisions"] > 0).sum()) for table in (without, own)],
-            "success_changes": None if changed is None else float(changed.mean()),
+            "success_changes": changed,
         }
     return found

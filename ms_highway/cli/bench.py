@@ -1,33 +1,44 @@
-"""The command ``ms-highway bench``."""
+"""The commands ``ms-highway bench`` and ``ms-highway bench road``."""
 
 import argparse
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
 
+from ms_highway.benchmarks.road import (
+    DRIVERS,
+    EGOS,
+    RECORDED,
+    RECORDED_TRAFFIC,
+    SCENES,
+    TRAFFIC,
+    known_scenes,
+)
 from ms_highway.cli.command import command, number, option, output
-from ms_highway.cli.console import print_tables, telling
-from ms_highway.cli.options import DEVICES, MOST_SEEDS, SCENARIOS, SET, configuration, controllers
+from ms_highway.cli.console import print_tables, tell
+from ms_highway.cli.options import DEVICES, MOST_SEEDS, SCENARIOS, SET, comparison, controllers
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
+STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
+OTHERS = (
+    "idm, highway-env's (default); aggressive, its aggressive drivers; or commuter, learned ones; in recordings: "
+    "learned (default), replay or idm"
+)
 NOISES = 1e-5, 10.0  # m, what single precision still tells apart, and the most
 STARTS = 24
+JSON = output("--json", "write all figures to a JSON file")
 
 
 @command(
     "bench",
     "measure planning time, the closed loop, and steadiness",
     SCENARIOS,
-    controllers("(default: all models of the ladder, and but for --noise switching)"),
-    number("--batches", None, "measure such batches of simulated episodes, too", nargs="+", metavar="SIZE"),
-    number("--noise", None, "measure steadiness under such noise instead", *NOISES, nargs="+", metavar="NOISE"),
+    controllers("(default: all models of the ladder, and switching)"),
+    number("--batches", [], "measure such batches of simulated episodes, too", nargs="+", metavar="SIZE"),
+    number("--noise", [], "measure steadiness under such noise instead", *NOISES, nargs="+", metavar="NOISE"),
     option("--seen", "put the --noise into what the robot sees in every step", action="store_true"),
-    number("--seeds", None, f"starts to add --noise to (default: {STARTS})", 2),
-    number("--seed", None, "of the first start (default: 0)", 0, MOST_SEEDS),
+    number("--seeds", STARTS, "starts to add --noise to", 2),
+    number("--first-seed", 0, "of the first of these", 0, MOST_SEEDS),
     DEVICES,
     SET,
-    output("--json", "write all figures to a JSON file"),
+    JSON,
 )
 def bench(options: argparse.Namespace) -> None:
     """Measure live episodes of every controller on one core, warm: a plan, a decision, the rest of a step without the
@@ -37,95 +48,141 @@ def bench(options: argparse.Namespace) -> None:
     With --noise, measure how steady driving is: drive --seeds starts as they were drawn, and again with normal noise
     added to the start of the robot and of every human or, with --seen, to what the robot sees of them and of itself in
     every step. NOISE is its standard deviation, of x and y [m] and of the speed [m/s]; that of the heading is NOISE /
-    20 rad, so that the velocity changes as much across the road. Cars that nobody drives keep their starts, and are
-    seen as they are. The table tells how far apart the robot is with noise and without after so many steps, the median
-    and the 95 % quantile over the starts; growth, the factor per step of the median, from a straight line through its
-    logarithm over 20 steps (noise is forgotten below 1, not even corrected at 1.05, amplified above); the change of the
-    reward per step with its 90 % interval, and the mean of its magnitude; the share of the episodes whose success
-    changes, among several humans; and episodes with a collision without noise and with it. Numbers have single
-    precision: a distance below 0.01 mm is rounding.
+    20 rad. The table tells how far apart the robot is with noise and without after so many steps, the median and the
+    95 % quantile over the starts; growth, the factor per step of the median (noise is forgotten below 1); the change of
+    the reward per step with its 90 % interval, and the mean of its magnitude; the share of the episodes whose success
+    changes, among several humans; and episodes with a collision without noise and with it.
 
     `ms-highway bench road` measures how drivers fare in stock scenes of highway-env.
 
     Examples:
       ms-highway bench merger
+      ms-highway bench merger --noise 1e-5 1e-3 1e-1
       ms-highway bench dense_merge --set humans=12 --controllers naive tom --json bench.json
       ms-highway bench merger --batches 1 16 64 256 1024 8192
-      ms-highway bench merger --noise 1e-5 1e-3 1e-1
-      ms-highway bench dense_merge --noise 1e-5 1e-3 --set ladder=naive, --set humans=2 --json noise.json
-      ms-highway bench merger --noise 0.1 --seen
       ms-highway bench road merge --drivers priced idm
     """
     from ms_highway.benchmarks.speed import speed
     from ms_highway.benchmarks.steadiness import steadiness
-    from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS, environment_id
-    from ms_highway.experiments.comparison import Comparison
-    from ms_highway.planning.human_models import rung_names
     from ms_highway.runtime.files import write_json
+    from ms_highway.visualization.tables import speed_table, steadiness_table
 
     if options.noise and options.batches:
         raise ValueError("--noise is about driving, and --batches about time; leave one out")
-    if not options.noise and (options.seen or options.seeds is not None or options.seed is not None):
-        raise ValueError("--seen, --seeds and --seed are about --noise; give it, or leave them out")
-    if options.devices and not (options.batches or options.noise):
-        raise ValueError("--devices is about --batches and --noise; give one of them, or leave it out")
-    config, asked = configuration(options), dict[str, list[str]]()
-    for scenario in options.scenarios or PAPER_SCENARIOS:
-        environment_id(scenario)  # refuses unknown ones before anything is measured
-        rungs = rung_names(config.get("ladder", SCENARIOS[scenario].ladder))
-        switching = [] if options.noise else [f"switching:{price:g}" for price in SCENARIOS[scenario].prices]
-        asked[scenario] = options.controllers or [*rungs, *switching]
-    comparison = Comparison(asked, options.seeds or STARTS, options.seed or 0, config)
-    results: dict[str, dict[str, Any]] = {scenario: {} for scenario in asked}
-    with telling() as tell:
-        for scenario, names in asked.items():
-            if options.noise:
-                noises = list(dict.fromkeys(options.noise))
-                found = steadiness(comparison, scenario, noises, options.devices, options.modules, options.seen)
-            else:
-                found = speed(scenario, names, config, options.batches or [], options.devices, options.modules)
-            for name, result in found:
-                tell(f"measured {scenario}, {name}")
-                results[scenario][name] = result
-    table = _steadiness_table if options.noise else _speed_table
+    asked, common = comparison(options), (options.devices, options.modules)
+    results: dict[str, dict] = {scenario: {} for scenario in asked.controllers}
+    for scenario, names in asked.controllers.items():
+        if options.noise:
+            measured = steadiness(asked, scenario, options.noise, options.seen, *common)
+        else:
+            measured = speed(scenario, names, asked.config, options.batches, *common)
+        for name, result in measured:
+            tell(f"measured {scenario}, {name}")
+            results[scenario][name] = result
+    table = steadiness_table if options.noise else speed_table
     print_tables(*(table(scenario, measured) for scenario, measured in results.items()))
     if options.json:
         write_json(options.json, results)
 
 
-def _speed_table(scenario: str, measured: Mapping[str, Any]) -> "DataFrame":
-    from ms_highway.visualization.tables import grid
+@command(
+    "bench road",
+    "measure drivers in highway-env's own scenes",
+    option("scenes", STOCK, nargs="*", metavar="SCENE"),
+    option("--drivers", "what drives", DRIVERS, nargs="+", metavar="DRIVER"),
+    number("--seeds", None, "episodes of each (default: 20; in recordings, all)"),
+    number("--seed", 0, "of the first episode", 0, MOST_SEEDS),
+    option("--traffic", OTHERS, choices=list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC])), metavar="KIND"),
+    option("--data", "CommonRoad scenarios, for the scene recorded", type=Path, metavar="DIR"),
+    option("--egos", "whose place the ego takes in recordings (default: problem)", choices=EGOS),
+    output("--export", "write drives of planning problems as CommonRoad files", directory=True),
+    output("--films", "film the first success and failure of each driver", directory=True),
+    JSON,
+    output("--log", "write a row per episode to a CSV file"),
+)
+def bench_road(options: argparse.Namespace) -> None:
+    """Drive stock scenes of highway-env with this package's drivers and with others, from the same starts, and compare
+    how they fare. Each driver in each scene has a process of its own, on one core.
 
-    rows = []
-    for name, one in measured.items():
-        row = {"": name, "plan us": f"{one['plan_us']['p50']:.0f}", "p99": f"{one['plan_us']['p99']:.0f}"}
-        row |= {"decision us": f"{one['decision_us']:.0f}", "step us": f"{one['step_us']:.0f}"}
-        row["steps /s"] = f"{one['environment']:,.0f}"
-        if "batch" in one:
-            row |= {f"batch {size}": f"{rate:,.0f}" for size, rate in one["batch"].items()}
-            row["MiB"] = f"{max(one['memory_mib'].values()):,.0f}"
-        rows.append(row)
-    devices = {one["devices"] for one in measured.values() if "devices" in one}
-    batches = f"; steps per second of batches on {', '.join(devices)}" if devices else ""
-    return grid(f"{scenario}: medians, on one core{batches}", rows)
+    Success means, without a crash: merge, the ramp is passed; roundabout, the ring is left by the ego's exit within the
+    episode; exit and intersection, what highway-env says (is_success, has_arrived); elsewhere, the ego has stayed on
+    the road until the end. A car that stands still never crashes: read collisions beside success. The ego is not at
+    fault where it was rear-ended in a lane that it had kept for a second. Intervals of success are Wilson's; m/s² is
+    the largest acceleration in any frame of the simulation, jerk the root mean square, ms the time of a decision,
+    without compilation, late the share of plans that were not ready within a budget. Choices count the time of models
+    at what the package ships.
 
+    Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
+    +intentions (such as priced+intentions), other cars show which way they take, as by indicators: their true routes,
+    where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; or the file of an agent that
+    stable-baselines3 has saved (it has to be installed), such as notebooks/examples/train_peers.py writes: open only
+    files that you trust, as they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
 
-def _steadiness_table(scenario: str, measured: Mapping[str, Any]) -> "DataFrame":
-    from ms_highway.visualization.tables import grid
+    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
+    with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where
+    that was last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the
+    goal's region reached in its interval of time, without a collision and on the road; "s to goal" is the mean. There,
+    --seed and --seeds are the number of the first start and how many. A further driver there is human, which goes as
+    the vehicle was recorded to whose place it takes. --export DIR writes every drive of a planning problem as two
+    CommonRoad files, for example for commonroad-drivability-checker: DIR/TRAFFIC/DRIVER/NAME.xml, the recording with
+    the other vehicles as they moved in the episode, and NAME.solution.xml, the ego's drive, states of a kinematic
+    single-track model (KS2).
 
-    first, rows = next(iter(measured.values())), []
-    for name, one in measured.items():
-        for noise, found in one["noise"].items():
-            reward, (without, noisy) = found["reward"], found["collisions"]
-            row = {"": f"{name}, noise {noise}"}
-            for step, moved in found["change_m"].items():
-                row[step] = f"{1e3 * moved['p50']:.2g} ({1e3 * moved['p95']:.2g})"
-            row["growth"] = f"{found['growth']:.2f}"
-            row["reward /step"] = f"{reward['mean']:+.3f} ({reward['low']:+.3f}, {reward['high']:+.3f})"
-            row |= {"|reward|": f"{reward['absolute']:.2g}", "collisions": f"{without} -> {noisy}"}
-            if found["success_changes"] is not None:
-                row["success changed"] = f"{found['success_changes']:.0%}"
-            rows.append(row)
-    what = f"mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
-    what += ", by noise in what the robot sees" if first["seen"] else ""
-    return grid(f"{scenario}: {what}", rows)
+    Examples:
+      ms-highway bench road merge --drivers priced idm
+      ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
+      ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
+      ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
+      ms-highway bench road recorded
+      ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm --export drives
+    """
+    import pandas as pd
+
+    from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, run_blocks, summary
+    from ms_highway.benchmarks.road.recorded import starts_of
+    from ms_highway.envs.agents import is_agent
+    from ms_highway.experiments.directory import write_table
+    from ms_highway.road.constants import MODELS
+    from ms_highway.road.driver import SHIPPED_COSTS
+    from ms_highway.runtime.files import write_json
+    from ms_highway.visualization.tables import driver_table
+
+    scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
+    for driver in drivers:
+        check_driver(driver)
+    recorded = RECORDED in scenes
+    if recorded and scenes != [RECORDED]:
+        raise ValueError(f"the scene {RECORDED} has traffic and starts of its own; measure it in a command by itself")
+    if not recorded and (options.data or options.egos or options.export):
+        raise ValueError(f"--data, --egos and --export are for the scene {RECORDED}: ms-highway bench road {RECORDED}")
+    if options.export and (options.egos == "changing" or not options.data):
+        raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
+    kinds = list(RECORDED_TRAFFIC if recorded else TRAFFIC)
+    traffic = options.traffic or kinds[0]
+    if traffic not in kinds:
+        raise ValueError(f"--traffic {traffic} is not for {scenes[0]}; choose one of {', '.join(kinds)}")
+    starts = tuple(starts_of(options.data, options.egos or EGOS[0])) if recorded else ()
+    seeds = range(options.seed, options.seed + (options.seeds or 20))
+    if recorded:
+        seeds = range(len(starts))[options.seed :][: options.seeds]
+        if not seeds:
+            raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
+    blocks = [Block(scene, driver, traffic, starts, options.export) for scene in scenes for driver in drivers]
+    for block in blocks:
+        if is_agent(block.driver):
+            make_driver(block).close()  # or refuse scenes that it does not fit
+    rows: list[dict] = []
+    results: dict[str, dict] = {scene: {} for scene in scenes}
+    for block, episodes in run_blocks(blocks, seeds, options.films, options.modules):
+        tell(f"drove {block.scene}, {block.driver}")
+        results[block.scene][block.driver] = summary(block, episodes)
+        rows.extend(row(block, episode) for episode in episodes)
+        if options.json:  # what is done is kept, whatever happens next
+            write_json(options.json, results)
+        if options.log:
+            write_table(pd.DataFrame(rows), options.log)
+    costs = zip(MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
+    counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
+    for scene, figures in results.items():
+        heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
+        print_tables(driver_table(heading, figures))

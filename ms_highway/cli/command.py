@@ -5,7 +5,6 @@ import re
 import textwrap
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from inspect import getdoc
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from ms_highway.runtime.files import check_writable
 
-PAGE_WIDTH, NARROWEST = 120, 40  # characters of help texts
+PAGE_WIDTH = 120  # characters of help texts and tables, where the terminal has not fewer
 COLUMN = 26  # characters before the second column of rows in help texts
 
 MOST = 1_000_000
@@ -31,7 +30,7 @@ class Option(NamedTuple):
     """
 
     name: str
-    arguments: dict[str, Any]
+    arguments: dict
     notes: str = ""
 
 
@@ -64,6 +63,7 @@ def output(name: str, text: str, *ends: str, directory: bool = False, **more: An
     """
 
     def path(word: str) -> Path:
+        word.encode()  # or refuse it: results are UTF-8
         check_writable(Path(word), directory)
         if not word.endswith(ends or ""):
             raise argparse.ArgumentTypeError(f"{word!r} is no name that ends in {', '.join(ends)}")
@@ -72,8 +72,7 @@ def output(name: str, text: str, *ends: str, directory: bool = False, **more: An
     return option(name, text, type=path, metavar="DIR" if directory else "FILE", **more)
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """A command.
 
     Attributes:
@@ -94,9 +93,8 @@ class Command:
     def add_to(self, commands: Any) -> None:
         """Add a parser of the command's options to those of other commands."""
         text, _, examples = (getdoc(self.run) or "").partition("\n\nExamples:\n")
-        notes = [filled(each.notes) for each in self.options if each.notes]
-        epilog = "\n\n".join([*notes, f"examples:\n{examples}"])
-        parser = commands.add_parser(self.name, help=self.summary, description=filled(text), epilog=epilog)
+        epilog = "\n\n".join([*(each.notes for each in self.options if each.notes), f"{EXAMPLES}{examples}"])
+        parser = commands.add_parser(self.name, help=self.summary, description=text, epilog=epilog)
         for each in self.options:
             parser.add_argument(each.name, **each.arguments)
         parser.set_defaults(command=self)
@@ -108,11 +106,10 @@ def command(name: str, summary: str, *options: Option, simulates: bool = False) 
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that prints texts as they are wrapped, knows no abbreviations, and refuses arguments in one line."""
+    """A parser that knows no abbreviations, and refuses arguments in one line."""
 
     def __init__(self, **more: Any) -> None:
-        layout = partial(argparse.RawDescriptionHelpFormatter, width=help_width())
-        super().__init__(formatter_class=layout, allow_abbrev=False, **more)  # --seed is not short for --seeds
+        super().__init__(formatter_class=Layout, allow_abbrev=False, **more)  # --seed is not short for --seeds
 
     def error(self, message: str) -> NoReturn:
         """Refuse arguments.
@@ -123,21 +120,20 @@ class Parser(argparse.ArgumentParser):
         raise ValueError(f"{message}; see the --help of the command, and that of ms-highway")
 
 
-def filled(text: str) -> str:
-    """Return a text of help with its paragraphs, and its rows of two columns, wrapped to `help_width`."""
-    rows = re.split(r"\n(?=\n|  \S)", text)
-    return "\n".join(
-        textwrap.fill(
-            re.sub(r"\n\s*", " ", row.strip("\n")),
-            help_width(),
-            initial_indent="\n" * row.startswith("\n"),
-            subsequent_indent=" " * COLUMN * row.startswith("  "),
-            break_on_hyphens=False,
-        )
-        for row in rows
-    )
+EXAMPLES = "examples:\n"
 
 
-def help_width() -> int:
-    """Return the width of help texts [characters]: that of the terminal, but no more than that of a page."""
-    return max(min(get_terminal_size().columns, PAGE_WIDTH) - 2, NARROWEST)
+class Layout(argparse.HelpFormatter):
+    """Wraps paragraphs, and rows of two columns below their second one; leaves examples as they are."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, width=min(get_terminal_size().columns, PAGE_WIDTH) - 2)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        text, mark, examples = text.partition(EXAMPLES)
+        wrapped = []
+        for row in re.split(r"\n(?=\n|  \S)", text.rstrip()):
+            wrap = textwrap.TextWrapper(width, break_on_hyphens=False)
+            wrap.subsequent_indent = " " * COLUMN * row.startswith("  ")
+            wrapped.append("\n" * row.startswith("\n") + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n"))))
+        return "\n".join(wrapped) + (f"\n\n{mark}{examples}" if mark else "")

@@ -1,17 +1,22 @@
-"""What the commands print, and how they show that they are at work."""
+"""What the commands print, and how they keep their results."""
 
+import argparse
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from shutil import get_terminal_size
-from typing import TYPE_CHECKING, Any
+from time import perf_counter
+from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import PAGE_WIDTH
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
-    from rich.progress import Progress
+
+    from ms_highway.experiments.directory import ResultsDirectory
 
 
 @contextmanager
@@ -25,7 +30,7 @@ def printing() -> Iterator[None]:
     """
     try:
         yield
-        sys.stdout.flush()
+        print(end="", flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or else Python would try again at its end
         if not isinstance(error, BrokenPipeError):
@@ -38,9 +43,14 @@ def say(text: str) -> None:
         print(text)
 
 
+def tell(message: str) -> None:
+    """Print to standard error what is being done."""
+    print(message, file=sys.stderr, flush=True)
+
+
 def warn(message: object) -> None:
     """Print one line to standard error."""
-    print(f"ms-highway: {message}", file=sys.stderr)
+    tell(f"ms-highway: {message}")
 
 
 def print_tables(*tables: "DataFrame") -> None:
@@ -51,42 +61,46 @@ def print_tables(*tables: "DataFrame") -> None:
     say("\n".join(printed(table, width) for table in tables))
 
 
-def count_episodes(counts: Iterable[int], already: int, total: int) -> int:
-    """Show a progress bar on standard error while episodes are counted; return the last count.
+def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
+    """Show on standard error how many episodes are done, in a terminal as they are; return the last count.
 
     Args:
-        counts: the number of episodes, each time that one more is done.
+        counts: the number of episodes, each time that more are done.
         already: the number at the start.
         total: the number at the end.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
-
-    done = already
-    with _progress(BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task("episodes", total=total, completed=already)
-        for done in counts:
-            bar.update(task, completed=done)
+    done, start, end = already, perf_counter(), "\r" if sys.stderr.isatty() else "\n"
+    for done in counts:
+        left = (total - done) * (perf_counter() - start) / max(done - already, 1)
+        if end == "\r" or done == total:
+            print(f"episodes: {done:,} of {total:,}, {left:.0f} s left", end=end, file=sys.stderr, flush=True)
     return done
 
 
 @contextmanager
-def telling() -> Iterator[Callable[[str], None]]:
-    """Show progress messages on standard error, line by line where it is no terminal; yields what sets the message."""
-    with _progress(transient=True) as bar:
-        task = bar.add_task("reading", total=None)
+def own_results(options: argparse.Namespace) -> Iterator["ResultsDirectory"]:
+    """Let only this run write to the directory ``--out`` while the block runs.
 
-        def tell(message: str) -> None:
-            bar.update(task, description=message)
-            if not bar.console.is_terminal:
-                print(message, file=sys.stderr, flush=True)
+    Raises:
+        ValueError: if another command is writing there, or what is there cannot be read.
+    """
+    from ms_highway.experiments.directory import ResultsDirectory
 
-        yield tell
+    results = ResultsDirectory(options.out)
+    with results.owned():
+        yield results
 
 
-def _progress(*columns: Any, transient: bool = False) -> "Progress":
-    """Return a line on standard error of a text, these columns and the time that has passed."""
-    from rich.console import Console
-    from rich.progress import Progress, TextColumn, TimeElapsedColumn
+def record(results: "ResultsDirectory", options: argparse.Namespace) -> None:
+    """Keep what makes the results on record, and warn of what differs from what made those before."""
+    if differing := results.record(options.command_line):
+        warn(f"{options.out} continues with {differing}; results may not agree")
 
-    text = TextColumn("{task.description}")
-    return Progress(text, *columns, TimeElapsedColumn(), console=Console(stderr=True), transient=transient)
+
+def save_figure(figure: "Figure", file: Path) -> None:
+    """Write a figure to a file, ``.png``, ``.pdf`` or ``.svg``."""
+    from ms_highway.runtime.files import replacing
+    from ms_highway.visualization.style import content
+
+    with replacing(file) as path:
+        path.write_bytes(content(figure, file.suffix[1:]))

@@ -3,7 +3,7 @@
 import argparse
 
 from ms_highway.cli.command import command, number
-from ms_highway.cli.console import print_tables, say, telling
+from ms_highway.cli.console import own_results, print_tables, record, save_figure, say, tell
 from ms_highway.cli.options import DEVICES, compared, comparison
 
 LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
@@ -53,10 +53,9 @@ def frontier(options: argparse.Namespace) -> None:
     """
     import pandas as pd
 
-    from ms_highway.cli.results_directory import own_results, save_figure, write_table
-    from ms_highway.experiments.analysis.regret import best, regrets
     from ms_highway.experiments.batch import make_batch
-    from ms_highway.experiments.frontier import Outcomes, search
+    from ms_highway.experiments.directory import write_table
+    from ms_highway.experiments.frontier import Outcomes, best, regrets, search
     from ms_highway.loop.devices import use_devices
     from ms_highway.visualization.tables import regret_tables
     from ms_highway.visualization.tradeoff import frontier
@@ -70,9 +69,11 @@ def frontier(options: argparse.Namespace) -> None:
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     orders, behind = pd.DataFrame(), pd.DataFrame()
-    with own_results(options, asked.common_config()) as record, telling() as tell:
+    with own_results(options) as directory:
+        settings = directory.take_up(asked.common_config())
         every = {name: Outcomes(batch, out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()}
-        record()
+        directory.write_settings(settings)
+        record(directory, options)
         for scenario, outcomes in every.items():
             tell(f"{scenario}: compiling, and driving fixed models and controllers")
             outcomes.of(outcomes.batch.keys())

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ms_highway.cli.command import command, number, option, output
-from ms_highway.cli.console import count_episodes, print_tables, say, telling
+from ms_highway.cli.console import count_episodes, print_tables, save_figure, say, tell
 from ms_highway.cli.options import FORMAT
 from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 
@@ -89,7 +89,6 @@ def evaluate(options: argparse.Namespace) -> None:
     """
     import msgspec
 
-    from ms_highway.cli.results_directory import save_figure
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
     from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
@@ -99,15 +98,14 @@ def evaluate(options: argparse.Namespace) -> None:
     learned = named(options.theta).drivers if options.theta else None
     if options.theta and not learned:
         raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
-    with telling() as tell:
-        recordings = read_recordings(options.data)
-        found = evaluate(recordings, learned, parts=options.folds, progress=tell)
-        if options.figures:
-            figures = evaluation_figures(found)
-            if learned:
-                figures["paths"] = paths_figure(recordings, learned)
-            for name, figure in figures.items():
-                save_figure(figure, options.figures / f"{name}.{options.format}")
+    recordings = read_recordings(options.data)
+    found = evaluate(recordings, learned, parts=options.folds, progress=tell)
+    if options.figures:
+        figures = evaluation_figures(found)
+        if learned:
+            figures["paths"] = paths_figure(recordings, learned)
+        for name, figure in figures.items():
+            save_figure(figure, options.figures / f"{name}.{options.format}")
     if options.json:
         say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
     else:
@@ -141,10 +139,9 @@ def fit(options: argparse.Namespace) -> None:
     from ms_highway.visualization.irl import learned_tables
 
     source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
-    with telling() as tell:
-        recordings = read_recordings(options.data)
-        model = chosen_model(options.learn, recordings)
-        learned = learn_reward(recordings, model, options.horizon, source, progress=tell)
+    recordings = read_recordings(options.data)
+    model = chosen_model(options.learn, recordings)
+    learned = learn_reward(recordings, model, options.horizon, source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
     told = [f"{part} {value:.3f}" for part, value in learned.log_likelihood.items() if value is not None]

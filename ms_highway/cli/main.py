@@ -9,18 +9,14 @@ from importlib.metadata import version
 from itertools import pairwise
 from typing import Any
 
-from ms_highway.cli.bench import bench
-from ms_highway.cli.bench_road import bench_road
+from ms_highway.cli.bench import bench, bench_road
 from ms_highway.cli.command import Parser
-from ms_highway.cli.compare import compare
 from ms_highway.cli.console import printing, warn
 from ms_highway.cli.frontier import frontier
 from ms_highway.cli.irl import evaluate, fit, record
-from ms_highway.cli.report import report
-from ms_highway.cli.sweep import sweep
-from ms_highway.cli.validate import validate
+from ms_highway.cli.runs import compare, sweep
+from ms_highway.cli.show import report, validate, video
 from ms_highway.cli.values import learn
-from ms_highway.cli.video import video
 from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.interrupt import INTERRUPTED, STOPPED
 from ms_highway.runtime.retired import OPTIONS, replacement
@@ -40,11 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0, or 2 after one line on standard error if the input is at fault."""
     given = sys.argv[1:] if arguments is None else arguments
     try:
-        if sys.stdout is None:
-            raise OSError("standard output is closed; redirect it, to /dev/null if nobody is to read it")
-        for word in given:
-            if any("\ud800" <= letter <= "\udfff" for letter in word):  # how Python keeps other bytes
-                raise ValueError(f"{word!r} is not UTF-8, the encoding of all results; rename it")
         try:
             options = parse(given)
         except SystemExit:  # after help texts

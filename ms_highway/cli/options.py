@@ -116,7 +116,7 @@ def compared(
     ]
 
 
-def configuration(options: argparse.Namespace) -> dict[str, Any]:
+def configuration(options: argparse.Namespace) -> dict:
     """Return the configuration of environments that ``--set`` gives, by key.
 
     Raises:
@@ -174,11 +174,12 @@ def comparison(
         given = list(options.controllers or ["switching"])
         if always or not options.controllers:
             given = [*rung_names(config.get("ladder", scenario.ladder)), *given, *always]
-        several = list(chain(*(options.lambdas or [scenario.prices])))
+        several = list(chain(*(getattr(options, "lambdas", None) or [scenario.prices])))
         kinds = {kind: prices if kind == "learned" and prices else several for kind in priced_types()}
         named = ([f"{kind}:{price:g}" for price in kinds[kind]] if kind in kinds else [kind] for kind in given)
         controllers[name] = list(dict.fromkeys(chain(*named)))
-    return Comparison(controllers, options.seeds, options.first_seed, config)
+    seeds = {name: getattr(options, name) for name in ("seeds", "first_seed") if hasattr(options, name)}
+    return Comparison(controllers, config=config, **seeds)
 
 
 def lambdas(text: str) -> list[float]:

@@ -1,4 +1,4 @@
-"""Run and analyse comparisons: episodes, records, sweeps, frontiers, safety, validation, provenance.
+"""Compare controllers over many episodes, live or many at a time; search for the best choices, and learn them.
 
-Imports `ms_highway.irl` and what stands below it; draws nothing.
+Imports `ms_highway.irl` and what stands below it.
 """

@@ -4,7 +4,7 @@
 plan is late: a budget counts planning at the seconds that are given, and deciding as nothing.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isnan
 from typing import Any, TypeAlias
@@ -25,15 +25,8 @@ from ms_highway.envs.controllers import ControllerSettings
 from ms_highway.envs.registry import controller_settings
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.simulation import draw_start, shared_loop, stack_episodes
-from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.records import (
-    COUNTED,
-    KEYS,
-    MEASURED,
-    by_column,
-    check_numbers,
-    per_episode,
-)
+from ms_highway.experiments.comparison import Comparison, EpisodeKey
+from ms_highway.experiments.records import COUNTED, KEYS, MEASURED, by_column, check_table, per_episode
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
@@ -44,7 +37,8 @@ from ms_highway.runtime.arrays import Array
 Key: TypeAlias = tuple[str, int]
 """Which episode of a scenario: its controller's short name, and its seed."""
 
-SEVERAL = ", of plans in which one human is predicted by it and the others by the first rung"
+Tables: TypeAlias = dict[str, pd.DataFrame]
+"""Tables by name."""
 
 
 @dataclass(frozen=True)
@@ -66,11 +60,6 @@ class Batch:
     loop: Loop
 
     @property
-    def scenario(self) -> str:
-        """The name of the scenario."""
-        return self.environment.scenario.name
-
-    @property
     def models(self) -> list[str]:
         """Names of the models, in the order of their numbers: those of the ladder, then what only orders use."""
         return [model.name for model in self.loop.models]
@@ -90,11 +79,10 @@ class Batch:
         """The length of an episode."""
         return self.environment.episode_steps
 
-    def keys(self, first: int = 0, last: int | None = None) -> list[Key]:
-        """Episodes from the first to before the last, seed by seed, so that all parts hold controllers alike."""
-        names, seed = list(self.controllers), self.comparison.first_seed
-        places = range(self.comparison.seeds * len(names))[first:last]
-        return [(names[place % len(names)], seed + place // len(names)) for place in places]
+    def keys(self) -> list[Key]:
+        """Return all episodes of the scenario, controller by controller."""
+        scenario = self.environment.scenario.name
+        return [key[1:] for key in self.comparison.episodes() if key[0] == scenario]
 
     def simulate(
         self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None, errors: Array | None = None
@@ -106,12 +94,7 @@ class Batch:
             mesh: see `ms_highway.loop.batch.simulate`.
             shifts: what is added to the starts of the first cars, the robot before the humans [episodes, cars, 4].
             errors: of what the robot sees, see `ms_highway.loop.records.Episodes`.
-
-        Raises:
-            ValueError: without an episode, or for a negative seed.
         """
-        if not keys:
-            raise ValueError("there are no episodes to simulate; give one at least")
         alike: dict[Any, list[int]] = {}
         for place, (name, _) in enumerate(keys):
             settings = self.settings(name)
@@ -142,15 +125,9 @@ class Batch:
         return settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
-        """Return what the simulation is given for these episodes, drawn as the environment draws it at a reset.
-
-        Raises:
-            ValueError: for a negative seed.
-        """
+        """Return what the simulation is given for these episodes, drawn as the environment draws it at a reset."""
         drawn = []
         for name, seed in keys:
-            if seed < 0:
-                raise ValueError(f"the seed is {seed}; it must not be negative")
             random = seeding.np_random(seed)[0]
             drawn.append(draw_start(self.environment, self.loop, self.settings(name), random))
         return stack_episodes(drawn)
@@ -164,14 +141,14 @@ class Batch:
         states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
         arrived = self.loop.game.scene.is_reached(states[:, :, 0, 1])
         cells = {
-            "scenario": self.scenario,
+            "scenario": self.environment.scenario.name,
             "controller": np.array(names, object)[:, None],
             "seed": np.array(seeds)[:, None],
             "step": np.arange(self.steps),
             "model": np.array(known)[ranks[records.rungs].max(axis=2)],
             "reward": np.asarray(records.reward, float),
             "collision": records.collision,
-            COUNTED: costs.total(records.rungs),
+            COUNTED: costs.total(records.planned),
             "status": np.array(STATUSES)[records.status],
             **by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states),
             **{f"humans_{name}": np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)},
@@ -181,19 +158,20 @@ class Batch:
         shape = records.reward.shape
         return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
 
-    def episodes_table(self, steps: pd.DataFrame) -> pd.DataFrame:
-        """Return a row per episode of a table of steps, see `ms_highway.experiments.records.per_episode`.
+    def tables(self, keys: Sequence[Key], records: Records) -> Tables:
+        """Return ``steps``, a row per step, and ``episodes``, see `ms_highway.experiments.records.per_episode`.
 
-        It has ``price`` as well, that is lambda, empty where nothing is decided.
+        Episodes have ``price`` as well, that is lambda, empty where nothing is decided.
 
         Raises:
             ValueError: for a reward that is not finite.
         """
+        steps = self.steps_table(keys, records)
         episodes = per_episode(steps, self.models)
         prices = {name: self.settings(name).price for name in episodes["controller"].unique()}
         episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
-        check_numbers(episodes)
-        return episodes
+        check_table(episodes)
+        return {"steps": steps, "episodes": episodes}
 
 
 def make_batch(comparison: Comparison, scenario: str) -> Batch:
@@ -229,6 +207,22 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     return batch
 
 
+def simulate_parts(
+    comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]], mesh: Mesh | None = None
+) -> Iterator[tuple[int, Tables]]:
+    """Simulate the episodes of numbered parts, one part after the other; yield the number and `Batch.tables` of each.
+
+    Args:
+        comparison: of a single scenario.
+        parts: episodes by number.
+        mesh: devices that share each, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
+    """
+    batch = make_batch(comparison, *comparison.controllers)
+    for number, part in parts.items():
+        keys = [key[1:] for key in part]
+        yield number, batch.tables(keys, batch.simulate(keys, mesh))
+
+
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
     """Simulate a comparison and return all records, a row per step, in the comparison's order.
 
@@ -239,9 +233,6 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
     Raises:
         ValueError: for anything unknown or impossible, and for costs that are to be measured.
     """
-    tables = []
-    for scenario, names in comparison.controllers.items():
-        batch = make_batch(comparison, scenario)
-        keys = sorted(batch.keys(), key=lambda key: names.index(key[0]))
-        tables.append(batch.steps_table(keys, batch.simulate(keys, mesh)))
+    batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
+    tables = [batch.steps_table(keys, batch.simulate(keys, mesh)) for batch in batches for keys in [batch.keys()]]
     return pd.concat(tables, ignore_index=True)

@@ -7,26 +7,25 @@ same versions, as these decide the last digits.
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
-from itertools import islice
 
 import distributed
 import jax
 from distributed.comm import get_address_host_port
 
+from ms_highway.experiments.batch import Tables, simulate_parts
+from ms_highway.experiments.comparison import Comparison, EpisodeKey
 from ms_highway.experiments.directory import PACKAGES
-from ms_highway.experiments.sweep import Compute, Sweep, Tables, compute_here
+from ms_highway.experiments.runner import Compute
 from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.forks import jax_has_begun
 from ms_highway.runtime.jax_settings import keep_compilations
 
 PATIENCE = 10  # s, in which a scheduler has to answer
-AHEAD = 2  # parts that are submitted per thread of a worker: more would wait in memory
 
 
 class Setup(distributed.WorkerPlugin):
@@ -95,28 +94,26 @@ def _versions() -> list[str]:
     return [f"{package} {version(package)}" for package in PACKAGES]
 
 
-def _compute_there(sweep: Sweep, part: int) -> tuple[int, Tables]:
-    return next(compute_here(sweep, [part]))
+def _compute_there(comparison: Comparison, number: int, part: Sequence[EpisodeKey]) -> tuple[int, Tables]:
+    return next(simulate_parts(comparison, {number: part}))
 
 
 def _compute(
-    client: distributed.Client, address: str, sweep: Sweep, parts: Sequence[int]
+    client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]]
 ) -> Iterator[tuple[int, Tables]]:
-    """Submit parts as workers become free; yield each with its rows as it comes back.
+    """Submit all parts; yield each with its rows as it comes back.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
     """
-    waiting, running = iter(parts), distributed.as_completed(loop=client.loop)
-    while True:
-        room = max(AHEAD * sum(client.nthreads().values()), 1) - running.count()
-        for part in islice(waiting, max(room, 0)):  # the copy of the sweep has no batch yet
-            running.add(client.submit(_compute_there, replace(sweep), part, pure=False))
-        if not running.count():
-            return
-        try:
-            yield next(running).result()
-        except (distributed.KilledWorker, CancelledError) as error:
-            reason = " ".join(str(error).split())
-            remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"
-            raise ValueError(f"{address} gave a part up ({reason}); {remedy}") from error
+    compute = partial(_compute_there, comparison)
+    submitted = client.map(compute, list(parts), list(parts.values()), pure=False)
+    running = distributed.as_completed(submitted, loop=client.loop)
+    del submitted  # or else all rows would wait in memory
+    try:
+        for done in running:
+            yield done.result()
+    except (distributed.KilledWorker, CancelledError) as error:
+        reason = " ".join(str(error).split())
+        remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"
+        raise ValueError(f"{address} gave a part up ({reason}); {remedy}") from error

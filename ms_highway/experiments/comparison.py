@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.registry import robot_config
@@ -32,7 +32,7 @@ class Comparison:
     controllers: Mapping[str, Sequence[str]]
     seeds: int = 30
     first_seed: int = 0
-    config: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check everything before anything is run or written.
@@ -51,7 +51,7 @@ class Comparison:
         for scenario, controllers in self.controllers.items():
             yield from product([scenario], controllers, seeds)
 
-    def environment_config(self, scenario: str, controller: str) -> dict[str, Any]:
+    def environment_config(self, scenario: str, controller: str) -> dict:
         """Return the whole configuration of the environment of a scenario and a controller.
 
         Raises:
@@ -60,7 +60,7 @@ class Comparison:
         environment_id(scenario)
         return ENVIRONMENTS[scenario].checked_config({**self.config, **robot_config(controller)})
 
-    def common_config(self) -> dict[str, Any]:
+    def common_config(self) -> dict:
         """Return what all environments have in common and results are resumed under: `USUAL` and what was given."""
         defaults = [{**ENVIRONMENTS[name].default_config(), **self.config} for name in self.controllers]
         for config in defaults:

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import msgspec
+import pandas as pd
 
-from ms_highway.runtime.files import PART, held, read_json, reading, tidy, write_json
+from ms_highway.runtime.files import PART, held, read_json, reading, replacing, tidy, write_json
 from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
@@ -26,7 +27,7 @@ CHECKOUT = Path(__file__).parents[2]
 
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
 
-Run: TypeAlias = dict[str, Any]
+Run: TypeAlias = dict
 """What computed results, see `this_run`."""
 
 
@@ -52,16 +53,16 @@ class ResultsDirectory:
             tidy(self.path)
             yield
 
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> dict:
         """Return what the results were computed with.
 
         Raises:
             ValueError: if the file cannot be read.
         """
         with reading(self.path / SETTINGS_FILE, "choose another directory"):
-            return msgspec.convert(read_json(self.path / SETTINGS_FILE), dict[str, Any])
+            return msgspec.convert(read_json(self.path / SETTINGS_FILE), dict)
 
-    def take_up(self, settings: Mapping[str, Any]) -> dict[str, Any]:
+    def take_up(self, settings: Mapping) -> dict:
         """Return the settings of results that can begin here, or be resumed: these, or those that are known.
 
         Raises:
@@ -78,7 +79,7 @@ class ResultsDirectory:
             raise ValueError(f"{self.path} holds results with {differing}; {remedy}")
         return known
 
-    def write_settings(self, settings: Mapping[str, Any]) -> None:
+    def write_settings(self, settings: Mapping) -> None:
         """Write what the results are computed with.
 
         Raises:
@@ -114,10 +115,19 @@ class ResultsDirectory:
         return _differences(now, before, "none")
 
 
-def _differences(one: Mapping[str, Any], other: Mapping[str, Any], absent: str, but: tuple[str, ...] = ()) -> str:
+def _differences(one: Mapping, other: Mapping, absent: str, but: tuple[str, ...] = ()) -> str:
     """Say in which keys two mappings differ: what the one has instead of what the other has."""
     pairs = {key: (one.get(key, absent), other.get(key, absent)) for key in {**one, **other} if key not in but}
     return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
+
+
+def write_table(table: pd.DataFrame, file: Path) -> None:
+    """Write a table without its index, as its file's name says: ``.csv`` or ``.parquet``."""
+    with replacing(file) as path:
+        if file.suffix == ".parquet":
+            table.to_parquet(path, index=False)
+        else:
+            table.to_csv(path, index=False)
 
 
 def this_run(command: str = "") -> Run:
@@ -138,7 +148,7 @@ def this_run(command: str = "") -> Run:
     }
 
 
-def _checkout(directory: Path) -> dict[str, Any]:
+def _checkout(directory: Path) -> dict:
     if not (directory / ".git").exists():
         return {}
     command = ["git", "-C", str(directory), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]

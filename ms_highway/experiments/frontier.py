@@ -1,4 +1,4 @@
-"""The best orders of models, found by search: a lower bound on what any choice of models can have.
+"""The best orders of models, found by search, and regret: how far controllers stay behind them.
 
 From a known start nothing in an episode is left to chance, so that no rule for choosing models, however clever, earns
 more than the best order of models for that very start. What a search finds is as good as that, or worse.
@@ -12,16 +12,22 @@ import numpy as np
 import pandas as pd
 from jax.sharding import Mesh
 
+from ms_highway.envs.registry import controller_config, fixed_order_types
 from ms_highway.experiments.batch import Batch, Key
-from ms_highway.experiments.records import check_numbers
+from ms_highway.experiments.directory import write_table
+from ms_highway.experiments.records import check_table
+from ms_highway.experiments.summary import interval
 from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.files import reading, replacing
+from ms_highway.runtime.files import reading
 
 STRETCH = 4  # steps, mean of their number in a stretch that is changed
 ALONE = 0.5  # of the changes among several humans: for a single one
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
 INDEX = ["controller", "seed"]
 KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
+
+BEST_PER_START = "best order of each start"
+"""Name that `regrets` gives to the best order that was found for every start."""
 
 
 class Outcomes:
@@ -50,18 +56,17 @@ class Outcomes:
             with reading(file, "remove it or choose another directory"):
                 # Python's float gives back the very numbers that were written.
                 known = pd.read_csv(file, converters=KEPT_COLUMNS)
-                check_numbers(known)
+                check_table(known)
                 self.table = known.set_index(INDEX)[list(KEPT_COLUMNS)]
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
         """Return the rows of some episodes, in their order; simulate and keep those that are not known."""
         lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
-            steps = self.batch.steps_table(lacking, self.batch.simulate(lacking, self._mesh))
-            fresh = self.batch.episodes_table(steps).set_index(INDEX)[list(KEPT_COLUMNS)]
+            episodes = self.batch.tables(lacking, self.batch.simulate(lacking, self._mesh))["episodes"]
+            fresh = episodes.set_index(INDEX)[list(KEPT_COLUMNS)]
             self.table = pd.concat([self.table, fresh]) if len(self.table) else fresh
-            with replacing(self._file) as path:
-                self.table.to_csv(path)
+            write_table(self.table.reset_index(), self._file)
         return self.table.loc[list(keys)]
 
 
@@ -107,24 +112,19 @@ def search(
     ends = np.unique(np.round(np.geomspace(1, batch.steps, SWITCHES)).astype(int))
     drawn = [np.where(steps < end, *pair) for end in ends for pair in product(rungs, rungs)]
     orders = {controller_name(batch.rungs, order): order for order in drawn}
-    keys = [(name, seed) for seed in seeds for name in orders]
-    tried: dict[int, dict[str, tuple[float, float]]] = {seed: {} for seed in seeds}  # reward, seconds per step
+    tried = {(name, seed): None for seed in seeds for name in orders}
     for number in range(1, rounds + 1):
-        rows = outcomes.of(keys)[["reward", "counted_seconds"]]
-        for (name, seed), outcome in zip(keys, rows.itertuples(index=False, name=None), strict=True):
-            tried[seed][name] = outcome
-        best, keys = set[str](), []
+        rows = outcomes.of(list(tried))
+        leaders = {price: best(rows, seeds, price)["controller"] for price in prices}
         for seed, price in product(seeds, prices):
-            net = {name: reward - price * seconds for name, (reward, seconds) in tried[seed].items()}
-            leader = max(net, key=net.__getitem__)
-            best.add(leader)
             for _ in range(population):
-                order = mutant(random, orders[leader], len(rungs))
+                order = mutant(random, orders[leaders[price][seed]], len(rungs))
                 name = controller_name(batch.rungs, order)
                 orders[name] = order
-                keys.append((name, seed))
+                tried[name, seed] = None
         yield number
-    outcomes.of(list(product(sorted(best), seeds)))
+    everywhere = sorted(set().union(*leaders.values()))
+    outcomes.of(list(product(everywhere, seeds)))
     yield rounds + 1
 
 
@@ -136,3 +136,52 @@ def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
         alone = humans > 1 and random.random() < ALONE
         new[start : start + length, random.integers(humans) if alone else slice(None)] = random.integers(rungs)
     return new
+
+
+def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFrame:
+    """Return, by seed, the row of the highest meta-reward, ``r_R - lambda T(M)`` per step, with that in a column.
+
+    It may be that of any controller: its choices are an order of models, too.
+
+    Args:
+        table: of `Outcomes`.
+        seeds: of the starts.
+        price: lambda [reward per second].
+    """
+    rows = table.query("seed in @seeds").reset_index()
+    rows["meta_reward"] = rows["reward"] - price * rows["counted_seconds"]
+    return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
+
+
+def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int], price: float) -> pd.DataFrame:
+    """Compute how far controllers stay behind the best order that was found for each start.
+
+    Args:
+        table: of `Outcomes`.
+        controllers: short names; their lambdas may be others than the price.
+        seeds: of the starts.
+        price: lambda of the meta-reward [reward per second of planning].
+
+    Returns:
+        A row per ``controller``, `BEST_PER_START` the last: ``kind``; ``reward`` and ``counted_seconds`` per step, as
+        means over starts; ``meta_reward``; ``regret``, and ``regret_low`` and ``regret_high``, the 90 % interval of its
+        mean over starts (Student's t). Among the controllers is the order with the highest
+        mean meta-reward of those that were tried from every start.
+
+    Raises:
+        KeyError: if a controller was not driven from every start.
+    """
+    found, net = best(table, seeds, price), table["reward"] - price * table["counted_seconds"]
+    everywhere = net.unstack("seed")[list(seeds)].dropna().mean(axis=1)
+    kinds = everywhere.index.map(lambda name: controller_config(name)["type"])
+    names = dict.fromkeys([*controllers, str(everywhere[kinds.isin(fixed_order_types())].idxmax())])
+    driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
+    rows = []
+    for name, own in {**driven, BEST_PER_START: found}.items():
+        earned = own["reward"] - price * own["counted_seconds"]
+        behind = found["meta_reward"] - earned
+        row = {"controller": name, "kind": "search" if own is found else controller_config(name)["type"]}
+        row |= own[["reward", "counted_seconds"]].mean()
+        row |= {"meta_reward": earned.mean(), "regret": behind.mean()}
+        rows.append(row | dict(zip(("regret_low", "regret_high"), interval(behind), strict=True)))
+    return pd.DataFrame(rows)

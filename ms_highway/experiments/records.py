@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ms_highway.envs import ENVIRONMENTS
 from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
-from ms_highway.planning.human_models import is_model, known_models
+from ms_highway.planning.human_models import known_models
 
 KEYS = ["scenario", "controller", "seed"]
 """Columns that say which episode a step is of."""
@@ -16,8 +15,10 @@ KEYS = ["scenario", "controller", "seed"]
 MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
 """Columns of times as they were measured, which a simulation does not have."""
 
-NEVER_EMPTY = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
 COUNTED = "counted_seconds"
+NEEDED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
+"""Columns of steps that are driven live, none of which may be empty."""
+
 TEXTS = ("scenario", "controller", "model", "status")
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
 STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
@@ -44,7 +45,7 @@ def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> li
     return [*KEYS, *steps, *gains, *STATES, *several]
 
 
-def by_column(gains: Mapping[str, Any], states: Any) -> dict[str, Any]:
+def by_column(gains: Mapping, states: Any) -> dict:
     """Return gains by model, and the states [..., cars, 4] of the first two cars, by the columns of records."""
     first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(len(STATES), *np.shape(states)[:-2])
     return {f"gain_{name}": gain for name, gain in gains.items()} | dict(zip(STATES, first, strict=True))
@@ -88,37 +89,22 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
     return table.reset_index(drop=True)
 
 
-def check_records(records: pd.DataFrame) -> None:
-    """Check that records have the columns that results are made from, numbers where they belong, and known names.
+def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
+    """Check that a table of steps or episodes has finite numbers in all columns but `TEXTS`, and what is needed.
 
-    Raises:
-        ValueError: naming what is wrong.
-    """
-    absent = sorted({*NEVER_EMPTY, COUNTED} - set(records))
-    if absent:
-        raise ValueError(f"it has no column {', '.join(absent)}")
-    check_numbers(records)
-    choosing = records[records["model"] != records["controller"]]  # own planners and agents have no model
-    for column, known in (
-        ("scenario", list(ENVIRONMENTS)),
-        ("model", known_models(filter(is_model, choosing["model"]))),
-    ):
-        for name in set(choosing[column].dropna()) - {*known}:
-            remedy = "if it is your own, --import the module that adds it"
-            raise ValueError(f"it holds {column} {name!r}, not one of {', '.join(known)}; {remedy}")
-
-
-def check_numbers(table: pd.DataFrame) -> None:
-    """Check that a table of steps or episodes has finite numbers in all columns but `TEXTS`.
-
-    Cells may be empty in those that are not `NEVER_EMPTY`.
+    Args:
+        table: the table.
+        needed: columns that must be there, beside those of every table. Those of `NEEDED` must have no empty cell.
 
     Raises:
         ValueError: naming what is wrong, and where.
     """
+    absent = sorted({*KEYS, "reward", COUNTED, *needed} - {*table})
+    if absent:
+        raise ValueError(f"it has no column {', '.join(absent)}")
     for name in table.columns.difference(TEXTS):
         numbers = pd.to_numeric(table[name], errors="coerce").astype(float)
-        wrong = ~np.isfinite(numbers) & (table[name].notna() | (name in NEVER_EMPTY))
+        wrong = ~np.isfinite(numbers) & (table[name].notna() | (name in NEEDED))
         for row in table[wrong][:1].to_dict("records"):
             where = f"{name} of {row['controller']} with seed {row['seed']}"
             raise ValueError(f"{where} is {row[name]}; it must be a finite number")

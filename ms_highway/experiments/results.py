@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
-from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
-from ms_highway.experiments.runner import PARTS, STEPS_FILE, read_steps
+from ms_highway.experiments.runner import read_steps
+from ms_highway.experiments.summary import summary
 
 PUBLISHED_WITH = {
     "semantics": "released",
@@ -56,7 +55,7 @@ class Results:
     Attributes:
         directory: where it lies.
         records: a row per step.
-        summaries: a row per scenario and controller, see `ms_highway.experiments.analysis.summary.summary`.
+        summaries: a row per scenario and controller, see `ms_highway.experiments.summary.summary`.
         settings: what the environments had in common, T(M), and the numbers of episodes that were asked for.
         runs: what made it; empty if that is not known.
     """
@@ -64,7 +63,7 @@ class Results:
     directory: Path
     records: pd.DataFrame
     summaries: pd.DataFrame
-    settings: dict[str, Any]
+    settings: dict
     runs: list[Run]
 
     @property
@@ -79,13 +78,8 @@ class Results:
         there = self.summaries.set_index(["scenario", "controller"])["episodes"]
         return int((asked - there.reindex(asked.index, fill_value=0)).clip(lower=0).sum())
 
-    def is_current(self, file: Path) -> bool:
-        """Return whether a file is there and not older than the records."""
-        made = [path.stat().st_mtime for path in (self.directory / STEPS_FILE, self.directory / PARTS) if path.exists()]
-        return file.exists() and file.stat().st_mtime >= max(made)
-
     @property
-    def common(self) -> dict[str, Any]:
+    def common(self) -> dict:
         """The part of the settings that configures all environments."""
         return {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
 
@@ -93,7 +87,7 @@ class Results:
         """Return what the paper published of a controller, if these results may be compared with it."""
         return PUBLISHED.get((scenario, controller)) if self.common == PUBLISHED_WITH else None
 
-    def config(self, scenario: str) -> dict[str, Any]:
+    def config(self, scenario: str) -> dict:
         """Return the configuration that a scenario's environment had, but for the controller."""
         measured = self.settings.get("measured", {})
         return self.common | ({"costs": measured[scenario]} if scenario in measured else {})
@@ -103,16 +97,12 @@ def read_results(directory: Path) -> Results:
     """Read a directory of results.
 
     Raises:
-        ValueError: if there is none, or a file is missing or cannot be read.
+        ValueError: if it is none, or a file is missing or cannot be read.
     """
-    if not directory.is_dir():
-        raise ValueError(f"there is no directory {directory}; {REMEDY}")
-    if not (directory / SETTINGS_FILE).is_file():
-        raise ValueError(f"{directory} has no {SETTINGS_FILE}; {REMEDY}")
     results = ResultsDirectory(directory)
-    settings = results.settings()
+    settings = results.settings() if (directory / SETTINGS_FILE).is_file() else {}
     if "asked" not in settings:
-        raise ValueError(f"{directory / SETTINGS_FILE} holds no settings of a comparison; {REMEDY}")
+        raise ValueError(f"{directory} holds no results of a comparison; {REMEDY}")
     records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")

@@ -1,21 +1,22 @@
-"""Drive episodes of a comparison in the environments, and read their records.
+"""Run comparisons, live in the environments or many episodes at a time, and read their records.
 
-Every episode is written to a file of its own when it ends, by one process: it is either whole in the results or driven
-again. All of them together become ``steps.csv`` at the end.
+Either way, a directory holds pieces of the results in files that are whole or not there: live, a CSV file per episode,
+with a row per step, and ``steps.csv`` of all of them at the end; simulated, Parquet files of many episodes, with a row
+per episode, which need not fit in memory together. A run that was stopped goes on with the episodes that are in none.
 """
 
 import json
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import lru_cache, partial
-from itertools import count
+from itertools import count, groupby
 from math import ceil
 from pathlib import Path
 from secrets import token_hex
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import pandas as pd
@@ -24,14 +25,19 @@ from ms_highway.envs import environment_id
 from ms_highway.envs.agents import AgentDrives, is_agent
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config, robot_config
+from ms_highway.experiments.batch import Tables, make_batch, simulate_parts
 from ms_highway.experiments.comparison import Comparison, EpisodeKey
-from ms_highway.experiments.directory import EXTENDED, ResultsDirectory
-from ms_highway.experiments.records import KEYS, by_column, check_records
-from ms_highway.runtime.files import reading, replacing
+from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, write_table
+from ms_highway.experiments.records import KEYS, NEEDED, by_column, check_table
+from ms_highway.runtime.files import reading
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
+LIVE_FILES, BATCHED_FILES = (STEPS_FILE, f"{PARTS}/[!.]*.csv"), ("episodes/part-*.parquet",)
 FEWEST = 60  # episodes that are worth the seconds in which further processes start
+
+Compute: TypeAlias = Callable[[Comparison, Mapping[int, Sequence[EpisodeKey]]], Iterator[tuple[int, Tables]]]
+"""Computes the episodes of numbered parts; yields the number of each with its tables, in any order."""
 
 
 def run(
@@ -55,7 +61,7 @@ def run(
     results = ResultsDirectory(Path(directory))
     settings = results.take_up(comparison.common_config())
     settings |= {key: settings.get(key, {}) for key in EXTENDED}
-    records, parts = read_steps(results.path, settings), results.path / PARTS
+    records = read_steps(results.path, settings)
     if len(records) and list(records) != comparison.columns():
         columns = ", ".join(comparison.columns())
         raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
@@ -67,37 +73,95 @@ def run(
             env.measure()
             settings["measured"][scenario] = env.seconds
     results.write_settings(settings)
-    there, wanted = {*records[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
-    missing = [key for key in wanted if key not in there]
+
+    def compute(keys: Sequence[EpisodeKey]) -> Iterator[Tables]:
+        drive = partial(_driven, comparison, settings["measured"])
+        for steps in _in_processes(drive, keys, min(processes, cores()), modules):
+            yield {f"{PARTS}/{token_hex(8)}.csv": steps}
+
+    yield from _resume(comparison, records, compute, results.path)
+    if (results.path / PARTS).exists():
+        write_table(read_steps(results.path, settings), results.path / STEPS_FILE)
+        shutil.rmtree(results.path / PARTS)
+
+
+def run_batched(
+    comparison: Comparison, directory: Path, part: int = 1024, steps: bool = False, compute: Compute = simulate_parts
+) -> Iterator[int]:
+    """Simulate the episodes that a directory lacks, part by part, of a single scenario.
+
+    Args:
+        comparison: what to simulate.
+        directory: of the results.
+        part: number of episodes in a part, of which one is in memory at a time.
+        steps: whether a row per step is kept as well, in ``steps``.
+        compute: computes parts, here or elsewhere.
+
+    Yields:
+        The number of episodes there: first of those that earlier runs have left, then after every part.
+
+    Raises:
+        ValueError: if it cannot be simulated, or the directory holds results of other settings, or other things.
+    """
+    if len(comparison.controllers) != 1:
+        raise ValueError(f"there are {len(comparison.controllers)} scenarios; a sweep is of one")
+    make_batch(comparison, *comparison.controllers)  # refuses what cannot be simulated before anything is written
+    asked = {name: getattr(comparison, name) for name in ("controllers", "seeds", "first_seed")}
+    settings = {**comparison.common_config(), **asked, "part": part, "steps": steps}
+    results, places = ResultsDirectory(directory), {key: place for place, key in enumerate(comparison.episodes())}
+    results.take_up(settings)
+    episodes = read_episodes(directory)
+    results.write_settings(settings)
+    kinds = ("steps", "episodes") if steps else ("episodes",)  # these last: when they are there, the part is done
+
+    def in_parts(keys: Sequence[EpisodeKey]) -> Iterator[Tables]:
+        parts = {number: list(some) for number, some in groupby(keys, lambda key: places[key] // part)}
+        for number, tables in compute(comparison, parts):
+            yield {f"{kind}/part-{number:06d}.parquet": tables[kind] for kind in kinds}
+
+    yield from _resume(comparison, episodes, in_parts, directory)
+
+
+def _resume(
+    comparison: Comparison,
+    there: pd.DataFrame,
+    compute: Callable[[Sequence[EpisodeKey]], Iterator[Tables]],
+    directory: Path,
+) -> Iterator[int]:
+    """Compute the episodes that are not there, and keep each piece as soon as it is done; yield how many are there.
+
+    Args:
+        comparison: what is wanted.
+        there: rows of those that are there.
+        compute: yields the tables of a piece by the names of their files, the last one with all its episodes.
+        directory: of the results.
+    """
+    known, wanted = {*there[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
+    missing = [key for key in wanted if key not in known]
     number = len(wanted) - len(missing)
     yield number
-    for driven in _episodes(comparison, settings["measured"], missing, min(processes, cores()), modules):
-        with replacing(parts / f"{token_hex(8)}.csv") as path:
-            driven.to_csv(path, index=False)
-        number += 1
+    for tables in compute(missing):
+        for name, table in tables.items():
+            write_table(table, directory / name)
+        number += len(table[KEYS].drop_duplicates())
         yield number
-    if parts.exists():
-        records = read_steps(results.path, settings)
-        with replacing(results.path / STEPS_FILE) as path:
-            records.to_csv(path, index=False)
-        shutil.rmtree(parts)
 
 
-def _episodes(
-    comparison: Comparison, measured: Mapping[str, Any], keys: list[EpisodeKey], processes: int, modules: Sequence[str]
+def _in_processes(
+    drive: Callable[[EpisodeKey], pd.DataFrame], keys: Sequence[EpisodeKey], number: int, modules: Sequence[str]
 ) -> Iterator[pd.DataFrame]:
     """Drive episodes in this process, or many in several, each on a core; yield their records in any order.
 
     Each process has a share of neighbours, so that two rarely compile the same functions.
     """
     _environment.cache_clear()
-    if processes == 1 or len(keys) < FEWEST:
-        yield from (_driven(comparison, measured, key) for key in keys)
+    if number == 1 or len(keys) < FEWEST:
+        yield from map(drive, keys)
         return
-    pools = [own_process(partial(low_latency_on_core, core), modules) for core in range(processes)]
-    share = ceil(len(keys) / processes)
+    pools = [own_process(partial(low_latency_on_core, core), modules) for core in range(number)]
+    share = ceil(len(keys) / number)
     try:
-        driven = (pools[place // share].submit(_driven, comparison, measured, key) for place, key in enumerate(keys))
+        driven = (pools[place // share].submit(drive, key) for place, key in enumerate(keys))
         for done in as_completed(driven):
             yield done.result()
     except BrokenProcessPool as error:
@@ -108,7 +172,54 @@ def _episodes(
             pool.shutdown(cancel_futures=True)
 
 
-def _driven(comparison: Comparison, measured: Mapping[str, Any], key: EpisodeKey) -> pd.DataFrame:
+def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
+    """Return the records of a comparison that `run` has finished in a directory, in the comparison's order."""
+    return only(comparison, pd.read_csv(Path(directory) / STEPS_FILE))
+
+
+def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
+    """Return the records of a comparison's own episodes, in its order."""
+    return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
+
+
+def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
+    """Return the records of a directory, also of episodes that are not in ``steps.csv`` yet; check them.
+
+    Args:
+        directory: of a comparison.
+        settings: of its results. Rows are sorted by the controllers in ``asked``, others last, then by seed.
+
+    Raises:
+        ValueError: for a file that cannot be read.
+    """
+    records = _read(directory, LIVE_FILES, NEEDED, "choose another directory")
+    if records.empty:
+        return records
+    asked = settings.get("asked", {})
+    order = pd.DataFrame([(name, each) for name in asked for each in asked[name]], columns=KEYS[:2])
+    order = pd.concat([order, records[KEYS[:2]]]).drop_duplicates()
+    return order.merge(records.drop_duplicates([*KEYS, "step"]).sort_values(["seed", "step"]))
+
+
+def read_episodes(directory: Path) -> pd.DataFrame:
+    """Return a row per simulated episode of a directory, in the order of the parts; check them.
+
+    Raises:
+        ValueError: for a part that cannot be read.
+    """
+    return _read(directory, BATCHED_FILES, [], "remove it, to have it computed again")
+
+
+def _read(directory: Path, patterns: Iterable[str], needed: Sequence[str], remedy: str) -> pd.DataFrame:
+    tables = [pd.DataFrame(columns=KEYS)]
+    for file in (file for pattern in patterns for file in sorted(directory.glob(pattern))):
+        with reading(file, remedy):
+            tables.append(pd.read_parquet(file) if file.suffix == ".parquet" else pd.read_csv(file))
+            check_table(tables[-1], needed)
+    return pd.concat(tables[1:] or tables)
+
+
+def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> pd.DataFrame:
     """Drive one episode and return its records."""
     scenario, controller, seed = key
     config = dict(comparison.config)
@@ -123,41 +234,6 @@ def _driven(comparison: Comparison, measured: Mapping[str, Any], key: EpisodeKey
 def _environment(scenario: str, controller: str, config: str) -> gym.Env:
     """Make an environment, or use that of the episode before again."""
     return make_environment(scenario, controller, **json.loads(config))
-
-
-def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
-    """Return the records of a comparison that `run` has finished in a directory, in the comparison's order."""
-    return only(comparison, pd.read_csv(Path(directory) / STEPS_FILE))
-
-
-def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
-    """Return the records of a comparison's own episodes, in its order."""
-    return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
-
-
-def read_steps(directory: Path, settings: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the records of a directory, also of episodes that are not in ``steps.csv`` yet; check them.
-
-    Args:
-        directory: of a comparison.
-        settings: of its results. Rows are sorted by the controllers in ``asked``, others last, then by seed.
-
-    Raises:
-        ValueError: for a file that cannot be read.
-    """
-    tables = []
-    for file in (*directory.glob(STEPS_FILE), *(directory / PARTS).glob("[!.]*.csv")):
-        with reading(file, "choose another directory"):
-            tables.append(pd.read_csv(file))
-    if not tables:
-        return pd.DataFrame(columns=[*KEYS, "step"])
-    with reading(directory / STEPS_FILE, "choose another directory"):
-        records = pd.concat(tables)
-        check_records(records)
-    asked = settings.get("asked", {})
-    order = pd.DataFrame([(name, each) for name in asked for each in asked[name]], columns=KEYS[:2])
-    order = pd.concat([order, records[KEYS[:2]]]).drop_duplicates()
-    return order.merge(records.drop_duplicates([*KEYS, "step"]).sort_values(["seed", "step"]))
 
 
 def make_environment(scenario: str, controller: str, render: bool = False, **config: Any) -> gym.Env:
@@ -177,7 +253,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
     return AgentDrives(env, controller) if is_agent(controller) else env
 
 
-def episode(env: gym.Env, seed: int) -> Iterator[dict[str, Any]]:
+def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     """Run one episode with the robot's own controller; yield a record per step.
 
     It has the columns from ``step`` on, see `ms_highway.experiments.records.columns`, and all of ``info``.

@@ -99,7 +99,8 @@ class Scenario:
         way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
 
     Raises:
-        ValueError: for sizes that no road has, as of numbers that are not in metres.
+        ValueError: for sizes that no road has, as of numbers that are not in metres, and for several humans without
+            streams.
     """
 
     name: str
@@ -129,6 +130,10 @@ class Scenario:
     def __post_init__(self) -> None:
         """Refuse lanes in which two cars overlap, lanes that are far from each other, and cars off all lanes."""
         place, remedy = f"scenario {self.name!r}", "all numbers are in metres, y to the right"
+        fewest, most = HUMANS if self.streams else (1, 1)
+        if not fewest <= self.humans <= most:
+            why = "streams say where several humans drive" if not self.streams else f"give {fewest} to {most}"
+            raise ValueError(f"{place} has humans={self.humans} and {len(self.streams)} streams; {why}")
         lanes = np.sort(np.asarray(self.lanes, float).ravel())
         apart = np.diff(lanes)
         if not len(lanes) or not np.isfinite(lanes).all() or np.any((apart < CAR_SIZE[1]) | (apart > WIDEST_LANE)):

@@ -31,6 +31,10 @@ class TracedRandom:
     def __init__(self, key: jax.Array) -> None:
         self._key = key
 
+    def __getattr__(self, name: str) -> Any:
+        remedy = "draw by normal, uniform or beta, or use the vector environment, which draws by NumPy"
+        raise AttributeError(f"JAX draws no {name!r} here; {remedy}")
+
     def _next(self) -> jax.Array:
         self._key, key = jax.random.split(self._key)
         return key

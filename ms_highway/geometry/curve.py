@@ -64,11 +64,6 @@ class Curve:
         """Return s of the last sample [m]."""
         return self.start + (np.shape(self.x)[-1] - 1) * self.spacing
 
-    @property
-    def s(self) -> Float[np.ndarray, "samples"]:
-        """Return s of all samples [m]."""
-        return self.start + self.spacing * np.arange(np.shape(self.x)[-1])
-
     def interpolate(self, values: Knots, s: Numbers) -> Numbers:
         """Interpolate values that belong to the samples; beyond the ends, the outermost are kept."""
         return interpolate(values, s, self.start, self.spacing)

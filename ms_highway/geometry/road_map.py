@@ -8,14 +8,12 @@ from math import cos, inf, sin
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 from weakref import WeakKeyDictionary, proxy
 
-import numpy as np
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
-from scipy.spatial import cKDTree
 
 from ms_highway.geometry.curve import wrapped
-from ms_highway.geometry.lane_paths import COARSE, SMOOTHING, LaneCurve, Point, Points, Row, join_lanes, samples
+from ms_highway.geometry.lane_paths import SMOOTHING, LaneCurve, Point, join_lanes
 
 
 class Spot(NamedTuple):
@@ -271,22 +269,6 @@ class RoadMap:
     def goal(self, destination: Destination) -> Goal:
         """Return a goal, the same one for the same destination."""
         return Goal(self, destination)
-
-    def paves(self, points: Points) -> Row:
-        """Return at which points there is a lane, whoever may drive there: that of the nearest middle of a lane."""
-        tree, radii = self._surface
-        distances, nearest = tree.query(points)
-        return distances < radii[nearest]
-
-    @cached_property
-    def _surface(self) -> tuple[cKDTree, Row]:
-        """Points in the middle of all lanes, and the radii of the circles that they pave, which meet at the edges."""
-        middles, radii = [], []
-        for lane in self.lanes.values():
-            places, points, _ = samples(lane.shape, 0.0, lane.length)
-            middles.append(points)
-            radii += [np.hypot(lane.shape.width_at(place), COARSE) / 2 for place in places]
-        return cKDTree(np.concatenate(middles)), np.array(radii)
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # no state: a copy's network gets an equal map

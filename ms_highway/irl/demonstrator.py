@@ -28,7 +28,8 @@ DRIVER_WEIGHTS = {
 and with comfort, without which some controls would have no effect on the reward."""
 
 FLOOR = 0.05  # of the eigenvalues of Hessians: half of comfort's curvature
-DRAWS = 20  # length of the chain that a sample ends
+DRAWS = 20  # proposals that a sample is chosen from
+UNLIKELY = -1e30  # log density of the optimum itself: it is drawn only if no proposal is possible
 
 
 def seen_from(car: States, routes: States) -> tuple[States, Motion]:
@@ -70,8 +71,8 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
 def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature: Scalar) -> Controls:
     """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits.
 
-    Returns the last draw of an independence Metropolis-Hastings chain, which starts at the optimum and proposes from
-    the Laplace approximation ``N(u*, temperature (-H)^-1)``, the eigenvalues l of H set to ``-max(|l|, 0.05)``.
+    Draws some proposals from the Laplace approximation ``N(u*, temperature (-H)^-1)``, the eigenvalues l of H set to
+    ``-max(|l|, 0.05)``, and resamples one of them by importance; the optimum, if none is within the limits.
 
     Args:
         game: whose reward and motion; car 0 is driven.
@@ -89,12 +90,5 @@ def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature:
     earned = jax.vmap(segment(game, car, others).earned)(proposals)
     inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
     excess = earned / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
-    excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(excess[0])
-
-    def choose(now: jax.Array, draw: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        proposal, threshold = draw
-        return jnp.where(threshold < excess[proposal] - excess[now], proposal, now), None
-
-    thresholds = jnp.log(jax.random.uniform(accepting, (DRAWS,)))
-    last, _ = jax.lax.scan(choose, jnp.array(0), (jnp.arange(DRAWS), thresholds))
-    return proposals[last]
+    excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(UNLIKELY)
+    return proposals[jax.random.categorical(accepting, excess)]

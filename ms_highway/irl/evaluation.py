@@ -170,9 +170,10 @@ def metrics_by_regime(
     """Return the means of each predictor by what is measured, regime and horizon; see `Evaluation.situations`."""
     rows: dict[str, dict[str, dict[str, ByHorizon]]] = {"distance": {}, "log_p": {}}
     for regime, chosen in regimes.items():
-        some = {name: metrics(Errors(*(part[chosen] for part in each))) for name, each in errors.items()}
-        seen = np.isfinite(next(iter(errors.values())).distance[chosen][:, AT]).sum(axis=0)
-        for kind, metric in (("distance", "fde"), ("log_p", "log_p")) if chosen.any() else ():
-            counts = {str(horizon): float(number) for horizon, number in zip(HORIZONS, seen, strict=True)}
-            rows[kind][regime] = {"windows": counts, **{name: found[metric] for name, found in some.items()}}
+        if chosen.any():
+            some = {name: Errors(*(part[chosen] for part in each)) for name, each in errors.items()}
+            seen = np.isfinite(some["model"].distance[:, AT]).sum(axis=0).astype(float).tolist()
+            for kind, metric in (("distance", "fde"), ("log_p", "log_p")):
+                rows[kind][regime] = {"windows": dict(zip(map(str, HORIZONS), seen, strict=True))}
+                rows[kind][regime] |= {name: metrics(each)[metric] for name, each in some.items()}
     return rows

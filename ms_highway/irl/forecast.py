@@ -76,8 +76,7 @@ def predict(
     """
     past, centres, bodies = (np.array(values, dtype=float) for values in (states, lanes, sizes))
     past = past[None] if past.ndim == 2 else past
-    shaped = past.ndim == 3 and past.size and past.shape[-1] == 4 and len(past) <= PAST + 1
-    if not (shaped and np.isfinite(past[-1]).all()):
+    if past.ndim != 3 or past.shape[2] != 4 or len(past) > PAST + 1 or not (past.size and np.isfinite(past[-1]).all()):
         message = f"finite numbers [cars, 4], or up to {PAST + 1} times of them, finite at the last"
         raise ValueError(f"states are of shape {np.shape(states)}, or not all seen now; give {message}")
     cars, steps = past.shape[1], round(seconds / TIME_STEP)
@@ -93,7 +92,8 @@ def predict(
     centres, numbers = np.sort(centres), np.arange(cars + -cars % ROOM)
     road = centres, lane_width, speed_limit
     recording = Recording("now", "now", past, np.array([], int), np.broadcast_to(bodies, (cars, 2)), *road)
-    wanted = np.arange(len(past))[:, None] + 0 * numbers == len(past) - 1
+    wanted = np.zeros((len(past), len(numbers)), dtype=bool)
+    wanted[-1] = True
     (snapshot,) = snapshots_at(recording, wanted, centres, numbers, 0)
     drivers = learned.drivers if isinstance(learned, LearnedReward) else learned or shipped_drivers()
     modes, spread = predict_with(predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers)
@@ -103,6 +103,5 @@ def predict(
     covariances = (wider[:, None] * scales**2)[..., None] * np.eye(2)
     mean = expected_path(modes)[:cars, :steps]
     off = means - mean[:, None]
-    apart = covariances + off[..., :, None] * off[..., None, :]
-    covariance = np.einsum("cm,cmtij->ctij", weights, apart)
+    covariance = np.einsum("cm,cmtij->ctij", weights, covariances + off[..., :, None] * off[..., None, :])
     return Forecast(TIME_STEP * np.arange(1, steps + 1), weights, means, covariances, mean, covariance)

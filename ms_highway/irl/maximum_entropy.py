@@ -45,7 +45,6 @@ from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
-MANY = 600  # segments; of more, a fit to about 300 comes first
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
 TOLERANCE = 1e-3  # of the slope of the objective per segment, in a fit that has converged
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
@@ -171,7 +170,6 @@ def fit_weights(
     model: RewardModel,
     near: Fit | None = None,
     drivers: Numbers | None = None,
-    strict: bool = True,
 ) -> Fit:
     """Fit the weights and the temperature that make segments most likely under a weak prior, in double precision.
 
@@ -181,16 +179,13 @@ def fit_weights(
     Args:
         derivatives: of the features `RewardModel.names`, in their order.
         model: the weights to learn and those given.
-        near: a fit to start from; by default, with more than 600 segments, a fit of about 300 of them.
+        near: a fit to start from.
         drivers: number of each segment's driver, for the covariance; by default, all segments are independent.
-        strict: whether to refuse a fit that has not converged.
 
     Raises:
         ValueError: if the weights diverge, or the fit does not converge.
     """
     number, learned = len(derivatives.features), len(model.learned)
-    if near is None and number > MANY:
-        near = fit_weights(derivatives.of(np.arange(0, number, number * 2 // MANY)), model, strict=False)
     remedy = "learn fewer weights, or from more driving"
     with double_precision():
         given = jnp.array([float(value) for value in model.given.values()])
@@ -209,7 +204,7 @@ def fit_weights(
         first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
         found = optimize.minimize(loss, first, jac=True, hess=bend, method="trust-exact", options=TRUST_REGION)
         top, weights, hessian = np.asarray(found.x), model.weights(found.x), bend(found.x)
-        if strict and np.abs(loss(top)[1]).max() >= TOLERANCE:
+        if np.abs(loss(top)[1]).max() >= TOLERANCE:
             raise ValueError(f"the fit has not converged after {found.nit} iterations, at {weights}; {remedy}")
         covariance = np.linalg.pinv(number * (hessian + hessian.T) / 2, hermitian=True)
         if drivers is not None:

@@ -54,11 +54,6 @@ class Mixture(NamedTuple):
     spread: Spread
 
 
-def one_mode(path: Paths) -> Modes:
-    """Return the single path of each driver as its only mode."""
-    return Modes(jnp.ones((len(path), 1)), jnp.asarray(path)[:, None])
-
-
 def expected_path(modes: Modes) -> Paths:
     """Return the mean of the modes' paths, the single path that errors are measured by."""
     return np.einsum("nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path))

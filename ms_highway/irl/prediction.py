@@ -19,7 +19,7 @@ from msgspec import structs
 from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers
 from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread, one_mode
+from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, straight_on
 from ms_highway.irl.snapshots import AT, SCALES, STEPS, Snapshots, lane_numbers
 from ms_highway.numerics.estimation import Parameters, minimum
@@ -109,13 +109,26 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
     if name == "model":
         return Mixture(predict_drivers(snapshots, learned.bare), learned.spread)
     peer = learned.peers[name]
-    return Mixture(_predict_peer(name, snapshots, peer.parameters), peer.spread)
+    return Mixture(predict_peer(name, snapshots, peer.parameters), peer.spread)
 
 
-def _predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) -> Modes:
+def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) -> Modes:
+    """Predict the drivers of snapshots by a peer: the path of each is its only mode.
+
+    They keep their speed and heading, or all cars of a snapshot drive by IDM in their present lanes.
+
+    Args:
+        name: of the peer.
+        snapshots: to predict from.
+        parameters: of IDM, by name; highway-env's without any.
+    """
     if name == "constant_velocity":
-        return predict_constant_velocity(snapshots)
-    return predict_idm(snapshots, read(parameters, IdmParameters) if parameters else HIGHWAY_ENV_IDM)
+        now = snapshots.drivers(snapshots.now)[:, None]
+        path = straight_on(now, now[..., 3] * TIME_STEP * np.arange(1, STEPS + 1))[..., :2]
+    else:
+        idm = read(parameters, IdmParameters) if parameters else HIGHWAY_ENV_IDM
+        path = snapshots.drivers(np.moveaxis(np.asarray(_idm_paths(idm, snapshots)), 1, 2))
+    return Modes(jnp.ones((len(path), 1)), jnp.asarray(path)[:, None])
 
 
 def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
@@ -123,21 +136,9 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
     peers = {}
     for name in [*PREDICTORS][1:]:
         parameters = structs.asdict(fit_idm(snapshots)) if name == "fitted_idm" else {}
-        spread = fit_spread(_predict_peer(name, snapshots, parameters), snapshots.recorded)
+        spread = fit_spread(predict_peer(name, snapshots, parameters), snapshots.recorded)
         peers[name] = FittedPeer(parameters, spread)
     return peers
-
-
-def predict_constant_velocity(snapshots: Snapshots) -> Modes:
-    """Predict drivers that keep their speed and heading."""
-    now = snapshots.drivers(snapshots.now)[:, None]
-    return one_mode(straight_on(now, now[..., 3] * TIME_STEP * np.arange(1, STEPS + 1))[..., :2])
-
-
-def predict_idm(snapshots: Snapshots, parameters: IdmParameters) -> Modes:
-    """Simulate all cars of each snapshot by IDM in their present lanes; return the paths of the drivers."""
-    paths = np.asarray(_idm_paths(parameters, snapshots))
-    return one_mode(snapshots.drivers(np.moveaxis(paths, 1, 2)))
 
 
 def fit_idm(snapshots: Snapshots) -> IdmParameters:

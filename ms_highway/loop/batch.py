@@ -19,7 +19,7 @@ from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.loop.devices import device_mesh, share_among
-from ms_highway.loop.fallback import PLANNED, Followed, Rest, braking_control, follow, follow_escape, no_rest
+from ms_highway.loop.fallback import PLANNED, Rest, follow, follow_escape, no_rest, or_brake
 from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
     Carry,
@@ -33,17 +33,7 @@ from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import (
-    Car,
-    Control,
-    Flag,
-    HumansWeights,
-    Index,
-    Rungs,
-    Scalar,
-    State,
-    Weights,
-)
+from ms_highway.runtime.arrays import Control, Index, Rungs, State
 from ms_highway.runtime.compilation import jit_quickly
 
 
@@ -96,26 +86,9 @@ class Given(NamedTuple):
     controls: Control | None = None
 
 
-class Own(NamedTuple):
-    """An episode's own numbers."""
-
-    price: Scalar
-    robot_weights: Weights
-    human_weights: HumansWeights
-    drivers: Rungs
-
-    @classmethod
-    def of(cls, episodes: Episodes) -> "Own":
-        """Return the own numbers of episodes, with an axis of episodes."""
-        return cls(episodes.prices, episodes.robot_weights, episodes.human_weights, episodes.drivers)
-
-    def robots(self, game: Game) -> Game:
-        """Return the game as the robot believes it."""
-        return replace(game, robot=replace(game.robot, weights=self.robot_weights))
-
-    def truly(self, game: Game) -> Game:
-        """Return the game with the rewards that humans drive by."""
-        return replace(game, humans=replace(game.humans, weights=self.human_weights))
+def believed(game: Game, own: Episodes) -> Game:
+    """Return the game as the robot of an episode believes it."""
+    return replace(game, robot=replace(game.robot, weights=own.robot_weights))
 
 
 @partial(jit_quickly, xla_cpu_parallel_codegen_split_count=1)  # or LLVM rounds differently where more threads compile
@@ -124,12 +97,10 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     together = loop.together
 
     def run(episodes: Episodes) -> Records:
-        own = Own(*map(jnp.asarray, Own.of(episodes)))
-        begun = jax.vmap(partial(begin_episode, loop))(jnp.asarray(episodes.starts, jnp.float32))
-        errors = None if episodes.errors is None else jnp.asarray(episodes.errors[:, :-1], jnp.float32)
-        given = Given(episodes.schedules, errors)
-        by_step = jax.tree.map(lambda part: jnp.swapaxes(jnp.asarray(part), 0, 1), given)
-        _, records = jax.lax.scan(lambda now, given: step_episodes(loop, own, now, given), begun, by_step)
+        begun = begin_episodes(loop, episodes.starts)
+        given = Given(episodes.schedules, None if episodes.errors is None else episodes.errors[:, :-1])
+        by_step = jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), given)
+        _, records = jax.lax.scan(lambda now, given: step_episodes(loop, episodes, now, given), begun, by_step)
         return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
     def run_chunk(number: Index, records: Records) -> Records:
@@ -151,50 +122,54 @@ def _for_each(loop: Loop, function: Callable[..., Any], *items: Any) -> Any:
     return jax.tree.map(lambda part: part[None], function(*jax.tree.map(lambda part: part[0], items)))
 
 
-def begin_episode(loop: Loop, state: State) -> Now:
-    """Return what an episode begins with."""
+def begin_episodes(loop: Loop, starts: State) -> Now:
+    """Return what episodes begin with, from the states [episodes, cars, 4] of all cars."""
     humans, horizon = loop.game.number, loop.game.planner.horizon
     drivers = jax.tree.map(lambda part: jnp.broadcast_to(part, (humans, *jnp.shape(part))), no_rest(horizon, 1))
-    robot, rest = jax.tree.map(jnp.asarray, (begin(loop.rule, loop.game, state), no_rest(horizon, humans)))
-    return Now(state, robot, rest, drivers)
+
+    def begun(start: State) -> Now:
+        robot, rest = jax.tree.map(jnp.asarray, (begin(loop.rule, loop.game, start), no_rest(horizon, humans)))
+        return Now(start, robot, rest, drivers)
+
+    return jax.vmap(begun)(starts)
 
 
-def step_episodes(loop: Loop, own: Own, now: Now, given: Given) -> tuple[Now, Records]:
+def step_episodes(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
     """Advance a chunk of episodes by one step: look, choose, plan, and move."""
+    own = replace(own, starts=None, schedules=None, errors=None)  # the rest is what a step needs
     if given.controls is not None:
         return _for_each(loop, partial(_steer, loop), now, own, given.controls)
-    each, decides = partial(_for_each, loop), given.scheduled == DECIDES
+    each, game_of = partial(_for_each, loop), partial(believed, loop.game)
     seen = now.state if given.errors is None else now.state.at[:, : given.errors.shape[1]].add(given.errors)
 
-    def look_back(own: Own, robot: Carry, seen: State) -> Carry:
-        return complete_outcome(own.robots(loop.game), robot, seen, loop.belief)
+    def look_back(own: Episodes, robot: Carry, seen: State) -> Carry:
+        return complete_outcome(game_of(own), robot, seen, loop.belief)
 
-    def decide(own: Own, robot: Carry) -> Decision:
-        return loop.rule.at_price(own.price).decide(own.robots(loop.game), robot.memory, robot.outcome)
+    def decide(own: Episodes, robot: Carry) -> Decision:
+        return loop.rule.at_price(own.prices).decide(game_of(own), robot.memory, robot.outcome)
 
     def take(robot: Carry, decision: Decision, scheduled: Rungs) -> Decision:
         rungs = jnp.where(scheduled == DECIDES, decision.memory.rungs, scheduled).astype(jnp.int32)
         rungs = responsive_rungs(loop.models, rungs, robot.belief, loop.unresponsive)
         return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
-    robot = each(look_back, own, now.robot, seen)
+    robot, decides = each(look_back, own, now.robot, seen), (given.scheduled == DECIDES).any(axis=1)
     kept = each(lambda robot: unestimated(robot.memory, robot.memory.rungs), robot)
     decided = jax.lax.cond(decides.any(), lambda: each(decide, own, robot), lambda: kept)
-    chooses = decides.any(axis=1)
-    decision = each(take, robot, choose_episodes(chooses, decided, kept), given.scheduled)
+    decision = each(take, robot, choose_episodes(decides, decided, kept), given.scheduled)
     plans = _plan(loop, own, seen, now.rest, decision.memory.rungs)
     return each(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
 
 
-def _plan(loop: Loop, own: Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
+def _plan(loop: Loop, own: Episodes, seen: State, rest: Rest, rungs: Rungs) -> Plan:
     """Plan every episode of a chunk; with one human, compute only the models that some episode uses."""
 
-    def planned(models: tuple[HumanModel, ...], own: Own, seen: State, rest: Rest, rungs: Rungs) -> Plan:
-        game, used = own.robots(loop.game), rungs if len(models) > 1 else jnp.zeros_like(rungs)
+    def planned(models: tuple[HumanModel, ...], own: Episodes, seen: State, rest: Rest, rungs: Rungs) -> Plan:
+        game, used = believed(loop.game, own), rungs if len(models) > 1 else jnp.zeros_like(rungs)
         start = cold_start(game, seen)
         if may_continue(models, game):
             left = continues_plan(models, game, used, rest)
-            start = jax.tree.map(lambda new, cold: jnp.where(left, new, cold), one_step_later(rest.start), start)
+            start = jax.tree.map(partial(jnp.where, left), one_step_later(rest.start), start)
         return plan_for(models, game, seen, rungs, start)
 
     each, given = partial(_for_each, loop), (own, seen, rest, rungs)
@@ -214,34 +189,23 @@ def choose_episodes(chosen: jax.Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda new, old: jnp.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old)
 
 
-def _follow(game: Game, car: Car, plan: Plan, rungs: Rungs, before: Rest) -> Followed:
-    """Return what drives a car, see `ms_highway.loop.fallback`."""
-    followed = follow(plan, rungs, before)
-    (robot, humans), steps, *_ = followed.now
-    braking = braking_control(game, car) / game.planner.control_scale
-    return followed.instead(Plan(jnp.where(steps == 0, braking, robot), humans))
-
-
-def _move(loop: Loop, now: Now, own: Own, decision: Decision, plan: Plan, seen: State) -> tuple[Now, Records]:
+def _move(loop: Loop, now: Now, own: Episodes, decision: Decision, plan: Plan, seen: State) -> tuple[Now, Records]:
     """Let the robot follow its plan, the humans plan and the world move; reward the robot."""
-    game, robot = own.robots(loop.game), now.robot
-    followed = _follow(game, seen[0], plan, decision.memory.rungs, now.rest)
+    game, planned = believed(loop.game, own), decision.memory.rungs
+    followed = or_brake(game, seen[0], follow(plan, planned, now.rest))
     if loop.way_out:
         followed = follow_escape(followed, keep_way_out(game, seen, followed.now.plan.robot[0]))
     control = _executed(game, now.state[0, 3], followed.now.plan.robot[0] * game.planner.control_scale)
-    after, humans, reward, collision = _world(loop, now, own, control)
     gains = jnp.asarray(decision.gains, jnp.float32)
-    records = Records(followed.now.rungs, followed.status, reward, collision, gains, after)
-    return Now(after, advance(robot, decision, followed, seen), followed.kept, humans), records
+    now = now._replace(robot=advance(now.robot, decision, followed, seen), rest=followed.kept)
+    return _world(loop, now, own, control, Records(followed.now.rungs, planned, followed.status, gains=gains))
 
 
-def _steer(loop: Loop, now: Now, own: Own, control: Control) -> tuple[Now, Records]:
+def _steer(loop: Loop, now: Now, own: Episodes, control: Control) -> tuple[Now, Records]:
     """Let the robot execute a control, the humans plan and the world move; reward the robot."""
-    after, humans, reward, collision = _world(loop, now, own, control)
-    number, rungs = loop.game.number, len(loop.rule.ladder)
-    gains = jnp.full((number, rungs), jnp.nan, jnp.float32)
-    records = Records(jnp.zeros(number, jnp.int32), jnp.int32(PLANNED), reward, collision, gains, after)
-    return now._replace(state=after, humans=humans), records
+    none = jnp.zeros(loop.game.number, jnp.int32)
+    gains = jnp.full((loop.game.number, len(loop.rule.ladder)), jnp.nan, jnp.float32)
+    return _world(loop, now, own, control, Records(none, none, jnp.int32(PLANNED), gains=gains))
 
 
 def _executed(game: Game, speed: Any, controls: Any) -> Any:
@@ -250,23 +214,16 @@ def _executed(game: Game, speed: Any, controls: Any) -> Any:
     return controls if grip is None else within_grip(game.world, jnp.asarray(grip), speed, controls)
 
 
-def _world(loop: Loop, now: Now, own: Own, robot: Control) -> tuple[State, Rest, Scalar, Flag]:
-    """Let the humans plan and the world move; return the state, what is left of the humans' plans, reward, collision.
-
-    Args:
-        loop: what all episodes share.
-        now: of an episode.
-        own: the episode's own numbers.
-        robot: its control, not scaled.
-    """
-    game, truth, state, last = own.robots(loop.game), own.truly(loop.game), now.state, 1 + loop.game.number
-    scale = game.planner.control_scale
+def _world(loop: Loop, now: Now, own: Episodes, robot: Control, records: Records) -> tuple[Now, Records]:
+    """Let the humans plan and the world move under the robot's control, not scaled; complete the records."""
+    game, state, last = believed(loop.game, own), now.state, 1 + loop.game.number
+    truth = replace(loop.game, humans=replace(loop.game.humans, weights=own.human_weights))
 
     def drive(human: Index) -> tuple[Control, Rest]:
         view, turned = swap_players(truth, state, human)
         rest = jax.tree.map(lambda part: part[human], now.humans)
-        driving = _follow(view, turned[0], Naive().plan(view, turned), rest.rungs, rest)
-        control = driving.now.plan.robot[0] * scale
+        driving = or_brake(view, turned[0], follow(Naive().plan(view, turned), rest.rungs, rest))
+        control = driving.now.plan.robot[0] * game.planner.control_scale
         for number, driver in enumerate(loop.drivers, PLANS + 1):
             control = jnp.where(own.drivers[human] == number, driver(view, turned), control)
         return control, driving.kept
@@ -276,4 +233,5 @@ def _world(loop: Loop, now: Now, own: Own, robot: Control) -> tuple[State, Rest,
     driven = jnp.concatenate([robot[None], controls, keep_velocity(game.world, state[last:])])
     after = step(game.world, state, driven)
     phi = features(game.scene, game.robot, after)
-    return after, rests, phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
+    reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
+    return now._replace(state=after, humans=rests), records._replace(reward=reward, collision=collision, states=after)

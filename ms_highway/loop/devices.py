@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from itertools import cycle
 from typing import Any
 
 import jax
@@ -73,13 +74,7 @@ def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chu
             results = function(*jax.device_put((own, np.array([len(places)])), device))
         return jax.tree.map(lambda part: part[: len(places)], jax.device_get(results))
 
-    firsts = range(0, count, share)
-
-    def serve(place: int) -> list[Any]:  # a device's shares, one after the other; the first one compiles its program
-        return [compute(mesh.devices[place], first) for first in firsts[place :: mesh.size]]
-
     with ThreadPoolExecutor(mesh.size) as threads:
-        each = threads.map(serve, range(mesh.size))
-        served = list(each)  # wait here: Python 3.11 forgets a thread if it is interrupted while it waits for its end
-    results = [served[number % mesh.size][number // mesh.size] for number in range(len(firsts))]
+        computed = threads.map(compute, cycle(mesh.devices), range(0, count, share))
+        results = list(computed)  # wait here: Python 3.11 forgets a thread if it is interrupted as it waits for its end
     return jax.tree.map(lambda *parts: np.concatenate(parts), *results)

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always
-from ms_highway.game.game import Game, constant_velocity
+from ms_highway.game.game import Game
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.fallback import STATUSES, Followed, brake, follow, follow_escape, no_rest
+from ms_highway.loop.fallback import STATUSES, Followed, follow, follow_escape, no_rest, or_brake
 from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
@@ -129,7 +129,7 @@ class Driver:
         now = checked_state(state)
         compiling = self._warm_up(now)
         start = perf_counter()
-        carry, decision, deciding = self._decide(self._carried(now, before), now)
+        carry, decision, deciding = self._decide(now, before)
         rungs = decision.memory.rungs
         continues = continues_plan(self.rule.ladder, self.game, rungs, self._rest)
         plan, planning = self._plans.plan(now, rungs, one_step_later(self._rest.start) if continues else None)
@@ -183,25 +183,21 @@ class Driver:
         arguments = *self._placed.take(), carry, now
         return function.of(*arguments), *arguments
 
-    def _carried(self, now: State, before: State | None) -> Carry:
-        """Return the carry of this step. ``before`` is the previous state in the present coordinates."""
-        if self._carry is None:
-            carry = begin(self.rule, self.game, now)
-            counts = carry.memory if self.rule.estimates else carry.memory._replace(step=np.int32(self._steps))
-            return carry._replace(memory=counts)
-        if before is None:
-            return self._carry
-        return self._carry._replace(outcome=self._carry.outcome._replace(before=checked_state(before)))
-
-    def _decide(self, carry: Carry, now: State) -> tuple[Carry, Decision, float]:
+    def _decide(self, now: State, before: State | None) -> tuple[Carry, Decision, float]:
         """Choose the rungs; return the carry with what was seen, the decision, and the seconds that it took."""
-        if not self.looks_back:
-            decision, seconds = self.rule.decide(self.game, carry.memory, carry.outcome), 0.0
-        else:
-            function, *arguments = self._choice(carry, now)
-            found, seconds = timed(function, *arguments)
+        carry, seconds = self._carry, 0.0
+        if carry is None:
+            carry = begin(self.rule, self.game, now)
+            if not self.rule.estimates:
+                carry = carry._replace(memory=carry.memory._replace(step=np.int32(self._steps)))
+        elif before is not None:
+            carry = carry._replace(outcome=carry.outcome._replace(before=checked_state(before)))
+        if self.looks_back:
+            found, seconds = timed(*self._choice(carry, now))
             belief, decision = jax.tree.map(np.asarray, found)
             carry = carry._replace(belief=belief)
+        else:
+            decision = self.rule.decide(self.game, carry.memory, carry.outcome)
         gains = np.where(decision.gains == NOT_ESTIMATED, np.nan, decision.gains)
         if self.game.number == 1:  # what it gains to switch: nothing for the model in use
             gains[0, carry.memory.rungs[0]] = np.nan
@@ -210,9 +206,8 @@ class Driver:
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
         """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""
         if followed.now.steps == 0:
-            robot = brake(self.game, state[0]) / np.asarray(self.game.planner.control_scale)
-            humans = constant_velocity(self.game, state[1 : 1 + self.game.number])
-            followed = followed.instead(Plan(robot, humans))
+            with np.errstate(over="ignore", invalid="ignore"):
+                followed = jax.tree.map(np.asarray, or_brake(self.game, state[0], followed))
         if not self.way_out:
             return followed, 0.0
         escape, seconds = self._plans.keep_way_out(state, followed.now.plan.robot[0])

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.planning.plans import Plan, one_step_later
 from ms_highway.planning.way_out import Escape
-from ms_highway.runtime.arrays import Car, Controls, Flag, Index, Rungs, SameArray
+from ms_highway.runtime.arrays import Car, Flag, Index, Rungs, SameArray
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is
@@ -70,10 +70,6 @@ class Followed(NamedTuple):
     kept: Rest
     status: Index
 
-    def instead(self, plan: Plan) -> "Followed":
-        """Return what drives with another plan followed now."""
-        return self._replace(now=self.now._replace(plan=plan))
-
 
 def no_rest(horizon: int, humans: int) -> Rest:
     """Return what is left before the first plan."""
@@ -83,7 +79,7 @@ def no_rest(horizon: int, humans: int) -> Rest:
 
 
 def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Followed:
-    """Return what drives in a step; braking is still to be filled in.
+    """Return what drives in a step but for braking, see `or_brake`.
 
     Args:
         plan: of this step, scaled.
@@ -104,6 +100,13 @@ def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Follow
     if not late:
         return Followed(kept, kept, status)
     return Followed(choose(finite & False)[1], kept, LATE if finite else status)
+
+
+def or_brake(game: Game, car: Car, followed: Followed) -> Followed:
+    """Return what drives: a car brakes in its lane where nothing is left to follow."""
+    now, braking = followed.now, braking_control(game, car) / game.planner.control_scale
+    robot = braking.__array_namespace__().where(now.steps == 0, braking, now.plan.robot)
+    return followed._replace(now=now._replace(plan=now.plan._replace(robot=robot)))
 
 
 def follow_escape(followed: Followed, escape: Escape) -> Followed:
@@ -130,14 +133,3 @@ def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, 
     stop = xp.where(xp.isnan(stop), -xp.sign(speed) * DECELERATION, stop)
     limit = xp.asarray(game.planner.control_limit)
     return xp.clip(xp.stack([omega, xp.clip(stop, -DECELERATION, DECELERATION)]), -limit, limit)
-
-
-def brake(game: Game, car: Car) -> Controls:
-    """Return the controls that stop a car and align it with the road, within the limits of plans."""
-    car, controls = np.asarray(car, dtype=float), []
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(game.planner.horizon):
-            controls.append(braking_control(game, car))
-            moved = step(game.dynamics, car, controls[-1])
-            car = np.where(np.isfinite(moved), moved, car)
-    return np.array(controls)

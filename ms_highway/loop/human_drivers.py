@@ -1,6 +1,7 @@
 """Drive humans by functions of the state instead of plans: users' own, and two that yield never or always."""
 
 from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 from typing import Any, TypeAlias
 
@@ -21,6 +22,8 @@ HARDEST = 8.0  # m/s^2
 CLOSEST = 0.5  # m, gap from which on braking grows no more
 BESIDE = 1.5  # lanes to the side, up to which room is made
 
+RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
+
 DriverFunction: TypeAlias = Callable[[Game, State], Control]
 """Control of a human from its own game, where it is car 0 and the robot car 1, and the state of all cars [cars, 4]."""
 
@@ -31,7 +34,7 @@ class FunctionDriver:
     Args:
         game: of which car 0 is driven.
         name: of the driver, in records.
-        function: see `add_driver`.
+        function: see `ms_highway.add_driver`.
     """
 
     def __init__(self, game: Game, name: str, function: DriverFunction) -> None:
@@ -53,10 +56,9 @@ class FunctionDriver:
         control = np.asarray(self.function(self.game, np.asarray(state, dtype=float)), dtype=float)
         seconds = perf_counter() - start
         if control.shape != (2,) or not np.isfinite(control).all():
-            remedy = "return a curvature [1/m] and an acceleration [m/s^2]"
-            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {remedy}")
-        kept, humans = np.tile(control, (self.game.planner.horizon, 1)), self.game.number
-        return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * humans, seconds)
+            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
+        kept = np.tile(control, (self.game.planner.horizon, 1))
+        return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * self.game.number, seconds)
 
 
 def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) -> Float[SameArray, "2"]:
@@ -81,15 +83,8 @@ def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) 
     return xp.stack([kept[0], kept[1] - xp.minimum(braking, hardest)])
 
 
-def never_yields(game: Game, state: State) -> Control:
-    """Drive as who never yields, see `unmoved_control`."""
-    return unmoved_control(game, state, False)
-
-
-def always_yields(game: Game, state: State) -> Control:
-    """Drive as who always yields, see `unmoved_control`."""
-    return unmoved_control(game, state, True)
-
+never_yields: DriverFunction = partial(unmoved_control, yields=False)
+always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
 HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yields, "always": always_yields}
 """What drives humans who do not plan, by name: functions, and classes of highway-env vehicles."""
@@ -115,36 +110,5 @@ def traceable(name: str, game: Game) -> DriverFunction:
         reason = str(error).partition("\n")[0]
         raise ValueError(f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}") from error
     if jax.tree.map(jnp.shape, control) != (2,):
-        raise ValueError(f"the human driver {name!r} returns {control}; return a curvature and an acceleration")
+        raise ValueError(f"the human driver {name!r} returns {control}; {RETURN}")
     return driver
-
-
-RESERVED = (*HUMAN_DRIVERS, "keyboard", "usual", "mixed")
-
-
-def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
-    """Make known by a name what a human really does; `ms_highway.register` adds what the robot believes that it does.
-
-    It drives every human of an environment with ``config={"human_driver": name}``, in commands with
-    ``--set human_driver=NAME``; added again, it takes the place of the one of that name. A function also drives the
-    robot, as the controller ``name``: it is then told the game of the robot, where the humans come next.
-
-    Args:
-        name: one word in lower case.
-        driver: a pure function, or a class of highway-env vehicles, such as ``IDMVehicle``. A function takes the game
-            of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and speed [m/s], itself first,
-            then the robot. It returns its curvature omega [1/m] and its acceleration a before friction [m/s^2], under
-            which the speed v changes by ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
-            ``game.world`` makes up for friction. Written with `jax.numpy`, it also drives in simulations of many
-            episodes (``ms-highway sweep``); a class of vehicles does not.
-
-    Raises:
-        ValueError: if the name is reserved or no such word, or the driver is neither.
-    """
-    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in RESERVED:
-        remedy = f"choose one word in lower case other than {', '.join(RESERVED)}"
-        raise ValueError(f"a human driver cannot be called {name!r}; {remedy}")
-    if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
-        remedy = "give a function of the game and the state, or a class of highway-env vehicles"
-        raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
-    HUMAN_DRIVERS[name] = driver

@@ -31,7 +31,7 @@ class Loop:
         others: models that schedules may use beside the ladder; their numbers follow those of its rungs (static).
         way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out` (static).
         belief: whether the robot infers which model predicts every human, see `ms_highway.loop.driver` (static).
-        drivers: of humans who do not plan, see `ms_highway.loop.human_drivers.add_driver` (static).
+        drivers: of humans who do not plan, see `ms_highway.add_driver` (static).
         chunk: number of episodes computed together (static); with several humans, episodes are computed one by one. A
             human model is computed only for the chunks that use it: smaller chunks waste less computation, larger ones
             use wide hardware better. The last digits of results depend on it, and chaotic episodes (Stay Back) amplify
@@ -99,6 +99,7 @@ class Records(NamedTuple):
 
     Attributes:
         rungs: number of the model that predicted each human in the plan that was followed, in `Loop.models`.
+        planned: the same in the step's own plan, which T is of; another one where that plan is not finite.
         status: of the robot's control, an index of `ms_highway.loop.fallback.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
@@ -107,8 +108,9 @@ class Records(NamedTuple):
     """
 
     rungs: Int[Array, "episodes steps humans"]
+    planned: Int[Array, "episodes steps humans"]
     status: Int[Array, "episodes steps"]
-    reward: Float[Array, "episodes steps"]
-    collision: Bool[Array, "episodes steps"]
-    gains: Float[Array, "episodes steps humans rungs"]
-    states: Float[Array, "episodes steps cars 4"]
+    reward: Float[Array, "episodes steps"] = None
+    collision: Bool[Array, "episodes steps"] = None
+    gains: Float[Array, "episodes steps humans rungs"] = None
+    states: Float[Array, "episodes steps cars 4"] = None

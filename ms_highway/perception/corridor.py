@@ -17,8 +17,6 @@ AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
 STEEPEST = 0.7  # cosine of the angle between a lane and the route, below which it counts as this
 BEYOND = 3.0  # m, up to which a lane is taken to go straight on
 DRIVEN = (6.0,)  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
-PAVED_STEP, PAVED_STEPS, PAVED_EVERY = 0.5, 16, 4  # m and number of steps aside, and samples along, of what is paved
-EDGES, PAVED = slice(LANES, LANES + 2), slice(LANES + 2, LANES + 4)  # rows, after those of lanes
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
 
 
@@ -28,8 +26,7 @@ class Corridor:
 
     Attributes:
         curve: of the route.
-        rows: lateral positions of the lanes left of it, on it, right of it, of the road's edges, and of those of all
-            lanes side by side [m].
+        rows: lateral positions of the lanes left of it, on it, right of it, and of the road's edges [m].
         open: where the lanes may be driven on.
     """
 
@@ -41,7 +38,7 @@ class Corridor:
         """Return what a ``RoadScene`` has of the lanes at distances from the curve's beginning [m]."""
         rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
-        return {"lanes": rows[:LANES], "edges": rows[EDGES], "paved": rows[PAVED], "open": self.open[:, nearest]}
+        return {"lanes": rows[:LANES], "edges": rows[LANES:], "open": self.open[:, nearest]}
 
 
 @kept
@@ -49,8 +46,8 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return what is around the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN)
     ways = curve.ways
-    rows, is_open, low = np.zeros((LANES + 4, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
-    lanes, edges = rows[:LANES], rows[EDGES]
+    rows, is_open, low = np.zeros((LANES + 2, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
+    lanes, edges = rows[:LANES], rows[LANES:]
     for until, section in _sections(chain, goal, ways[-1]):
         here = slice(low, int(np.searchsorted(ways, until)))
         if here.stop <= here.start:
@@ -71,20 +68,7 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
                 found.append(_beside(curve.curve, here, outermost))
         found = found or [lanes[1, here]]
         edges[:, here] = np.min(found, axis=0) - width / 2, np.max(found, axis=0) + width / 2
-    rows = _filled(rows)
-    rows[PAVED] = _paved(curve.curve, goal, rows[EDGES])
-    return Corridor(curve, rows, is_open)
-
-
-def _paved(curve: Curve, goal: Goal, edges: Rows) -> Rows:
-    """Return how far there are lanes beside a curve to the left and to the right [m]: to the road's edges at least."""
-    x, y, heading = (values[::PAVED_EVERY, None] for values in (curve.x, curve.y, curve.heading))
-    aside = PAVED_STEP * np.arange(1, PAVED_STEPS + 1) * np.array([[-1.0], [1.0]])[..., None]
-    points = np.stack([x - aside * np.sin(heading), y + aside * np.cos(heading)], axis=-1)
-    steps = np.cumprod(goal.roads.paves(points), axis=-1).sum(axis=-1)
-    steps[:, :-1] = np.minimum(steps[:, :-1], steps[:, 1:])  # until the next of these samples
-    left, right = PAVED_STEP * np.repeat(steps, PAVED_EVERY, axis=1)[:, : edges.shape[1]]
-    return np.stack([np.minimum(-left, edges[0]), np.maximum(right, edges[1])])
+    return Corridor(curve, _filled(rows), is_open)
 
 
 def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[tuple[float, tuple[Lane | None, ...]]]:

@@ -52,7 +52,6 @@ class RoadScene:
         lanes: lateral positions of the centres of `LANES` lanes at the knots of the route: left, own, right [m].
         open: where each of them may be driven on.
         edges: lateral positions of the left and the right edge of the road at the knots [m].
-        paved: the same of all lanes side by side, those included that lead elsewhere or the other way [m].
         changes: changes of lane to the right that the goal asks for from each lane, negative to the left.
         room: distance left for them [m]; infinite where the goal asks for none.
         robot: state of the middle of the robot's rear axle.
@@ -74,7 +73,6 @@ class RoadScene:
     lanes: Knots
     open: Knots
     edges: Knots
-    paved: Knots
     changes: Numbers
     room: Scalar
     robot: Car

@@ -112,11 +112,11 @@ def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
         x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
         path = Curve(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
         return [Way(car, path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))]
-    legs = frozenset(leg[:2] for leg in (intentions and getattr(car, "route", None)) or ())
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
-        chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS), legs)
+        chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS))
         found += [(number, place, chain) for number, chain in enumerate(chains)]
+    legs = {leg[:2] for leg in (intentions and getattr(car, "route", None)) or ()}
     shown = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
     found = [item for item, number in zip(found, shown, strict=True) if number == max(shown)]
     found.sort(key=lambda item: item[0])
@@ -151,17 +151,13 @@ def _begun(car: Vehicle, own: Lane) -> list[Lane]:
 
 
 @kept
-def _chains_from(lane: Lane, tens: int, legs: frozenset[tuple[str, str]]) -> list[Chain]:
-    """Return the chains of lanes from some tens of metres before a lane's end on, one for each way that branches.
-
-    Where some of the roads that follow are legs of a route, the others do not count.
-    """
+def _chains_from(lane: Lane, tens: int) -> list[Chain]:
+    """Return the chains of lanes from some tens of metres before a lane's end on, one for each way that branches."""
     found: list[Chain] = []
     open_ends: list[tuple[Lanes, float]] = [((lane,), TENS * tens)]
     for lanes, covered in open_ends:
         nexts = lanes[-1].following(CROOKED) if covered < LENGTH else ()
-        onward = [following for following in nexts if following.index[:2] in legs]
-        onward = onward or list(nexts if covered < BRANCHES else nexts[:1])
+        onward = nexts if covered < BRANCHES else nexts[:1]
         open_ends += [((*lanes, following), covered + following.length) for following in onward]
         if not nexts:
             found.append(lane.roads.chain(lanes))

@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.features import ATTENTION, HEADING_SHARE, STANDSTILL_GAP
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
+from ms_highway.geometry.curve import namespace
 
 Cars = Float[Any, "*cars"]
 
@@ -41,10 +41,11 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: C
         speed: [m/s].
         leader: of each.
     """
-    wish = jnp.maximum(traits.desired_speed, 1.0)
-    attention = jnp.where(leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / (ATTENTION * UNIT)), 0.0)
+    xp = namespace(traits.desired_speed, speed, leader.gap)
+    wish = xp.maximum(traits.desired_speed, 1.0)
+    attention = xp.where(leader.there, xp.exp(-xp.maximum(leader.gap, 0.0) / (ATTENTION * UNIT)), 0.0)
     closing = leader.speed - speed
-    slope = jnp.zeros_like(speed)
+    slope = xp.zeros_like(speed)
     bend = len(TIMES) * weights["comfort_acceleration"] * traits.patience / UNIT**2
     for time in TIMES:
         lack = leader.gap + closing * time - STANDSTILL_GAP * UNIT - traits.headway * speed
@@ -54,7 +55,7 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: C
         slope += 2 * attention * weights["closing_speed"] * closing * time / wish**2
         bend += 2 * (weights["speed"] + attention * weights["closing_speed"]) * time**2 / wish**2
         bend += 2 * attention * weights["headway"] * change**2 / UNIT**2
-    return jnp.clip(slope / bend, -HARDEST, STRONGEST)
+    return xp.clip(slope / bend, -HARDEST, STRONGEST)
 
 
 def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, speed: Cars) -> Cars:
@@ -70,12 +71,13 @@ def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, spee
         heading: relative to the lane [rad].
         speed: [m/s].
     """
+    xp = namespace(offset, speed)
     straight = weights["direction"] + HEADING_SHARE * weights["lane_alignment"]
-    slope = jnp.zeros_like(speed)
-    bend = jnp.full_like(speed, len(TIMES) * weights["comfort_steering"] / TURN_SCALE**2)
+    slope = xp.zeros_like(speed)
+    bend = xp.full_like(speed, len(TIMES) * weights["comfort_steering"] / TURN_SCALE**2)
     for time in TIMES:
         aside, turned = (speed * time) ** 2 / 2, speed * time
         slope -= 2 * weights["lane_alignment"] * (offset + speed * time * heading) * aside / UNIT**2
         slope -= straight * heading * turned
         bend += 2 * weights["lane_alignment"] * aside**2 / UNIT**2 + straight * turned**2
-    return jnp.clip(slope / bend, -SHARPEST, SHARPEST)
+    return xp.clip(slope / bend, -SHARPEST, SHARPEST)

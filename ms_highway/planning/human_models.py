@@ -10,9 +10,10 @@ in 8 ascent steps, ``tom+warm``, from the rest of the last plan, and ``tom@8+war
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import inf
-from typing import ClassVar
+from typing import Any, ClassVar
 from warnings import warn
 
 import jax
@@ -241,28 +242,44 @@ def _scaled_within_limits(model: HumanModel, game: Game, human: Car, controls: C
     """Scale predicted controls of a human; limit those of a registered model, see `scaled_prediction`."""
     if is_of_package(model):
         return controls / game.planner.control_scale
-    wanted, shape = (game.planner.horizon, 2), jnp.shape(controls)
-    if shape != wanted:
-        remedy = "predict the curvature [1/m] and the acceleration [m/s^2] of every step of the horizon"
-        raise ValueError(f"human model {model.name!r} predicts an array of shape {shape}, not {wanted}; {remedy}")
-    scaled = jnp.asarray(controls) / game.planner.control_scale
+    scaled = _checked(model, game, controls) / game.planner.control_scale
     return jnp.where(jnp.isfinite(scaled), bounded(game, human, scaled), scaled)
 
 
+def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
+    """Return what a registered model predicts, [horizon, 2] numbers, as an array.
+
+    Raises:
+        ValueError: naming model, value and remedy, for anything else.
+    """
+    wanted, found = (game.planner.horizon, 2), repr(controls)
+    with suppress(TypeError, ValueError):
+        array = jnp.asarray(controls)
+        if array.shape == wanted and jnp.isdtype(array.dtype, ("integral", "real floating")):
+            return array
+        found = f"an array of shape {array.shape} and type {array.dtype}"
+    remedy = f"predict numbers {wanted}: curvature [1/m] and acceleration [m/s^2] in every step of the horizon"
+    raise ValueError(f"human model {model.name!r} predicts {found}; {remedy}")
+
+
 def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> None:
-    """Warn of registered models whose prediction of the first human, at a start, the limits of plans cut."""
+    """Warn of registered models whose prediction of the first human, at a start, is cut by limits or not finite."""
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue
         own, cars = pair(model.within(game), jnp.asarray(state), 0)
-        predicted = np.asarray(model.predict(own, cars))
+        predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
         kept = np.asarray(_scaled_within_limits(model, own, cars[1], predicted) * game.planner.control_scale)
-        cut = np.argwhere(np.abs(predicted - kept) > 1e-3 * np.abs(predicted))
+        finite = np.isfinite(predicted)
+        cut = np.argwhere(~finite | (np.abs(predicted - kept) > 1e-3 * np.abs(predicted)))
         if len(cut):
             place = tuple(cut[0])
             what = ("a curvature of {:.3g} 1/m", "an acceleration of {:.3g} m/s^2")[place[1]].format(predicted[place])
-            why = f"human model {model.name!r} predicts {what}, which the limits of plans cut to {kept[place]:.3g}"
-            warn(f"{why}; predictions are in SI units, see ms_highway.HumanModel.predict", stacklevel=2)
+            effect = "so that no plan follows"
+            if finite[place]:
+                effect = f"which the limits of plans cut to {kept[place]:.3g}"
+            remedy = "predictions are in SI units, see ms_highway.HumanModel.predict"
+            warn(f"human model {model.name!r} predicts {what}, {effect}; {remedy}", stacklevel=2)
 
 
 def register(model: HumanModel, before: str | None = None) -> None:

@@ -39,7 +39,6 @@ SPEED_SIGNS = {"274", "3.24", "B14", "B31", "C43", "R15", "R2-1", "r301", "Ρ-32
 """Ids of the signs of a maximum speed in all countries; that of Greece begins with a Greek letter."""
 
 MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
-MOST_METRES = 100_000.0  # from one end of a scenario to the other
 MOST_STEPS, MOST_SPEED, MOST_RADIANS, FARTHEST = 1e5, 200.0, 1e3, 1e8  # of a time, m/s, of an angle, m
 SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
 ANGLES = 2 * np.pi / 64 * np.arange(64)  # rad, of the corners of the polygon that a circle is read as
@@ -99,8 +98,6 @@ def _recording(root: Element, source: str) -> TrafficRecording:
     lanelets = _each(root, "lanelet", partial(_lanelet, limits=limits))
     areas = {number: np.concatenate([lane.left, lane.right[::-1]]) for number, (lane, _) in lanelets.items()}
     lanes = tuple(lane for lane, drivable in lanelets.values() if drivable)
-    if lanes and np.ptp(np.concatenate([lane.centre for lane in lanes]), axis=0).max() > MOST_METRES:
-        raise ValueError(f"lanelets are more than {MOST_METRES:g} m apart")
     problems = tuple(_each(root, "planningProblem", partial(_problem, areas=areas)).values())
     tracks = tuple(_each(root, "dynamicObstacle", _track).values())
     if not any(len(track.samples) > 1 for track in tracks):
@@ -171,8 +168,8 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
     signs = _references(element, "trafficSignRef")
     if missing := set(signs) - limits.keys():
         raise ValueError(f"there is no trafficSign {min(missing)}, which it refers to")
-    beside = [(*_references(element, side), None)[0] for side in ("adjacentLeft", "adjacentRight")]
-    opposite = [side for side in element if side.tag.startswith("adjacent") and side.get("drivingDir") != "same"]
+    sides = (element.find(f"{side}[@drivingDir='same']") for side in ("adjacentLeft", "adjacentRight"))
+    beside = [None if side is None else int(side.get("ref", "")) for side in sides]
     lanelet = Lanelet(
         number=identity,
         left=left,
@@ -180,7 +177,6 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
         before=_references(element, "predecessor"),
         after=_references(element, "successor"),
         beside=(beside[0], beside[1]),
-        opposite=tuple(int(side.get("ref", "")) for side in opposite),
         limit=min(chain(*(limits[sign] for sign in signs)), default=None),
     )
     return lanelet, not NO_LANES & {kind.text for kind in element.iterfind("laneletType")}

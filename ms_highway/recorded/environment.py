@@ -8,17 +8,13 @@ from msgspec import Meta, Struct
 
 from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
-from ms_highway.recorded.learned_traffic import LearnedRoad
 from ms_highway.recorded.problem import problem_of, timed_goal
 from ms_highway.recorded.scenario import SHIPPED, Points, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import straight_road
-from ms_highway.recorded.traffic import IdmRoad, RecordedRoad, sized
+from ms_highway.recorded.traffic import RecordedRoad, sized
 from ms_highway.road.stock import GoalEnv
 
 EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
-TRAFFIC = {"learned": LearnedRoad, "replay": RecordedRoad, "idm": IdmRoad}
-"""Roads with all kinds of traffic, by name."""
-
 OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
 SLOWEST = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
 
@@ -41,8 +37,8 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     Configuration, beside highway-env's own, of which changes act from the next reset on:
 
     * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz``, or ``"us101"``, which comes with the package.
-    * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with the traits that it shows in its
-      first second, who react to the ego; ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
+    * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with traits of its own, who react to the
+      ego (`ms_highway.CommuterVehicle`); ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
       Road users outside lanes, such as pedestrians and trains, are always replayed.
     * ``ego``: ``"problem"``, the first planning problem, or ``"problem:NUMBER"``, any; or the number of a recorded
       vehicle, to start in its place and go to its own last position, at the latest 2 s after it was there.
@@ -110,14 +106,14 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         lane = straight.network.get_lane(straight.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
-        road = TRAFFIC[self.settings.traffic](scenario, task.time, task.track, self.np_random)
+        road = RecordedRoad(scenario, task.time, task.track, self.settings.traffic, self.np_random)
         vehicle = sized(self.action_type.vehicle_class(road, position, heading=heading, speed=speed), task.size)
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
         self.scenario, self.task, self.road, self.axes = scenario, task, road, straight.axes
         self.goal, self.desired_speed = timed_goal(task, straight), max(speed, SLOWEST)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
-        self._along = straight.along(vehicle)
+        self._along = float(straight.states_of([vehicle])[0, 0])
 
     @property
     def goal_areas(self) -> list[Points]:
@@ -128,7 +124,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         """Let everybody act and move for a step, and judge where that has led the ego."""
         super()._simulate(action)
         ego, straight = self.vehicle, straight_road(self.scenario)
-        along = straight.along(ego)
+        along = float(straight.states_of([ego])[0, 0])
         self.progress, self._along = along - self._along, along
         self.off_road |= not straight.covers(ego.polygon()[:-1])
         orientation, point = float(self.axes.headings(ego.heading)), self.axes.points(ego.position)

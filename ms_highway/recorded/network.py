@@ -1,7 +1,7 @@
 """Turn lanelets into a road network of highway-env: smooth lanes of their own widths that merge, branch and end."""
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -22,8 +22,8 @@ SPACING = 0.5  # m, between samples of curves
 SMOOTHED = 10.0, 5.0, 2.5, 1.25, 0.625  # m; waves shorter than 2 pi times that, at first about 60 m, are smoothed
 FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
+CLOSE = 5.0  # m, by which a lane may be farther than another, and nearer in position and heading
 WITHIN = 0.1  # m, from the middle of a lanelet to that of its lane
-ASKED = 5_000  # positions in lanes that are remembered: in a step, each car's is asked for often
 
 
 class Axes(NamedTuple):
@@ -105,7 +105,8 @@ class SampledLane(AbstractLane):
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
         """Return the place along the lane and the distance to the right of its middle [m]."""
-        return _local_coordinates(self, *map(float, position))
+        along, right = self.curve.locate(np.asarray(position))
+        return float(along), float(right)
 
     @classmethod
     def from_config(cls, config: dict) -> "SampledLane":
@@ -123,12 +124,6 @@ class SampledLane(AbstractLane):
         return {"class_path": get_class_path(self.__class__), "config": config}
 
 
-@lru_cache(ASKED)
-def _local_coordinates(lane: SampledLane, x: float, y: float) -> tuple[float, float]:
-    along, right = lane.curve.locate(np.array([x, y]))
-    return float(along), float(right)
-
-
 class LaneletNetwork(RoadNetwork):
     """A road network of sampled lanes that measures the distance only to lanes that may be the closest one."""
 
@@ -141,20 +136,17 @@ class LaneletNetwork(RoadNetwork):
     def get_closest_lane_index(self, position: np.ndarray, heading: float | None = None) -> LaneIndex:
         """Return the index of the lane that is nearest in position and heading."""
         samples, firsts = self._samples
-        least = np.minimum.reduceat(np.hypot(*(samples - position).T), firsts) - STEP  # no lane is nearer than that
-        indexes, best = [*self.lanes_dict()], (np.inf, 0)
-        for lane in np.argsort(least).tolist():
-            if least[lane] > best[0]:
-                break
-            best = min(best, (self.get_lane(indexes[lane]).distance_with_heading(position, heading), lane))
-        return indexes[best[1]]
+        distances = np.minimum.reduceat(np.hypot(*(samples - position).T), firsts)
+        close = distances < distances.min() + CLOSE
+        near = [index for index, is_near in zip(self.lanes_dict(), close, strict=True) if is_near]
+        return min(near, key=lambda index: self.get_lane(index).distance_with_heading(position, heading))
 
 
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
     """Build the road network of a recording: lanelets side by side are the lanes of a road, from the left.
 
     Raises:
-        ValueError: for lanes of two directions, a lanelet that is beside itself, or roads that part and meet again.
+        ValueError: for a lanelet that is beside itself, or roads that part and meet again.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
     network, roads = LaneletNetwork(), [*_roads(known)]
@@ -175,11 +167,6 @@ def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
     """Yield the lanelets of each road, from the left."""
     placed = set[int]()
     for lanelet in known.values():
-        if known.keys() & set(lanelet.opposite):
-            raise ValueError(
-                f"lanelet {lanelet.number} is beside one of the other direction; only roads of one direction can be "
-                "driven here"
-            )
         if lanelet.number in placed:
             continue
         road = [lanelet]
@@ -218,7 +205,7 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
         order = np.argsort(along, kind="stable")
         widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
         lane = SampledLane(axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)), widths, lines, limit)
-        along, aside = lane.curve.locate(axes.positions(_dense(centre)))
+        along, aside = lane.curve.locate(axes.positions(resample(centre.T, STEP).T))
         off = max(np.abs(aside).max(), -along.min(), along.max() - lane.length)
         if off <= WITHIN:
             return lane
@@ -234,22 +221,11 @@ def fits(line: Points) -> Iterator[Curve]:
     for smoothed in SMOOTHED:
         spacing = smoothed / 2
         even = np.linspace(0, distance[-1], max(round(distance[-1] / spacing) + 1, FEWEST_POINTS))
-        points = _at(line, distance, even)
+        points = np.stack([np.interp(even, distance, part) for part in line.T], axis=-1)
         smooth = make_smoothing_spline(even, points, lam=smoothed**4 / spacing)
         step = min(SPACING, distance[-1] / FEWEST_POINTS)
         x, y = resample(smooth(np.arange(0.0, distance[-1] + step, step / 2)).T, step)
         yield Curve.through(x, y, spacing=step)
-
-
-def _dense(line: Points) -> Points:
-    """Return the points of a line, and more between those that are farther than a metre apart."""
-    places = arc_lengths(line.T)
-    return _at(line, places, np.union1d(places, np.arange(0.0, places[-1], 1.0)))
-
-
-def _at(line: Points, places: Values, wanted: Values) -> Points:
-    """Return points of a line, whose own are at some places along it, at other places."""
-    return np.stack([np.interp(wanted, places, part) for part in line.T], axis=-1)
 
 
 def _last(line: Points) -> Points:

@@ -38,8 +38,7 @@ class Lanelet(msgspec.Struct, frozen=True):
         right: its right edge, with as many points.
         before: lanelets that lead to it.
         after: lanelets that it leads to.
-        beside: the lanelets to its left and right, None without one.
-        opposite: those of them on which traffic goes the other way.
+        beside: the lanelets to its left and right on which traffic goes the same way, None without one.
         limit: of speed [m/s], None without one.
     """
 
@@ -49,7 +48,6 @@ class Lanelet(msgspec.Struct, frozen=True):
     before: tuple[int, ...] = ()
     after: tuple[int, ...] = ()
     beside: tuple[int | None, int | None] = (None, None)
-    opposite: tuple[int, ...] = ()
     limit: float | None = None
 
     @property

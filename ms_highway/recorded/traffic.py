@@ -1,20 +1,25 @@
-"""Let the vehicles of a recording enter a road, drive there and leave it, as they were recorded or by IDM."""
+"""Let the vehicles of a recording enter a road, drive there and leave it: as recorded, as learned, or by IDM."""
 
-from typing import Any, ClassVar
+from copy import copy
+from typing import Any
 
 import numpy as np
-from highway_env.road.road import Road
+from highway_env.road.road import LaneIndex, Road
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.geometry.bodies import separation
-from ms_highway.geometry.curve import rotated
-from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
-from ms_highway.recorded.straight_road import straight_road
+from ms_highway.geometry.bodies import nearest_ahead, separation
+from ms_highway.recorded.scenario import SPEED_LIMIT, RecordedTrack, TrafficRecording
+from ms_highway.recorded.straight_road import States, straight_road
+from ms_highway.vehicle.human import CommuterVehicle
 
 BEYOND = 30.0  # m past the end of the road, where vehicles leave it
-CLEAR = 2.0  # m that have to be free ahead of and behind a vehicle that enters
+CLEAR = 2.0  # m that have to be free ahead of and behind a vehicle that enters, or changes lanes
+BESIDE = 0.3  # m beyond the edge of a lane, up to which the middle of a vehicle is in it
+CLOSING = 1.0  # s, for which a gap in the lane beside has to be long enough at the present speeds
+LOOK_AHEAD = 2.0  # s, after which a car will be in the lane that it was recorded in, if it begins to change now
+SETTLING = 1.0  # s, in which a car without a leader becomes as fast as it was recorded at its place
 
 
 class GuidedVehicle(Vehicle):
@@ -38,6 +43,47 @@ class GuidedVehicle(Vehicle):
             self.on_state_update()
 
 
+class LearnedVehicle(CommuterVehicle):
+    """A learned driver in the place of a recorded one.
+
+    It changes lanes where that was recorded to, as soon as there is room. With nobody ahead, it goes as fast as that at
+    the same place: those ahead of it were not recorded.
+
+    Attributes:
+        way: recorded states on the straight road [times, 4].
+    """
+
+    road: "RecordedRoad"
+    way: States
+    target_lane_index: LaneIndex
+
+    def change_lane_policy(self) -> None:
+        """Change to the lane of the recorded vehicle, unless a change is going on or there is no room for one."""
+        straight, (start, end, place) = self.road.straight, self.lane_index
+        x, *_, speed = self.road.states[self]
+        later = min(int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)), len(self.way) - 1)
+        lane = round(self.way[later, 1] / straight.lane_width)
+        beside = start, end, place + int(np.sign(lane - straight.numbers[self.lane_index]))
+        may_change = self.lane_index == self.target_lane_index != beside and beside in straight.numbers
+        if may_change and all(map(self._leaves_room, self.road.neighbour_vehicles(self, beside))):
+            self.target_lane_index = beside
+
+    def _leaves_room(self, other: Vehicle | None) -> bool:
+        """Return whether a vehicle in the lane beside leaves room for a change to that lane."""
+        if other is None:
+            return True
+        apart = self.road.states[other][[0, 3]] - self.road.states[self][[0, 3]]
+        gap = abs(apart[0]) - (other.LENGTH + self.LENGTH) / 2
+        return bool(gap > CLEAR + CLOSING * max(-np.sign(apart[0]) * apart[1], 0.0))
+
+    def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
+        """Return the acceleration of a vehicle behind another one, see `CommuterVehicle` [m/s^2]."""
+        if front_vehicle:
+            return super().acceleration(ego_vehicle, front_vehicle)
+        x, *_, speed = self.road.states[self]
+        return float(np.interp(x, self.way[:, 0], self.way[:, 3]) - speed) / SETTLING
+
+
 class RecordedRoad(Road):
     """A road for the vehicles of a recording. Only egos collide, where bodies overlap.
 
@@ -48,23 +94,24 @@ class RecordedRoad(Road):
         recording: of the traffic.
         begin: step of the recording to begin at.
         left_out: number of the track whose place the ego takes; None for all tracks.
+        traffic: ``"replay"``, ``"learned"`` or ``"idm"``, of those who drive; others are replayed.
         np_random: for drivers that draw random numbers.
 
     Attributes:
-        vehicle_type: of those who drive by themselves; None, if everybody is replayed. Other road users, such as
-            pedestrians, always are.
+        straight: the same road as a straight one.
         now: the present step of the recording.
         coming: tracks of the vehicles that have not entered yet.
     """
 
-    vehicle_type: ClassVar[type[Vehicle] | None] = None
     vehicles: list[Any]
 
-    def __init__(self, recording: TrafficRecording, begin: int, left_out: int | None, np_random: Any) -> None:
-        road = straight_road(recording)
-        super().__init__(road.network, np_random=np_random)
-        self.axes = road.axes
-        self.recording, self.begin, self.now = recording, begin, begin
+    def __init__(
+        self, recording: TrafficRecording, begin: int, left_out: int | None, traffic: str, np_random: Any
+    ) -> None:
+        self.straight = straight_road(recording)
+        super().__init__(self.straight.network, np_random=np_random)
+        self.begin, self.now, self._kind = begin, begin, DRIVEN[traffic]
+        self._known: tuple[tuple, dict[Vehicle, States]] = ((), {})
         self.coming = [track for track in recording.tracks if track.number != left_out and track.last >= begin]
         self._let_enter()
 
@@ -78,11 +125,28 @@ class RecordedRoad(Road):
         """The vehicles of the recording, each with its ``track``."""
         return [vehicle for vehicle in self.vehicles if hasattr(vehicle, "track")]
 
+    @property
+    def states(self) -> dict[Vehicle, States]:
+        """States of all vehicles on the straight road, computed once in a step."""
+        when = self.now, *self.vehicles
+        if self._known[0] != when:
+            self._known = when, dict(zip(self.vehicles, self.straight.states_of(self.vehicles), strict=True))
+        return self._known[1]
+
+    def neighbour_vehicles(self, vehicle: Vehicle, lane_index: LaneIndex | None = None) -> tuple[Any, Any]:
+        """Return the nearest vehicles ahead and behind in a lane and those before and after it, None without one."""
+        vehicles, (x, y, *_) = [*self.states], np.array([*self.states.values()]).T
+        centre = self.straight.lane_width * self.straight.numbers[lane_index or vehicle.lane_index]
+        inside = np.abs(y - centre) < self.straight.lane_width / 2 + BESIDE
+        found = [nearest_ahead(way * (x - self.states[vehicle][0]), inside) for way in (1, -1)]
+        ahead, behind = (vehicles[place] if there else None for place, there in found)
+        return ahead, behind
+
     def act(self) -> None:
         """Let all vehicles decide what to do in the next step."""
         super().act()
         for vehicle in self.others:
-            if vehicle.replayed:
+            if isinstance(vehicle, GuidedVehicle):
                 vehicle.coming = self.recorded_state(vehicle.track, self.now + 1)
 
     def step(self, dt: float) -> None:
@@ -101,53 +165,35 @@ class RecordedRoad(Road):
         """Return position, heading and speed at a step of a track, interpolated where it was not seen."""
         times, x, y, orientation, speed = track.samples.T
         *pose, now = (float(np.interp(step, times, part)) for part in (x, y, np.unwrap(orientation), speed))
-        return *self.axes.pose(*pose), now
-
-    def make(self, track: RecordedTrack) -> Vehicle:
-        """Return the vehicle of a track where it enters."""
-        kind = (track.drives and self.vehicle_type) or GuidedVehicle
-        vehicle = sized(kind(self, *self.recorded_state(track, self.begin)), track.size)
-        vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = track, False, track.drives
-        vehicle.replayed = not (track.drives and self.vehicle_type)
-        return vehicle
+        return *self.straight.axes.pose(*pose), now
 
     def _let_enter(self) -> None:
+        """Let vehicles enter whose time has come; at the beginning, and where they are replayed, also into others."""
         for track in self.waiting:
-            vehicle = self.make(track)
-            if vehicle.replayed or self.now == self.begin or self._is_free_for(vehicle):
+            kind = self._kind if track.drives else GuidedVehicle
+            vehicle = sized(kind(self, *self.recorded_state(track, self.begin)), track.size)
+            vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = track, False, track.drives
+            vehicle.way = self.straight.way(track)
+            vehicle.way[:, 0] = np.maximum.accumulate(vehicle.way[:, 0])
+            vehicle.target_speed = SPEED_LIMIT if kind is LearnedVehicle else max(float(track.samples[:, 4].max()), 1.0)
+            with_room = sized(copy(vehicle), (vehicle.LENGTH + 2 * CLEAR, vehicle.WIDTH))
+            free = not any(overlap(with_room, other) for other in self.vehicles)
+            if free or self.now == self.begin or kind is GuidedVehicle:
                 self.vehicles.append(vehicle)
                 self.coming.remove(track)
-
-    def _is_free_for(self, vehicle: Vehicle) -> bool:
-        """Return whether no other vehicle is where a vehicle enters, nor right ahead of or behind it."""
-        for other in self.vehicles:
-            x, y = other.position - vehicle.position
-            ahead, aside = rotated(x, y, vehicle.heading)
-            gap = abs(ahead) - (other.LENGTH + vehicle.LENGTH) / 2
-            if gap < CLEAR and abs(aside) < (other.WIDTH + vehicle.WIDTH) / 2:
-                return False
-        return True
 
     def _has_left(self, vehicle: Vehicle) -> bool:
         """Return whether a vehicle is past the end of its track, or of the road if it drives by itself."""
         if not hasattr(vehicle, "track"):
             return False
-        if vehicle.replayed:
+        if isinstance(vehicle, GuidedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
         return place > vehicle.lane.length + BEYOND and not self.network.graph.get(vehicle.lane_index[1])
 
 
-class IdmRoad(RecordedRoad):
-    """A road on which vehicles drive by highway-env's IDM and MOBIL, each at most as fast as it was recorded."""
-
-    vehicle_type = IDMVehicle
-
-    def make(self, track: RecordedTrack) -> Vehicle:
-        """Return the vehicle of a track where it enters."""
-        vehicle = super().make(track)
-        vehicle.target_speed = max(float(track.samples[:, 4].max()), 1.0)
-        return vehicle
+DRIVEN = {"learned": LearnedVehicle, "replay": GuidedVehicle, "idm": IDMVehicle}
+"""Vehicles of those who drive, by the kind of traffic."""
 
 
 def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:

@@ -1,8 +1,9 @@
 """A robot with highway-env's own kinematics that drives itself on any road, within what tyres hold in every frame."""
 
+from cmath import phase, rect
 from collections.abc import Sequence
-from math import acos, asin, atan, cos, hypot, sin, sqrt, tan
-from typing import Any, NamedTuple, Self
+from math import asin, atan, cos, hypot, sin, sqrt, tan
+from typing import Any, Self
 
 import numpy as np
 from highway_env.road.road import LaneIndex, Road, Route
@@ -44,25 +45,8 @@ def _slip(curvature: float, length: float) -> float:
     return asin(min(max(curvature * length / 2, -SLIP), SLIP))
 
 
-class Velocity(NamedTuple):
-    """How a vehicle's centre moves in a frame.
-
-    Attributes:
-        speed: [m/s].
-        course: direction in which it moves, heading and slip [rad].
-    """
-
-    speed: float
-    course: float
-
-    def change(self, other: "Velocity") -> float:
-        """Return the length of the difference of both velocities [m/s]."""
-        turn = self.course - other.course
-        return sqrt(max(self.speed**2 + other.speed**2 - 2 * self.speed * other.speed * cos(turn), 0.0))
-
-
 def keep_grip(
-    wanted: Point, now: Velocity, before: Velocity, length: float, dt: float, grip: float
+    wanted: Point, speed: float, before: complex, length: float, dt: float, grip: float
 ) -> tuple[float, float]:
     """Return the control that is nearest to a wanted one and within the grip of tyres for a frame.
 
@@ -73,19 +57,17 @@ def keep_grip(
 
     Args:
         wanted: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
-        now: speed and heading of the vehicle.
-        before: of its centre in the frame before.
+        speed: of the vehicle [m/s].
+        before: velocity of its centre in the frame before: along its heading, and to the right as imaginary part.
         length: of the vehicle [m].
         dt: duration of a frame [s].
         grip: total acceleration at most [m/s^2].
     """
     curvature, acceleration = map(float, wanted)
-    speed, most = now.speed, grip * dt
-    turn, product = ANY_TURN, 2 * speed * before.speed
+    most, turn, product = grip * dt, ANY_TURN, 2 * speed * abs(before)
     if product >= 1e-9:
-        turn = acos(min(max((speed**2 + before.speed**2 - most**2) / product, -1.0), 1.0))
-    straight = before.course - now.course
-    left, right = (max(min(straight + side * turn, WIDEST), -WIDEST) for side in (-1, 1))
+        turn = float(np.arccos(np.clip((speed**2 + abs(before) ** 2 - most**2) / product, -1.0, 1.0)))
+    left, right = np.clip([phase(before) - turn, phase(before) + turn], -WIDEST, WIDEST)
     sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * SLIP / length)
     curvature = min(max(curvature, 2 * sin(left) / length), 2 * sin(right) / length)
     curvature = min(max(curvature, -sharpest), sharpest)
@@ -127,7 +109,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self.route: Route | None = None
         self.last_step: RoadStep | None = None
         self.applied = self._wanted = np.zeros(2)
-        self._before: Velocity | None = None
+        self._before: complex | None = None  # velocity of the centre in the last frame, slip included
         self._elapsed, self.frame = np.inf, PERIOD
         self._executed: list[tuple[float, float]] = []
         self.drive_with(None)
@@ -176,21 +158,26 @@ class RoadRobot(OfferedSpeeds, Vehicle):
             super().step(dt)
             self.actions.append(dict(self.action))
             return
-        now = Velocity(self.speed, self.heading)
-        before = self._before or now
-        curvature, along = keep_grip(self._wanted, now, before, self.LENGTH, dt, MARGIN * self.grip)
+        speed, now = self.speed, self._along_heading()
+        before = now if self._before is None else self._before
+        towards = before * rect(1.0, -self.heading)
+        curvature, along = keep_grip(self._wanted, speed, towards, self.LENGTH, dt, MARGIN * self.grip)
         self.applied = np.array([curvature, along])
         self.action = {"steering": steering_of(curvature, self.LENGTH), "acceleration": along}
-        sliding = Velocity(now.speed, now.course + _slip(curvature, self.LENGTH))
         super().step(dt)
         self.actions.append(dict(self.action))
-        self._before, self._elapsed, self.frame = sliding, self._elapsed + dt, dt
-        changed = max(sliding.change(before), Velocity(self.speed, self.heading).change(now))
-        across = now.speed**2 * curvature
+        self._before = now * rect(1.0, _slip(curvature, self.LENGTH))
+        self._elapsed, self.frame = self._elapsed + dt, dt
+        changed = max(abs(self._before - before), abs(self._along_heading() - now))
+        across = speed**2 * curvature
         self.accelerations.append(max(hypot(along, across), changed / dt))
         self._executed = [*self._executed, (along, across)][-round(PERIOD / dt + 1) :]
         (first_along, first_across), span = self._executed[0], dt * max(len(self._executed) - 1, 1)
         self.jerks.append(hypot(along - first_along, across - first_across) / span)
+
+    def _along_heading(self) -> complex:
+        """Return the speed in the direction of the heading, as a complex number [m/s]."""
+        return rect(self.speed, self.heading)
 
     @property
     def target_lane_index(self) -> LaneIndex:

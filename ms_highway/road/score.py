@@ -6,7 +6,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import separation
-from ms_highway.geometry.curve import Knots, Pose, interpolate, rotated
+from ms_highway.geometry.curve import Pose, interpolate, rotated
 from ms_highway.perception.scene import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans, World
 from ms_highway.planning.car_following import FAR, highest, lowest
 from ms_highway.road.constants import RoadWeights
@@ -71,19 +71,19 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     per_second = weights.speed * (1 - off_speed / desired) - weights.centre * (d - goal) ** 2 - _discomfort(now, driven)
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
     closed = closed | ((plans.side != 0) & ~now.obstruction.exists)  # nothing to go round
-    leaves = _leaves(now, driven, plans)
+    leaves = _leaves(now, driven)
     off_road = weights.off_road * (leaves.astype(float) + closed)
     others, intrusion, impact = _collisions(now, driven, lanes)
     target = jax.vmap(aim, (None, 0, 0))(now, plans, s[:, -1])
-    after = terminal_value(now, driven, lanes, goal[:, -1], target)
+    own, after, missing = terminal_value(now, driven, lanes, goal[:, -1], target)
     return Scores(
-        own=planning.time_step * per_second.sum(axis=1) - off_road + after.own,
-        others=others + after.others,
+        own=planning.time_step * per_second.sum(axis=1) - off_road + own,
+        others=others + after,
         answerable=jnp.where(now.leading, 0.0, others),
         intrusion=intrusion,
         impact=impact,
         leaves=leaves | closed,
-        missing=after.missing.max(axis=1),
+        missing=missing.max(axis=1),
     )
 
 
@@ -97,24 +97,14 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
     return weights.acceleration * (acceleration**2 + (lateral - squared * bend) ** 2) + weights.jerk * jerk
 
 
-def _leaves(now: Situation, driven: DrivenPlans, plans: Profiles) -> PlanFlags:
-    """Return whether plans leave the road.
-
-    What lanes of others pave counts as road for plans that go round what cannot move, and for all plans of a robot that
-    is beside its road on the way round. What cannot be helped any more does not count.
-    """
-    scene, (length, width) = now.scene, now.scene.size
-
-    def beyond(edges: Knots, states: Numbers) -> Numbers:
-        s, d, heading, _ = jnp.moveaxis(states, -1, 0)
-        middle = d + length / 2 * jnp.sin(heading)
-        reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
-        left, right = interpolate(edges, s + length / 2)
-        return jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
-
-    wide = now.obstruction.exists & ((plans.side != 0) | (beyond(scene.edges, scene.robot) > 0))
-    found = jnp.where(wide[:, None], beyond(scene.paved, driven.states), beyond(scene.edges, driven.states))
-    return (found > found[:, :1] + now.weights.off).any(axis=1)
+def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
+    """Return whether plans leave the road; what cannot be helped any more does not count."""
+    (s, d, heading, _), (length, width) = jnp.moveaxis(driven.states, -1, 0), now.scene.size
+    middle = d + length / 2 * jnp.sin(heading)
+    reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
+    left, right = interpolate(now.scene.edges, s + length / 2)
+    beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
+    return (beyond > beyond[:, :1] + now.weights.off).any(axis=1)
 
 
 def _collisions(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar, Plans, Plans]:

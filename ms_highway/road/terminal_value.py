@@ -1,7 +1,6 @@
 """Value the end of plans: the lane that they reach, room to stop, and the speed that the lanes then allow."""
 
 from functools import reduce
-from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
@@ -20,21 +19,9 @@ PLACES, SPEEDS = 144, 13  # in the table
 SLOWER, FASTER = 2, 1  # steps of speed in a second at most
 
 
-class TerminalValue(NamedTuple):
-    """What follows a plan is worth.
-
-    Attributes:
-        own: of the lane that it reaches, and of the speed that nobody else limits.
-        others: cost of each of the others: missing room to stop, and the speed that it limits.
-        missing: metres that are missing to stop behind each of the others.
-    """
-
-    own: Plans
-    others: EachCar
-    missing: EachCar
-
-
-def terminal_value(now: Situation, driven: DrivenPlans, lanes: Lane, goal: Plans, target: Plans) -> TerminalValue:
+def terminal_value(
+    now: Situation, driven: DrivenPlans, lanes: Lane, goal: Plans, target: Plans
+) -> tuple[Plans, EachCar, EachCar]:
     """Return what follows plans is worth.
 
     Args:
@@ -43,6 +30,10 @@ def terminal_value(now: Situation, driven: DrivenPlans, lanes: Lane, goal: Plans
         lanes: that they go to, 0 to 2.
         goal: lateral positions of these lanes after the plans [m].
         target: lateral positions that the plans go to: others than the lanes' on a way round what cannot move [m].
+
+    Returns:
+        What the lane that a plan reaches is worth, with the speed that nobody else limits; the cost of each of the
+        others, of missing room to stop and of the speed that it limits; and the metres missing to stop behind each.
     """
     weights, aside = now.weights, jnp.abs(goal - driven.states[:, -1, 1])
     share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - aside / LANE, 0.0, 1.0))  # of its change of lane
@@ -56,7 +47,7 @@ def terminal_value(now: Situation, driven: DrivenPlans, lanes: Lane, goal: Plans
     slower, charged = speed_lost(now, driven, jnp.where(share > 0.5, lanes, 1))
     lost = weights.terminal * slower / now.planning.desired_speed
     others = weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
-    return TerminalValue(own - jnp.where(charged.any(axis=-1), 0.0, lost), others, missing)
+    return own - jnp.where(charged.any(axis=-1), 0.0, lost), others, missing
 
 
 def urgency(now: Situation, lanes: Lane) -> Plans:

@@ -1,6 +1,5 @@
 """Files that are either whole or not there."""
 
-import errno
 import json
 import os
 import shutil
@@ -19,9 +18,6 @@ PART = ".part."
 """How the names of files begin that are being written, or were when a process was killed."""
 
 LOCK = f"{PART}lock"
-
-NO_LOCKS = errno.ENOLCK, errno.ENOTSUP
-"""Errors of shared disks without locks."""
 
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
 
@@ -100,26 +96,21 @@ def held(directory: Path) -> Iterator[None]:
 
     Raises:
         ValueError: if another command is writing to it.
-        OSError: if it cannot be locked, though the disk has locks.
     """
     from filelock import FileLock, Timeout
 
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
-    file = directory / LOCK
-    lock = FileLock(file, timeout=0)
+    lock = FileLock(directory / LOCK, timeout=0)
     try:
         try:
             lock.acquire()
         except Timeout as error:
             remedy = "wait for its end, or choose another"
             raise ValueError(f"another command is writing to {directory}; {remedy}") from error
-        except NotImplementedError:
+        except (NotImplementedError, OSError):  # on some shared disks
             pass
-        except OSError as error:
-            if error.errno not in NO_LOCKS:
-                raise OSError(f"{directory} cannot be locked: {error}; mend that, or choose another place") from error
-        with temporary(file):  # removed while it is held
+        with temporary(directory / LOCK):  # removed while it is held
             yield
     finally:
         lock.release()
@@ -207,13 +198,10 @@ def read_json(path: Path) -> Any:
     """Return the content of a JSON file.
 
     Raises:
-        ValueError: if that is no JSON, or nested too deeply to be read.
+        ValueError: if that is no JSON.
         OSError: if there is no such file.
     """
-    try:
-        return json.loads(path.read_text())
-    except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
+    return json.loads(path.read_text())
 
 
 def write_json(file: Path, content: Any) -> None:

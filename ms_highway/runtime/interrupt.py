@@ -22,9 +22,6 @@ RESUMES = ("compare", "sweep", "frontier", "record")
 STOPPED = "ms-highway: stopped" + ("; started again in the same way, it resumes" if {*RESUMES} & {*sys.argv} else "")
 """What an interrupted command says last."""
 
-FLUSHING = 1.0  # s, at most, as nobody may be reading the output
-SHOW_CURSOR = "\x1b[?25h"  # hidden by progress bars
-
 
 def watch() -> None:
     """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
@@ -45,19 +42,11 @@ def _wait() -> NoReturn:
 
 def _end() -> NoReturn:
     """End this process from any thread, at once: with a line on standard error, and without temporary files."""
-    from threading import Thread
-
     from ms_highway.runtime.files import remove_temporary
 
-    after_a_bar = f"{SHOW_CURSOR}\n" if sys.stderr.isatty() else ""
+    after_a_count = "\n" if sys.stderr.isatty() else ""
     with suppress(OSError):
-        os.write(sys.stderr.fileno(), f"{after_a_bar}{STOPPED}\n".encode())
-    if "multiprocessing" in sys.modules:
-        for worker in sys.modules["multiprocessing"].active_children():
-            worker.terminate()
-    flushing = Thread(target=sys.stdout.flush, daemon=True)
-    flushing.start()
-    flushing.join(FLUSHING)
+        os.write(sys.stderr.fileno(), f"{after_a_count}{STOPPED}\n".encode())
     remove_temporary()
     os._exit(INTERRUPTED)
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
-from importlib import import_module
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
@@ -15,6 +14,8 @@ from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
+
+from ms_highway.runtime.extras import import_modules
 
 KERNEL_BYTES = 100_000
 """Loops with less memory traffic per iteration become one kernel: those of a plan or a decision, but not those of
@@ -154,8 +155,7 @@ def _prepare(configure: Callable[[], None], cache: str | None, modules: Sequence
     configure()
     if cache is not None:
         keep_compilations(Path(cache))
-    for module in modules:
-        import_module(module)
+    import_modules(modules)
 
 
 def _end_with_parent() -> None:

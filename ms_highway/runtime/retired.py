@@ -16,6 +16,9 @@ FITTED = f"use fitted_idm or model; {ON_PAGE}"
 OPTIONS = {
     "bench --peer": "the comparison with CasADi is on the results page",
     "bench --crowd": "give --set humans=N",
+    "bench --seed": "it is called --first-seed, as elsewhere",
+    "bench road --figure": "plot the file of --json or --log",
+    "bench road --jobs": "leave it out: there is a process for each core",
     "bench road --bound": SAME_STARTS,
     "bench road --traffic unyielding": "use --traffic aggressive",
     "bench road --judge": EXPORT,
@@ -26,6 +29,7 @@ OPTIONS = {
     "report --values": "compare draws what learned values estimate, in SCENARIO_decisions.png",
     "report --drivers": "irl evaluate prints the tables of predictions, and its --figures DIR draws them",
     "values learn --generated": "name the scenarios to learn in, your own too with --import",
+    "values learn --solvers": "learn a file for each solver, with --set solver=NAME",
     "values learn --without": "what inputs of learned values are worth is on the results page",
     "irl evaluate --learn": "give it to irl fit, which says how likely held-out segments are",
     "irl evaluate --horizon": "give it to irl fit, which says how likely held-out segments are",

@@ -1,24 +1,34 @@
 """Drive like humans: plan for a reward learned from demonstrations or from recorded traffic."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, ClassVar, Self
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import Road
+from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.game import Game
 from ms_highway.game.learned_drivers import RewardTraits
-from ms_highway.game.learned_reward import commuter_weights, shipped, shipped_drivers
+from ms_highway.game.learned_reward import shipped, shipped_drivers
+from ms_highway.game.neighbours import Leader
 from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings
 from ms_highway.game.scenario import driving_game
-from ms_highway.loop.controller import Controller
+from ms_highway.geometry.road_map import LIMIT
 from ms_highway.loop.driver import fixed
+from ms_highway.loop.fallback import braking_control
 from ms_highway.numerics.solvers import Solver
+from ms_highway.planning.held_control import held_acceleration
+from ms_highway.planning.learned_driving import NOBODY
 from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import WATCHED, RoadView, look
+
+CALM = 1.5  # m/s^2, of braking that is left to the learned reward
+STOPPED = 2.0  # m, gap behind who stands
+STOPPING = 5.0  # 1/s, of the speed that braking takes at most, so that no step ends backwards
+YIELDING = 5.0  # m/s^2, of braking where a road makes a car yield
 
 
 class HumanVehicle(PlanningVehicle):
@@ -66,59 +76,76 @@ class HumanVehicle(PlanningVehicle):
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan for the own reward: in the game given by `drive_with`, or else on the present road."""
-        if not action and self.controller is None and self.road is not None:
-            self.drive_with(fixed(self._own_game(look(self))))
-        super().act(action)
+        if action or self.companions or self.road is None:
+            super().act(action)
+        elif not self.crashed:
+            self._drive_alone(look(self))
 
-    def _drive_on_road(self, controller: Controller) -> RoadView:
-        """Plan, and brake more than planned where that is needed to keep clear of others."""
-        view = super()._drive_on_road(controller)
-        omega, acceleration = self.control
+    def _drive_alone(self, view: RoadView) -> None:
+        """Plan as if the lane were straight, add its bend to the plan's control, and brake more to keep clear."""
+        limit = min(view.speed_limit, self.target_speed)
+        game = driving_game(view.scene, limit, self.weights, solver=self.solver, planning=self.planning)
+        if self.controller is None:
+            self.drive_with(fixed(game))
+        assert self.controller is not None
+        self.controller.game = game
+        if self.target_speed > 0:
+            self.last_state = view.states
+            self.last_step = self.controller.step(view.states)
+            omega, acceleration = self.last_step.control
+        else:
+            omega, acceleration = braking_control(game, view.states[0])
         times = 1 if isinstance(self.road, RegulatedRoad) else len(WATCHED)
         highest = view.clear_acceleration(times) + self.friction
-        self.execute(np.array([omega, min(acceleration, highest)]))
-        return view
-
-    def _own_game(self, view: RoadView) -> Game:
-        """Return the game that it plays when it drives by itself."""
-        return driving_game(view.scene, view.speed_limit, self.weights, solver=self.solver, planning=self.planning)
+        self.execute(np.array([omega + view.scene.bend, min(acceleration, highest)]))
 
 
-class CommuterVehicle(HumanVehicle):
+class CommuterVehicle(IDMVehicle):
     """Drive with the traffic, like the drivers recorded on US-101, each in its own way.
 
-    The weights of speed, distances and comfort are learned from them, and so is how they differ: desired speed, headway
-    and patience are drawn for every car, by the road's random numbers. Dense traffic on a straight highway tells little
-    about leaving a lane that ends and avoiding collisions; these weights are the paper's: with the learned weights
-    alone, humans hit standing cars and obstacles at the end of a ramp. The speed limit attracts it weakly: on an empty
-    road it takes minutes to reach it.
-
-    Attributes:
-        traits: its own, the desired speed as a share of the speed limit.
+    The acceleration is the one that earns most of the reward learned from where those drivers were seconds later, see
+    `ms_highway.planning.held_control`. Drivers differ in desired speed, headway and patience, which are drawn for every
+    car by the road's random numbers. Dense traffic tells little about stopping: drivers also brake as hard as they have
+    to. They steer and change lanes as highway-env's drivers do (MOBIL), whose `acceleration` this class replaces.
     """
 
-    COLOR = (150, 90, 200)
-    weights = commuter_weights()
-    solver = "newton"
+    ACC_MAX = 8.0  # m/s^2, of braking; they accelerate by 4 at most
 
-    def __init__(self, *place: Any, traits: RewardTraits | None = None, **options: Any) -> None:
-        super().__init__(*place, **options)
-        prior = shipped_drivers().prior
-        if traits is None:
-            traits = prior.draw(self.road.np_random, 1.0) if self.road else prior.traits(np.zeros(3), 1.0)
-        self.traits = traits
+    @cached_property
+    def traits(self) -> RewardTraits:
+        """Its own, the desired speed as a share of the speed limit; drawn when it acts first."""
+        return shipped_drivers().prior.draw(self.road.np_random, 1.0)
 
-    @classmethod
-    def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
-        """Replace another vehicle, see `PlanningVehicle.create_from`; one of its own kind passes on its traits."""
-        return super().create_from(vehicle, traits=getattr(vehicle, "traits", None), **options)
+    def act(self, action: Any = None) -> None:
+        """Decide what to do in the next step; never drive backwards."""
+        super().act(action)
+        self.action["acceleration"] = max(self.action["acceleration"], -STOPPING * self.speed)
 
-    def desired_speed(self, view: RoadView) -> float:
-        """Return its own desired speed [m/s]: a share of what the road and `target_speed` allow, perhaps above 1."""
-        return super().desired_speed(view) * float(self.traits.desired_speed)
+    def acceleration(
+        self, ego_vehicle: Vehicle | None, front_vehicle: RoadObject | None = None, rear_vehicle: Any = None
+    ) -> float:
+        """Return the acceleration of a vehicle behind another one, as if it had the traits of this one [m/s^2].
 
-    def _own_game(self, view: RoadView) -> Game:
-        game = super()._own_game(view)
-        comfort = np.asarray(game.robot.comfort) * [1.0, self.traits.patience]
-        own = replace(game.robot, headway=self.traits.headway, comfort=comfort.astype(np.float32))
-        return replace(game, robot=own, humans=replace(own, weights=game.humans.weights))
+        Args:
+            ego_vehicle: the vehicle; nobody, and obstacles, do not accelerate.
+            front_vehicle: whoever is ahead of it.
+            rear_vehicle: is not heeded.
+        """
+        if not isinstance(ego_vehicle, Vehicle):
+            return 0.0
+        speed, limit = ego_vehicle.speed, ego_vehicle.lane.speed_limit or LIMIT
+        wanted = min(getattr(ego_vehicle, "target_speed", limit), limit)
+        if wanted <= 0:  # the road makes it yield
+            return -min(speed, YIELDING)
+        gap, ahead = np.inf, speed
+        if front_vehicle:
+            lengths = ego_vehicle.LENGTH + front_vehicle.LENGTH
+            gap = ego_vehicle.lane_distance_to(front_vehicle) - lengths / 2
+            ahead = max(float(front_vehicle.velocity @ ego_vehicle.direction), 0.0)
+        own = self.traits._replace(desired_speed=self.traits.desired_speed * wanted)
+        leader = Leader(min(gap, NOBODY), ahead, front_vehicle is not None)
+        wish = float(held_acceleration(shipped_drivers().weights, own, speed, leader))
+        if gap < STOPPED / 2:
+            return -self.ACC_MAX
+        needed = max(speed**2 - ahead**2, 0.0) / (2 * max(gap - STOPPED, 0.1))
+        return min(wish, -needed) if needed > CALM else wish

@@ -1,4 +1,4 @@
-"""Drive vehicles with a controller, in a given game or by themselves on any highway-env road."""
+"""Drive vehicles with a controller, in a given game."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,43 +10,17 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.dynamics import within_grip
-from ms_highway.game.game import Game
-from ms_highway.game.neighbours import headways
 from ms_highway.geometry.road_map import LIMIT
 from ms_highway.loop.controller import Controller, ControlStep
-from ms_highway.loop.driver import Driver
-from ms_highway.loop.fallback import braking_control
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds
-from ms_highway.vehicle.road_view import (
-    RoadView,
-    at_constant_speed,
-    in_the_world,
-    look,
-    states_of,
-    straightened,
-)
-
-STEADINESS = 0.5  # s, by which a neighbour's time gap must be shorter than the partner's to replace it
-
-
-def _at(view: RoadView, game: Game, limit: float) -> Game:
-    """Return a game in a driver's view of a road, at a speed limit."""
-    robot, humans = (replace(reward, speed_limit=limit) for reward in (game.robot, game.humans))
-    return replace(game, scene=view.scene, robot=robot, humans=humans)
+from ms_highway.vehicle.road_view import at_constant_speed, states_of
 
 
 class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     """Car driven by a controller; without one, it takes actions like any other car.
 
-    With a controller and companions, it plays the controller's game with them. With a controller only, it drives by
-    itself on any highway-env road: whenever it acts, it views the road in the coordinates of its lane (see
-    `ms_highway.vehicle.road_view`) and plays the controller's game in this view, with the speed limit of the road;
-    ``last_state`` and ``last_step`` are then in these coordinates.
-
-    Its partner is then the neighbour with the shortest time gap (see `ms_highway.game.neighbours.headways`), until it
-    is no longer a neighbour or another's gap is shorter by half a second; then the controller forgets the partner
-    (`ms_highway.loop.controller.Controller.reset_partner`).
+    With a controller and companions, it plays the controller's game with them.
 
     The grip of tyres is respected where the game's planner has a ``grip``, as in
     `ms_highway.game.scenario.driving_game`.
@@ -56,8 +30,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     Attributes:
         controller: plans whenever the road lets its vehicles act.
-        companions: other cars of the controller's game, its partner first; none if it drives by itself.
-        partner: the other player, None if none is in sight.
+        companions: other cars of the controller's game, its partner first.
         last_step: record of the controller's last step, None before the first.
         last_state: states that the controller planned in then, [cars, 4].
         route: roads to follow, None to follow whichever it is on.
@@ -70,7 +43,6 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self.target_speed = None
         self.last_step: ControlStep | None = None
         self.last_state: State | None = None
-        self._before: State | None = None  # of itself and of its neighbours a step ago, in highway-env's coordinates
         self.drive_with(None)
 
     @classmethod
@@ -92,10 +64,8 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self._target_speed = speed
 
     def drive_with(self, controller: Controller | None, companions: Sequence[Vehicle] = ()) -> None:
-        """Let a controller drive: in its game with these other cars, the partner first; without any, by itself."""
-        self.controller = controller
-        self.companions = list(companions)
-        self.partner: Vehicle | None = self.companions[0] if companions else None
+        """Let a controller drive: in its game with these other cars, the partner first."""
+        self.controller, self.companions = controller, list(companions)
 
     def observe(self) -> State:
         """Return the states of this car and of its companions."""
@@ -114,57 +84,13 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
                 raise ValueError(f"a car that plans cannot be told to go {action!r}; its only such action is 'IDLE'")
         elif action or self.controller is None:
             BicycleVehicle.act(self, action)
-        elif self.companions:
+        else:
             self.last_state = self.observe()
             self.last_step = self.controller.step(self.last_state)
             self.execute(self.last_step.control)
-        elif not self.crashed:
-            self._drive_on_road(self.controller)
-
-    def _drive_on_road(self, controller: Controller) -> RoadView:
-        """Plan as if the lane were straight, and add its bend to the plan's first control; return the view."""
-        view = look(self)
-        controller.game = _at(view, controller.game, self.desired_speed(view))
-        if self.target_speed <= 0:
-            control, self._before = braking_control(controller.game, view.states[0]), None
-        else:
-            place = self._partners_place(view)
-            if view.cars[place] is not self.partner or self._before is None:
-                controller.reset_partner()
-                self.partner, self._before = view.cars[place], None
-            order = [0, 1 + place, *(row for row in range(1, len(view.states)) if row != 1 + place)]
-            self.last_state = view.states[order]
-            before = None if self._before is None else straightened(view.seen.route, self._before)
-            self.last_step = controller.step(self.last_state, before)
-            self._before = in_the_world(view.seen.route, self.last_state)
-            control = self.last_step.control
-        self.execute(control + np.array([view.scene.bend, 0.0]))
-        return view
-
-    def desired_speed(self, view: RoadView) -> float:
-        """Return the speed at which its reward of speed is highest [m/s]: the road's limit, at most `target_speed`."""
-        return min(view.speed_limit, self.target_speed)
-
-    def _partners_place(self, view: RoadView) -> int:
-        """Return the place of the neighbour that is the partner from now on; 0 if there is none."""
-        gaps = headways(view.states[0], view.states[1:], self.LENGTH)
-        gaps = np.where([car is not None for car in view.cars], gaps, np.inf)
-        nearest = int(np.argmin(gaps))
-        last = view.cars.index(self.partner) if self.partner in view.cars else nearest
-        return nearest if gaps[nearest] < gaps[last] - STEADINESS else last
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds; with a ``grip``, within it and never backwards.
-
-        Raises:
-            ValueError: if it drives by itself and chooses models or infers beliefs by its last step, and ``dt`` is not
-                its game's time step.
-        """
-        if isinstance(self.controller, Driver) and self.controller.looks_back and not self.companions:
-            wanted = float(self.controller.game.world.time_step)
-            if abs(dt - wanted) > 1e-6:
-                message = f"the road moves in steps of {dt:g} s, and the robot's game in steps of {wanted:g} s"
-                raise ValueError(f"{message}; configure the environment with 'simulation_frequency': {1 / wanted:g}")
+        """Move for ``dt`` seconds; with a ``grip``, within it and never backwards."""
         grip = self.controller.game.planner.grip if self.controller else None
         if grip is not None:
             dynamics = replace(self.dynamics, time_step=dt)

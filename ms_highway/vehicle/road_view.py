@@ -45,7 +45,6 @@ class RoadView:
         scene: the lanes left of the driver's, its own, and right of it; those that are closed repeat its own. Where a
             lane ends, its centre moves to that of the target lane, so that its followers merge.
         states: of the driver and its neighbours; obstacles count as cars that stand.
-        cars: the neighbours, None where there is none.
         speed_limit: of the lane, reduced before bends [m/s].
     """
 
@@ -53,7 +52,6 @@ class RoadView:
     others: State
     scene: Scene
     states: State
-    cars: tuple[RoadObject | None, ...]
     speed_limit: float
 
     def clear_acceleration(self, times: int) -> float:
@@ -85,13 +83,6 @@ def straightened(route: Curve, states: State) -> State:
     return np.stack([*route.project(x, y, heading), speed], axis=-1)
 
 
-def in_the_world(route: Curve, states: State) -> State:
-    """Transform states of cars from the coordinates of a route to highway-env's: the inverse of `straightened`."""
-    s, d, turned, speed = states.T
-    x, y, heading = route.place(s, d)
-    return np.stack([x, y, heading + turned, speed], axis=-1)
-
-
 def look(driver: Vehicle) -> RoadView:
     """View the road from a driver now, whose size is assumed for all; it follows its ``route``, if it has one."""
     seen = observe_road(driver)
@@ -101,7 +92,6 @@ def look(driver: Vehicle) -> RoadView:
     lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
     width = float(driver.lane.width_at(0.0))
     numbers, taken = places(own, others[:, 0], seen.present, np.array(width))
-    known = list(driver.road_memory.numbers)
     scene = Scene(
         lanes=lanes,
         lane_width=width,
@@ -118,7 +108,6 @@ def look(driver: Vehicle) -> RoadView:
         others,
         scene,
         np.stack([own, *np.where(taken[:, None], others[numbers, 0], far_behind(own))]),
-        tuple(known[seen.owners[n]] if there else None for n, there in zip(numbers, taken, strict=True)),
         min(driver.lane.speed_limit or LIMIT, _limit_before_bends(seen.route, own[0])),
     )
 

@@ -7,14 +7,15 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from ms_highway.envs.viewer import model_meaning
-from ms_highway.experiments.analysis.findings import answer, most_informative_pair
 from ms_highway.experiments.records import common_seeds, models_of
 from ms_highway.experiments.results import Results
+from ms_highway.experiments.summary import answer, most_informative_pair
 from ms_highway.game.scenario import title
 from ms_highway.runtime.progress import Progress, silent
 from ms_highway.visualization import video
-from ms_highway.visualization.comparison import cells
-from ms_highway.visualization.figures import CAPTIONS, content, figures
+from ms_highway.visualization.figures import CAPTIONS, figures
+from ms_highway.visualization.style import content
+from ms_highway.visualization.tables import cells
 
 
 def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:
@@ -35,7 +36,7 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
         pictures = {}
         for name, draw in figures(results.records, summaries, scenario).items():
             file = results.directory / f"{scenario}_{name}.png"  # drawn by compare, perhaps
-            png = file.read_bytes() if results.is_current(file) else content(draw())
+            png = file.read_bytes() if file.exists() else content(draw())
             pictures[name] = _data("image/png", png), CAPTIONS[name]
         sections.append(
             {
@@ -70,7 +71,7 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
     return texts
 
 
-def _film(results: Results, scenario: str) -> dict[str, Any]:
+def _film(results: Results, scenario: str) -> dict:
     """Film the most informative controllers from the first start that all of them have driven; sizes are in px."""
     controllers = most_informative_pair(results.summaries, scenario)
     seed = next(iter(common_seeds(results.records, scenario, controllers)), 0)

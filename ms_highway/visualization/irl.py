@@ -17,8 +17,8 @@ from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import HORIZONS, cut_snapshots
-from ms_highway.visualization.colors import styled
-from ms_highway.visualization.tables import grid
+from ms_highway.visualization.style import styled
+from ms_highway.visualization.tables import grid, texts
 
 STYLES = {
     "model": ("#1f5fbf", "o"),
@@ -41,13 +41,26 @@ PANELS = {
 }
 """What each figure of an evaluation shows, and its label."""
 
-COLUMNS = {
-    "fde": ("FDE", "{:.2f}"),
-    "rmse": ("RMSE", "{:.2f}"),
-    "miss": ("miss", "{:.0%}"),
-    "log_p": ("log p", "{:.2f}"),
-    **{f"inside {level}": (f"in {level} %", "{:.1%}") for level in LEVELS},
+METRICS = {
+    "predicted by": "{label}",
+    "after": "{horizon} s",
+    "FDE": "{fde:.2f}",
+    "RMSE": "{rmse:.2f}",
+    "miss": "{miss:.0%}",
+    "log p": "{log_p:.2f}",
+    **{f"in {level} %": f"{{inside {level}:.1%}}" for level in LEVELS},
 }
+REGIMES = {"what drivers did": "{regime}", "predictions": "{windows:.0f}"}
+REGIMES |= {label: f"{{{name}:.2f}}" for name, label in PREDICTORS.items()}
+LEARNED = {
+    "weight": "{weight}",
+    "value": "{value:.4g}",
+    "90 % interval": "{interval}",
+    "true": "{true:g}",
+    "feature of drivers": "{drivers:.3g}",
+    "feature expected": "{expected:.3g}",
+}
+"""Headings of tables, and how their texts are made."""
 
 
 @styled
@@ -67,17 +80,18 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
                 values = evaluation.predictors[name][kind]
                 axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=predictor)
             axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
+            axes.grid(axis="y")
+            if kind.startswith("inside"):
+                share = int(kind.split()[1]) / 100
+                axes.axhline(share, color=RECORDED, linewidth=1, linestyle="--")
+                axes.axhspan(share - NEAR, min(share + NEAR, 1.0), color="#f1f2f4", zorder=0)
             if kind not in ("fde", "log_p"):
                 axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-            axes.grid(axis="y")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     left, right = figures["errors"].axes
     left.set_ylim(0, 1.15 * max(evaluation.predictors["constant_velocity"]["fde"].values()))  # without IDM's
     right.set_ylim(bottom=0)
     figures["errors"].suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
-    for axes, level in zip(figures["calibration"].axes, LEVELS, strict=True):
-        axes.axhline(level / 100, color=RECORDED, linewidth=1, linestyle="--")
-        axes.axhspan(level / 100 - NEAR, min(level / 100 + NEAR, 1.0), color="#f1f2f4", zorder=0)
     return figures
 
 
@@ -98,16 +112,17 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     if not whole[most].any():
         raise ValueError("no driver was recorded for 8 s on end; there are no paths to be drawn")
     one = replace(snapshots, predicted=whole).of(np.arange(len(snapshots)) == most)
-    modes = {name: predict_with(name, one, drivers).modes for name in DRAWN}
-    paths = {"recorded": one.recorded, **{name: expected_path(found) for name, found in modes.items()}}
     start, lanes, width = one.drivers(one.now)[:, None, :2], np.unique(one.lanes), float(one.lane_width[0])
     figure = Figure(figsize=(11, 6))
-    axes = figure.subplots()
+    axes, paths = figure.subplots(), {"recorded": one.recorded}
     for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
         axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
-    for chance, way in zip(*(np.concatenate(part) for part in modes["model"]), strict=True):
-        if chance >= LIKELY:
-            axes.plot(*way.T, color=STYLES["model"][0], linewidth=1 + 5 * chance, alpha=0.25)
+    for name in DRAWN:
+        modes = predict_with(name, one, drivers).modes
+        paths[name] = expected_path(modes)
+        for chance, way in zip(*map(np.concatenate, modes), strict=True) if name == "model" else ():
+            if chance >= LIKELY:
+                axes.plot(*way.T, color=STYLES[name][0], linewidth=1 + 5 * chance, alpha=0.25)
     for name, path in paths.items():
         color, marker = STYLES[name]
         whole_paths = np.concatenate([start, path], axis=1).T
@@ -130,15 +145,16 @@ def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = No
     """
     values = {**learned.weights, "temperature": learned.temperature}
     values |= {"tails": learned.tails} if learned.tails else {}
-    counts = learned.feature_counts
-    table = pd.DataFrame({"value": pd.Series(values).map("{:.4g}".format)}).rename_axis("weight")
-    given = dict.fromkeys(learned.weights, "given")
-    table["90 % interval"] = pd.Series(given | {name: _ends(learned.interval(name)) for name in learned.learned})
-    if true is not None:
-        table["true"] = pd.Series(true).map("{:g}".format)
-    table["feature of drivers"] = pd.Series(counts["human"]).map("{:.3g}".format)
-    table["feature expected"] = pd.Series(counts["model"]).map("{:.3g}".format)
-    found = [grid(f"learned from {learned.windows} segments", table.reset_index())]
+    counts, true = learned.feature_counts, true or {}
+    rows = []
+    for name, value in values.items():
+        row = {"weight": name, "value": value, "true": true.get(name)}
+        row |= {"drivers": counts["human"].get(name), "expected": counts["model"].get(name)}
+        row["interval"] = "given" if name in learned.weights else None
+        if name in learned.learned:
+            row["interval"] = _ends(learned.interval(name))
+        rows.append(row)
+    found = [grid(f"learned from {learned.windows} segments", texts(LEARNED, rows))]
     return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
 
 
@@ -158,8 +174,8 @@ def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
     }
     rows = []
     for name, value in numbers.items():
-        spread = 1.645 * drivers.deviations.get(name, np.nan)
-        ends = _ends(value * np.exp([-spread, spread])) if np.isfinite(spread) else "given"
+        spread = drivers.deviations.get(name, np.nan)
+        ends = _ends(value * np.exp([-1.645 * spread, 1.645 * spread])) if np.isfinite(spread) else "given"
         rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends})
     return grid("learned seconds ahead; factors while changing lanes", rows)
 
@@ -168,18 +184,15 @@ def evaluation_tables(evaluation: Evaluation) -> list[pd.DataFrame]:
     """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime."""
     rows = []
     for horizon, (name, label) in product(map(str, HORIZONS), PREDICTORS.items()):
-        row = evaluation.predictors[name]
-        if horizon in row["fde"]:
-            values = {heading: form.format(row[kind][horizon]) for kind, (heading, form) in COLUMNS.items()}
-            rows.append({"predicted by": label, "after": f"{horizon} s", **values})
-    title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers"
-    tables = [grid(title, rows, 2)]
+        found = {kind: values[horizon] for kind, values in evaluation.predictors[name].items() if horizon in values}
+        if found:
+            rows.append({"label": label, "horizon": horizon, **found})
+    tables = [grid(f"{evaluation.windows} predictions of {evaluation.tracks} drivers", texts(METRICS, rows), 2)]
     regimes = (("distance", "mean error, m"), ("log_p", "mean log density"))
     for (kind, what), horizon in product(regimes, ("3", "5")):
         rows = []
         for regime, row in evaluation.situations[kind].items():
-            found = {label: row[name].get(horizon) for name, label in PREDICTORS.items()}
-            texts = {label: "" if value is None else f"{value:.2f}" for label, value in found.items()}
-            rows.append({"what drivers did": regime, "predictions": f"{row['windows'][horizon]:.0f}", **texts})
-        tables += [grid(f"{what}, after {horizon} s", rows)] if rows else []
+            errors = {name: row[name].get(horizon) for name in PREDICTORS}
+            rows.append({"regime": regime, "windows": row["windows"][horizon], **errors})
+        tables += [grid(f"{what}, after {horizon} s", texts(REGIMES, rows))] if rows else []
     return tables

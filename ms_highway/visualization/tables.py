@@ -4,23 +4,77 @@ from collections.abc import Iterable, Mapping
 from string import Formatter
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 from ms_highway.envs.registry import priced_types
+from ms_highway.experiments.records import models_of
+from ms_highway.experiments.summary import CONFIDENCE
+from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
+from ms_highway.road.constants import MODELS
 
 NAME_WIDTH = 32  # characters, to which longer names are shortened in print
 
+SUMMARY = {
+    "controller": "{controller}",
+    "reward/step": "{reward:.2f}",
+    "90 % interval": "{reward_low:.2f}, {reward_high:.2f}",
+    "reward less T": "{reward_less_t:.2f}",
+    "counted ms": "{counted}",
+    "plan ms": "{planning_ms:.2f}",
+    "decide ms": "{decision_ms:.2f}",
+    "": "{shares}",
+    "collisions": "{collision_episodes} of {episodes}",
+    "success": "{success_percent:.0f} %",
+    "humans under tom": "{humans_tom:.1f}",
+    "cycle ms p50, p99": "{cycle_ms_p50:.1f}, {cycle_ms_p99:.1f}",
+    "late %": "{late_percent:.1f}",
+    "fallback steps": "{fallbacks}",
+}
 REGRETS = {
     "controller": "{controller}",
     "reward": "{reward:.2f}",
-    "counted ms": "{counted_ms}",
+    "counted ms": "{counted}",
     "meta-reward": "{meta_reward:.3f}",
     "regret": "{regret:.3f}",
     "90 % interval": "{regret_low:.3f}, {regret_high:.3f}",
 }
+DRIVERS = {
+    "driver": "{driver}",
+    "label": "{label}",
+    "success (90 % interval)": "{success:.0f} % ({low:.0f}, {high:.0f})",
+    "collisions (at fault)": "{collisions} ({at_fault})",
+    "off road": "{off_road:.0f} %",
+    "s to goal": "{goal_seconds:.1f}",
+    "reward per step": "{reward_per_step:.3f}",
+    "m/s": "{mean_speed:.1f}",
+    "m/s² at most": "{max_acceleration:.1f}",
+    "jerk, m/s³": "{jerk:.1f}",
+    "": "{shares}",
+    "ms p50, p99": "{p50_ms:.1f}, {p99_ms:.1f}",
+    "late": "{late:.0f} %",
+}
+SPEED = {
+    "controller": "{controller}",
+    "plan us": "{p50:.0f}",
+    "p99": "{p99:.0f}",
+    "decision us": "{decision_us:.0f}",
+    "step us": "{step_us:.0f}",
+    "steps /s": "{environment:,.0f}",
+}
+STEADINESS = {
+    "controller, noise": "{controller}, {noise}",
+    "growth": "{growth:.2f}",
+    "reward /step": "{mean:+.3f} ({low:+.3f}, {high:+.3f})",
+    "|reward|": "{absolute:.2g}",
+    "collisions": "{without} -> {noisy}",
+    "success changed": "{success_changes:.0%}",
+}
+"""Headings of texts, and how they are made of numbers by name."""
 
 
-def texts(forms: Mapping[str, str], rows: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
+def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
     """Return the texts of a table.
 
     A text is empty where a value is missing, None or NaN. Columns that are empty in all rows are left out.
@@ -30,7 +84,7 @@ def texts(forms: Mapping[str, str], rows: Iterable[Mapping[Any, Any]]) -> pd.Dat
         rows: values by name.
     """
 
-    def text(form: str, row: Mapping[Any, Any]) -> str:
+    def text(form: str, row: Mapping) -> str:
         names = [name for _, name, _, _ in Formatter().parse(form) if name]
         return form.format(**row) if all(pd.notna(row.get(name)) for name in names) else ""
 
@@ -66,17 +120,104 @@ def two_digits(value: float) -> str | None:
     return f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
 
 
+def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """Return the summary of one scenario as text: a row per controller, and texts under the columns' headings.
+
+    Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. The reward less T(M) is
+    that at a price of 1 per second. Steps driven by fallback have a column if there are any; cycles, late steps and
+    success where there are several humans.
+    """
+    rows = summaries.query("scenario == @scenario")
+    models = models_of(summaries, "share")
+    models = [name for name in models if name in PAPER_MODELS or summaries[f"share_{name}"].any()]
+    shares = 100 * rows.reindex(columns=[f"share_{name}" for name in models])
+    rows = rows.assign(
+        reward_less_t=rows["reward"] - 1e-3 * rows["counted_ms"],
+        counted=rows["counted_ms"].map(two_digits),
+        shares=shares.map("{:.0f}".format).agg(" / ".join, axis=1),
+        success_percent=100 * rows.get("success", np.nan),
+        late_percent=100 * rows.get("late", np.nan),
+    )
+    forms = {heading or f"{' / '.join(models)} %": form for heading, form in SUMMARY.items()}
+    left_out: tuple[str, ...] = ("cycle", "late") if rows["success_percent"].isna().all() else ()
+    if not np.any(rows.get("fallbacks", 0)):
+        left_out += ("fallback",)
+    return texts({name: form for name, form in forms.items() if not name.startswith(left_out)}, rows.to_dict("records"))
+
+
+def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
+    """Return the summary of one scenario, to be printed; its title says which controllers' T(M) is not known."""
+    said = scenario
+    rows = summaries.query("scenario == @scenario and counted_ms.isna()")
+    unknown = rows.loc[~rows["kind"].isin(["agent", "driver"]), "controller"]  # these have none
+    if len(unknown):
+        remedy = "put its model on the ladder, or give its seconds by costs"
+        said += f"\nT(M) is not known of {', '.join(unknown)}; {remedy}"
+    return grid(said, cells(summaries, scenario).replace(" / ", "/", regex=True))
+
+
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
     """Return regrets per step in one scenario, a table per price; of controllers with a lambda, the best of each kind.
 
     Args:
-        behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
     """
     tables = []
     for price, rows in behind.query("scenario == @scenario").groupby("price", sort=False):
-        ranked = rows.assign(counted_ms=(1e3 * rows["counted_seconds"]).map(two_digits)).sort_values("regret")
+        ranked = rows.assign(counted=(1e3 * rows["counted_seconds"]).map(two_digits)).sort_values("regret")
         shown = ranked[~(ranked["kind"].isin(priced_types()) & ranked.duplicated("kind"))]
         title = f"{scenario}, a second of planning costs {price:g}; of each kind with a lambda, the best"
         tables.append(grid(title, texts(REGRETS, shown.to_dict("records"))))
     return tables
+
+
+def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
+    """Return a table of the drivers in a scene, of stock roads or recorded traffic.
+
+    Args:
+        title: which traffic and how many episodes.
+        drivers: figures of ``bench road --json`` by driver; those of earlier versions may lack some.
+    """
+    rungs = cheapest_first([*MODELS, *(rung for one in drivers.values() for rung in one.get("rungs", ()))])
+    rows = []
+    for driver, one in drivers.items():
+        succeeded = binomtest(round(one["success"] * one["episodes"]), one["episodes"])
+        low, high = succeeded.proportion_ci(CONFIDENCE, "wilson")
+        shares = " / ".join(f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in rungs) if one.get("rungs") else None
+        percent = {name: 100 * one.get(name, 0.0) or None for name in ("off_road", "late")}
+        row = {**one, **percent, "driver": driver, "success": 100 * one["success"], "shares": shares}
+        rows.append(row | {"low": 100 * low, "high": 100 * high})
+    return grid(title, texts({heading or f"{' / '.join(rungs)} %": form for heading, form in DRIVERS.items()}, rows))
+
+
+def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
+    """Return a table of the figures of ``bench --json`` in a scenario, by controller."""
+    forms, title = dict(SPEED), f"{scenario}: medians, on one core"
+    for one in measured.values():
+        if "batch" in one:
+            forms |= {f"batch {size}": f"{{batch {size}:,.0f}}" for size in one["batch"]} | {"MiB": "{mib:,.0f}"}
+            title = f"{scenario}: medians, on one core; steps per second of batches on {one['devices']}"
+    rows = []
+    for name, one in measured.items():
+        batches = {f"batch {size}": rate for size, rate in one.get("batch", {}).items()}
+        memory = max(one.get("memory_mib", {}).values(), default=None)
+        rows.append({**one, **one["plan_us"], **batches, "controller": name, "mib": memory})
+    return grid(title, texts(forms, rows))
+
+
+def steadiness_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
+    """Return a table of the figures of ``bench --noise --json`` in a scenario, by controller and noise."""
+    first, rows = next(iter(measured.values())), []
+    for name, one in measured.items():
+        for noise, found in one["noise"].items():
+            without, noisy = found["collisions"]
+            row = {**found, **found["reward"], "controller": name, "noise": noise}
+            rows.append(row | {"without": without, "noisy": noisy, "moved": found["change_m"]})
+    title = f"{scenario}: mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
+    title += ", by noise in what the robot sees" if first["seen"] else ""
+    moved = [
+        {step: f"{1e3 * at['p50']:.2g} ({1e3 * at['p95']:.2g})" for step, at in row["moved"].items()} for row in rows
+    ]
+    table = texts(STEADINESS, rows)
+    return grid(title, pd.concat([table.iloc[:, :1], pd.DataFrame(moved), table.iloc[:, 1:]], axis=1))

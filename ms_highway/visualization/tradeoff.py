@@ -7,8 +7,7 @@ from matplotlib.figure import Figure
 
 from ms_highway.envs.registry import controller_settings, fixed_order_types, priced_types
 from ms_highway.game.scenario import title
-from ms_highway.visualization.colors import choosing_shades, color_of, styled
-from ms_highway.visualization.comparison import episode_count, whiskers
+from ms_highway.visualization.style import choosing_shades, color_of, styled
 
 SCHEDULE_COLOR, RANDOM_COLOR, FRONTIER_COLOR = "#8a93a5", "#2e8b57", "#c2185b"
 LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
@@ -53,14 +52,14 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     the same for all starts.
 
     Args:
-        behind: rows of `ms_highway.experiments.analysis.regret.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
         starts: their number.
     """
     rows = behind.query("scenario == @scenario")
     rows = rows.assign(counted_ms=1e3 * rows["counted_seconds"])
-    found, others = (rows[(rows["kind"] == "search") == searched] for searched in (True, False))
-    found, others = found.sort_values("counted_ms", ascending=False), others.drop_duplicates("controller")
+    found = rows.query("kind == 'search'").sort_values("counted_ms", ascending=False)
+    others = rows.query("kind != 'search'").drop_duplicates("controller")
     orders = others[others["kind"].isin(fixed_order_types()) & (others["kind"] != "fixed")]
     figure = Figure(figsize=(7, 4.4))
     axes, label = figure.subplots(), "best order of each start"
@@ -87,11 +86,10 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
     names = online["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)  # with the file of values, if any
     for name, own in online.groupby(names):
         points(own, "o-", choosing_shades(own["kind"].iloc[0])[-1], f"{name}, by lambda")
-    random = rows.query("kind == 'random'")
-    if len(random):
-        points(random, "x", RANDOM_COLOR, "random")
     for name, own in rows.query("kind == 'fixed'").groupby("controller", sort=False):
         points(own, "s", color_of(str(name)), str(name))
+    for _, own in rows.query("kind == 'random'").groupby("kind"):
+        points(own, "x", RANDOM_COLOR, "random")
     axes.margins(0.1)  # so that labels of points at the edges are inside
     axes.set_xlim(left=0)
     axes.grid()
@@ -102,3 +100,15 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
         if all((np.abs(spot - other) > LABEL).any() for other in labelled):  # else labels would cover each other
             labelled.append(spot)
             axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
+
+
+def episode_count(rows: pd.DataFrame) -> str:
+    """Return the number of episodes that the rows of a summary stand for, as text for titles."""
+    least, most = rows["episodes"].min(), rows["episodes"].max()
+    return f"{most if least == most else f'{least} to {most}'} episodes per controller"
+
+
+def whiskers(rows: pd.DataFrame) -> list[list[float]]:
+    """Return how far the intervals of the rows of a summary reach below and above their rewards; 0 without any."""
+    reward = rows["reward"]
+    return [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]

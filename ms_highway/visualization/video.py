@@ -37,7 +37,7 @@ class Film:
 
     controller: str
     pictures: list[Picture]
-    records: list[dict[str, Any]]
+    records: list[dict]
     frames_per_second: int
 
 
@@ -153,17 +153,7 @@ def side_by_side(films: Sequence[Film]) -> list[Picture]:
     ]
 
 
-def named(pictures: Sequence[Picture], name: str) -> list[Picture]:
-    """Write a name above every picture of a film."""
-    label = words(name, NUMBERS_SIZE, PAPER)
-    surface = pygame.Surface((pictures[0].shape[1], label.get_height() + BAR_HEIGHT))
-    surface.fill(INK)
-    surface.blit(label, (MARGIN, BAR_HEIGHT // 2))
-    heading = pygame.surfarray.array3d(surface).swapaxes(0, 1)
-    return [np.concatenate([heading, picture]) for picture in pictures]
-
-
-def _seconds(record: Mapping[str, Any]) -> float:
+def _seconds(record: Mapping) -> float:
     """Return the time of planning and deciding in a step [s]."""
     return float(record["planning_seconds"] + record["decision_seconds"])
 

@@ -19,9 +19,9 @@ Prints::
 import numpy as np
 
 import ms_highway
-from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import read, run
+from ms_highway.experiments.summary import summary
 from ms_highway.game.dynamics import keep_velocity
 
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from ms_highway import TheoryOfMind, register
-from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import read, run
+from ms_highway.experiments.summary import summary
 
 
 @dataclass(frozen=True)

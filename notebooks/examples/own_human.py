@@ -22,9 +22,9 @@ import jax
 import jax.numpy as jnp
 
 import ms_highway
-from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.summary import summary
 from ms_highway.game.dynamics import keep_velocity, step
 
 

@@ -15,9 +15,9 @@ Prints::
 """
 
 from ms_highway import COMMON_WEIGHTS, InteractionEnv, Scenario, add_scenario
-from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import read, run
+from ms_highway.experiments.summary import summary
 
 
 class ZipperEnv(InteractionEnv):

@@ -29,7 +29,7 @@ def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_ro
 def test_the_command_shows_figures_of_each_noise_in_what_the_robot_sees(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "150")
     file = tmp_path / "noise.json"
-    run(f"bench merger --noise 1e-5 0.001 --seen --seeds 2 --seed 7 --set ladder=naive, --json {file}")
+    run(f"bench merger --noise 1e-5 0.001 --seen --seeds 2 --first-seed 7 --controllers naive --json {file}")
     (own,) = json.loads(file.read_text())["merger"].values()
     assert (own["seeds"], own["seen"]) == ([7, 2], True)
     assert list(own["noise"]) == ["1e-05", "0.001"]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
+import ms_highway
 from ms_highway import always, drive
 from ms_highway.envs import (
     ENVIRONMENTS,
@@ -20,6 +21,7 @@ from ms_highway.envs import (
     environment_id,
     registry,
 )
+from ms_highway.envs.agents import AGENTS
 from ms_highway.envs.configuration import as_json
 from ms_highway.envs.controllers import ControllerSettings
 from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
@@ -62,6 +64,10 @@ WRONG = [
     (
         {"ladder": ["tom@4", "tom"], "costs": "shipped", "controller": {"type": "nearest", "count": 1, "belief": True}},
         "the ladder begins with tom@4, which counts on a response",
+    ),
+    (
+        {"controller": "never", "action": {"type": "HumanModelAction", "lambda": 1}},
+        "config['controller'] is {'type': 'driver', 'name': 'never'}, with which no model is chosen",
     ),
 ]
 
@@ -176,6 +182,8 @@ def test_a_short_name_stands_for_a_configuration(text, config):
         ("nearest:2:0.05", "controller 'nearest:2:0.05': unknown key 'values'"),
         ("schedule:tom=999999999,naive", "names 'tom=999999999'"),
         ("random:tom", "['shares'] is {'tom': ''}; give the share of each model"),
+        ("never+belief", "['belief'] is True, and 'never' predicts no human; leave the belief out"),
+        ("AGENT.zip+belief", "['belief'] is True, and 'AGENT.zip' predicts no human"),
     ],
 )
 def test_what_is_no_short_name_is_refused_with_value_and_remedy(text, message):
@@ -272,13 +280,34 @@ def test_a_rule_of_ones_own_has_a_short_name_with_its_number_if_it_has_one():
 @pytest.mark.parametrize(
     ("rule", "message"),
     [
-        (type("Rule", (Plain,), {}, tag="switching"), "cannot be called 'switching'; choose a tag of one word"),
-        (type("Rule", (ControllerSettings,), {}, tag="idle"), "Rule makes no rule; give a ControllerSettings with a"),
+        (ControllerSettings, "ControllerSettings makes no rule; give a ControllerSettings with a"),
+        (ZipperEnv, "ZipperEnv makes no rule"),
     ],
 )
-def test_a_rule_of_ones_own_needs_a_name_of_its_own_and_makes_a_rule(rule, message):
+def test_a_rule_of_ones_own_makes_a_rule(rule, message):
     with pytest.raises(ValueError, match=message):
         add_rule(rule)
+
+
+ADDED = {
+    "a rule": lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)),
+    "a human driver": lambda name: ms_highway.add_driver(name, lambda game, state: state[0, :2]),
+    "an agent": lambda name: ms_highway.add_agent(name, lambda observation: 0),
+    "a scenario": lambda name: add_scenario(
+        type("OwnEnv", (MergerEnv,), {"scenario": replace(MergerEnv.scenario, name=name)})
+    ),
+}
+
+
+@pytest.mark.usefixtures("rules")
+@pytest.mark.parametrize("what", ADDED)
+def test_what_is_added_has_a_name_of_its_own_of_one_word(what, monkeypatch):
+    monkeypatch.setitem(AGENTS, "coasts", None)
+    taken = ["merger"] if what == "a scenario" else ["learned", "tom", "never", "coasts"]
+    for name in [*taken, "two words", "Upper"]:
+        if (what, name) != ("an agent", "coasts"):  # which takes the place of the one of its name
+            with pytest.raises(ValueError, match=f"{what} cannot be called '{name}'; choose one word in lower case"):
+                ADDED[what](name)
 
 
 @pytest.mark.parametrize(

@@ -25,10 +25,10 @@ def looks_for_itself(game, state):
 
 @pytest.fixture
 def added():
-    for name, driver in {"brakes": brakes, "idm": IDMVehicle, "looks": looks_for_itself}.items():
+    for name, driver in {"brakes": brakes, "follows": IDMVehicle, "looks": looks_for_itself}.items():
         ms_highway.add_driver(name, driver)
     yield
-    for name in ("brakes", "idm", "looks"):
+    for name in ("brakes", "follows", "looks"):
         del HUMAN_DRIVERS[name]
 
 
@@ -43,7 +43,7 @@ def test_a_function_drives_the_human_the_same_live_and_in_a_batch():
 
 @pytest.mark.usefixtures("added")
 def test_a_vehicle_of_highway_env_drives_by_itself():
-    env = make("merger-v1", "naive", human_driver="idm")
+    env = make("merger-v1", "naive", human_driver="follows")
     _, states, _, infos = drive(env, seed=0, steps=10)
     assert type(env.unwrapped.humans[0]) is IDMVehicle
     assert infos[-1]["human_status"] == (None,)
@@ -53,7 +53,10 @@ def test_a_vehicle_of_highway_env_drives_by_itself():
 @pytest.mark.usefixtures("added")
 @pytest.mark.parametrize(
     ("driver", "message"),
-    [("idm", "'idm', which cannot be simulated"), ("looks", "cannot trace the human driver 'looks'.*use `compare`")],
+    [
+        ("follows", "'follows', which cannot be simulated"),
+        ("looks", "cannot trace the human driver 'looks'.*use `compare`"),
+    ],
 )
 def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, message):
     with pytest.raises(ValueError, match=message):
@@ -78,17 +81,9 @@ def test_arrow_keys_drive_the_human(monkeypatch):
     assert states[-1, 1, 2] == pytest.approx(0.1, abs=1e-2)  # to the right
 
 
-@pytest.mark.parametrize(
-    ("name", "driver", "message"),
-    [
-        ("never", brakes, "cannot be called 'never'"),
-        ("my driver", brakes, "one word"),
-        ("mine", int, "<class 'int'>"),
-    ],
-)
-def test_what_is_no_driver_is_refused(name, driver, message):
-    with pytest.raises(ValueError, match=message):
-        ms_highway.add_driver(name, driver)
+def test_what_is_no_driver_is_refused():
+    with pytest.raises(ValueError, match="<class 'int'>"):
+        ms_highway.add_driver("mine", int)
 
 
 @pytest.mark.parametrize(

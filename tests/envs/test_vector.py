@@ -1,13 +1,18 @@
 """Many environments at once in JAX do what as many single environments do."""
 
+from dataclasses import dataclass
+
 import gymnasium as gym
 import jax
 import numpy as np
 import pytest
 from episodes import TWO
 from gymnasium.vector import AutoresetMode
+from jax import numpy as jnp
 
-from ms_highway import FunctionalEnv
+from ms_highway import FunctionalEnv, PredictedHuman, register
+from ms_highway.envs import MergerV1Env
+from ms_highway.planning.human_models import MODELS
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}}
 DRIVING = {"action": {"type": "ContinuousAction"}}
@@ -30,12 +35,49 @@ def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
     np.testing.assert_allclose(ours.reset(seed=5)[0], singles.reset(seed=5)[0], atol=1e-5)
     for _ in range(20):
         actions = ours.action_space.sample()
+        if config is DRIVING:
+            actions *= 1.5  # which both clip
         mine, other = ours.step(actions), singles.step(actions)
         hidden = {"counted_seconds"}  # compared up to rounding
         np.testing.assert_allclose(mine[0], other[0], atol=1e-4)
         np.testing.assert_allclose(mine[1], other[1], atol=2e-3)
         for name in {*mine[4]} - hidden:
             np.testing.assert_array_equal(mine[4][name], other[4][name], name)
+
+
+@dataclass(frozen=True)
+class Lost(PredictedHuman):
+    name = "lost"
+
+    def predict(self, game, state, start=None):
+        return jnp.full((game.planner.horizon, 2), jnp.nan)
+
+
+@pytest.fixture
+def lost():
+    register(Lost())
+    yield
+    del MODELS["lost"]
+
+
+@pytest.mark.usefixtures("lost")
+def test_a_model_without_finite_predictions_is_warned_of_and_paid_for_as_in_single_environments():
+    config = CHOOSING | {"ladder": ["naive", "lost"], "costs": {"naive": 0.01, "lost": 0.1}}
+    arguments = {"id": NAME + "merger-v1", "num_envs": 1, "config": config}
+    with pytest.warns(UserWarning, match="model 'lost' predicts a curvature of nan 1/m, so that no plan follows"):
+        ours = gym.make_vec(**arguments)
+    with pytest.warns(UserWarning, match="'lost'"):
+        FunctionalEnv("merger-v1", config)
+    singles = gym.make_vec(vectorization_mode="sync", **arguments)
+    ours.reset(seed=0), singles.reset(seed=0)
+    with pytest.warns(UserWarning, match="'lost'"):  # in the first step
+        singles.step(np.zeros(1, int)), ours.step([0])
+    for action in (1, 0, 1):
+        mine, other = ours.step([action]), singles.step(np.array([action]))
+        np.testing.assert_allclose(mine[1], other[1], atol=2e-3)
+        assert mine[4]["status"] == other[4]["status"] == ("previous plan" if action else "planned")
+        assert mine[4]["counted_seconds"] == pytest.approx([0.1 if action else 0.01])
+        assert other[4]["counted_seconds"] == pytest.approx([0.1 if action else 0.01])
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
@@ -80,6 +122,18 @@ def test_pure_functions_can_be_jitted_and_vmapped_and_do_what_the_environment_do
         assert float(reward[1]) == pytest.approx(wanted, abs=2e-3)
         assert not (terminated | truncated | info["collision"]).any()
     assert env.observation_space.contains(np.asarray(seen[0]))
+
+
+class DrawingEnv(MergerV1Env):
+    def draw_episode(self, random):
+        starts, weights = super().draw_episode(random)
+        return starts + random.exponential(), weights
+
+
+def test_draws_that_jax_does_not_have_are_refused_with_those_that_it_has():
+    env = FunctionalEnv(DrawingEnv, DRIVING)
+    with pytest.raises(AttributeError, match="draws no 'exponential' here; draw by normal, uniform or beta"):
+        env.reset(jax.random.key(0))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from commands import run
 
-from ms_highway.experiments.analysis.regret import BEST_PER_START
+from ms_highway.experiments.frontier import BEST_PER_START
 from ms_highway.experiments.runner import episode, make_environment
 
 LADDER = ["naive", "turn"]

@@ -7,13 +7,13 @@ from gymnasium import spaces
 import ms_highway
 from ms_highway.envs.agents import AGENTS
 from ms_highway.envs.registry import controller_config
-from ms_highway.experiments.analysis.summary import summary
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment, read, run
+from ms_highway.experiments.summary import summary
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS
-from ms_highway.visualization.comparison import table
+from ms_highway.visualization.tables import table
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 0.0}}
 
@@ -83,7 +83,6 @@ def test_a_planner_is_told_the_state_in_si_units_and_its_control_is_executed():
         (lambda: simulated(Comparison({"merger-v1": ["coasts"]})), "'coasts' is not simulated; use `compare`"),
         (lambda: simulated(Comparison({"merger-v1": ["stays"]})), "not simulated; use `compare`"),
         (lambda: make_environment("merger-v1", "missing.zip"), "there is no agent missing.zip"),
-        (lambda: ms_highway.add_agent("tom", Trained()), "cannot be called 'tom'"),
         (lambda: ms_highway.add_agent("mine", Trained(), {"horizon": 3}), "unknown key 'horizon'"),
         (lambda: controller_config("nobody"), "unknown controller 'nobody'.*--import"),
     ],

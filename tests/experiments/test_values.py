@@ -11,8 +11,8 @@ from commands import run
 from ms_highway.choice.values import load_values
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.values.learning import Learning, learn
-from ms_highway.experiments.values.rollouts import Course
+from ms_highway.experiments.learning import learn
+from ms_highway.experiments.rollouts import Course, Learning
 from ms_highway.loop.devices import device_mesh, use_devices
 
 LEARNING = Learning({"naive": 0.09, "turn": 0.17}, rounds=2, states=(8, 5), seed=3)
@@ -25,7 +25,7 @@ QUICK = {
 @pytest.fixture(scope="module")
 def course():
     batch = make_batch(Comparison({"merger": ["naive"]}, config={"ladder": ["naive", "turn"]}), "merger")
-    return Course("merger", batch.loop, batch.environment.draw_episode, 40, (0, 1))
+    return Course(batch, (0, 1))
 
 
 @pytest.mark.slow

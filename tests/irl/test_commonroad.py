@@ -9,10 +9,10 @@ from recordings import (
     STEPS,
     car,
     lanelet,
+    linked_lanes,
     pedestrian,
     scenario,
     straight,
-    two_lanes,
 )
 
 from ms_highway.irl.commonroad import read_directory
@@ -27,7 +27,7 @@ def read(directory, *texts):
 
 
 def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path):
-    (recording,) = read(tmp_path, scenario())
+    (recording,) = read(tmp_path, scenario(lanelets=linked_lanes()))
     assert (recording.name, recording.group) == ("USA_Test-1_1_T-1", "Test-1")
     np.testing.assert_allclose(recording.lanes, [0, 3.5], atol=1e-6)
     assert recording.lane_width == pytest.approx(3.5)
@@ -39,10 +39,10 @@ def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right(tmp_path):
 
 
 def test_ramps_and_the_opposite_direction_are_no_lanes(tmp_path):
-    opposite = lanelet(4, -8.0, straight(200, 0))
-    ramp = lanelet(5, -10.0, np.linspace(0, 1, 30)[:, None] * [120, -40])
-    (recording,) = read(tmp_path, scenario(lanelets=opposite + ramp + two_lanes()))
-    np.testing.assert_allclose(recording.lanes, [0, 3.5], atol=1e-6)
+    opposite = lanelet(6, -12.0, straight(200, 0))
+    ramp = lanelet(5, -14.0, np.linspace(0, 1, 30)[:, None] * [120, -40])
+    (recording,) = read(tmp_path, scenario(lanelets=opposite + ramp + linked_lanes()))
+    np.testing.assert_allclose(np.diff(recording.lanes), [3.5], atol=1e-6)
 
 
 def test_a_track_counts_once_among_the_files_of_one_recording(tmp_path):

@@ -15,15 +15,8 @@ from scipy.stats import multivariate_t
 import ms_highway
 from ms_highway.game.learned_reward import load, shipped
 from ms_highway.irl.evaluation import evaluate, metrics, prediction_errors
-from ms_highway.irl.mixture import Mixture, Modes, density_level, expected_path, fit_spread, log_density, one_mode
-from ms_highway.irl.prediction import (
-    HIGHWAY_ENV_IDM,
-    PREDICTORS,
-    predict_constant_velocity,
-    predict_drivers,
-    predict_idm,
-    predict_with,
-)
+from ms_highway.irl.mixture import Mixture, Modes, density_level, expected_path, fit_spread, log_density
+from ms_highway.irl.prediction import PREDICTORS, predict_drivers, predict_peer, predict_with
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import cut_snapshots
 
@@ -78,16 +71,21 @@ def test_highway_envs_own_idm_vehicles_are_reproduced():
         for vehicle in road.vehicles:
             vehicle.step(0.1)
         path.append([vehicle.position.copy() for vehicle in road.vehicles])
-    found = expected_path(predict_idm(snapshots, HIGHWAY_ENV_IDM))
+    found = expected_path(predict_peer("idm", snapshots, {}))
     np.testing.assert_allclose(found, np.moveaxis(path, 0, 1), atol=2e-3)
 
 
 def test_errors_are_what_a_known_path_is_off():
     snapshots = cut_snapshots([following(20.0)])
-    exact = expected_path(predict_constant_velocity(snapshots)).astype(float)
+    exact = expected_path(predict_peer("constant_velocity", snapshots, {})).astype(float)
     off = exact + np.stack([3.0 * 0.1 * np.arange(1, 51), np.zeros(50)], axis=-1)  # 3 m/s too fast
     right, wrong = (
-        metrics(prediction_errors(Mixture(one_mode(path), DRIVERS.spread), snapshots.recorded)) for path in (exact, off)
+        metrics(
+            prediction_errors(
+                Mixture(Modes(np.ones((len(path), 1)), path[:, None]), DRIVERS.spread), snapshots.recorded
+            )
+        )
+        for path in (exact, off)
     )
     assert right["ade"] == pytest.approx(dict.fromkeys("1235", 0.0), abs=1e-4)
     assert wrong["fde"] == wrong["rmse"] == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)

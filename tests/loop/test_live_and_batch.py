@@ -165,6 +165,7 @@ def test_a_rule_and_a_model_of_ones_own(scene):
         agree(records, episode, drive(Driver(game, rule), start, STEPS), models)
 
 
+@pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
 def test_plans_that_fail(played):
     game, start = played("merger")
     schedule, models = np.array([[0], *[[1]] * 6, [0], [1]]), (Naive(), Failing())

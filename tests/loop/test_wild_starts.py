@@ -12,7 +12,7 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.loop.fallback import DECELERATION, brake, braking_control
+from ms_highway.loop.fallback import DECELERATION, braking_control
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import ladder
 
@@ -83,9 +83,10 @@ def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, sem
     game, _ = played("merger", semantics=semantics)
     compiled = jax.jit(jax.vmap(partial(braking_control, game)))
     for car in absurd_states(2000, 1, 308)[:, 0]:
-        controls = brake(game, car)
-        assert np.isfinite(controls).all()
-        assert (abs(controls[:, 1]) <= DECELERATION).all()
+        with np.errstate(over="ignore", invalid="ignore"):
+            control = braking_control(game, car)
+        assert np.isfinite(control).all()
+        assert abs(control[1]) <= DECELERATION
     single = absurd_states(2000, 1, 38)[:, 0].astype(np.float32)
     assert np.isfinite(compiled(single)).all()
 

@@ -1,6 +1,7 @@
 """Plans under the ladder of human models."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -92,11 +93,10 @@ def test_the_damped_response_always_ascends():
 class Told(ms_highway.PredictedHuman):
     name = "told"
     acceleration: float = 0.0
-    steps_told: int | None = None
 
     def predict(self, game, state, start=None):
         control = keep_velocity(game.dynamics, state[1]) + jnp.array([0.0, self.acceleration])
-        return jnp.tile(control, (self.steps_told or game.planner.horizon, 1))
+        return [control] * game.planner.horizon  # a list also says it
 
 
 @pytest.mark.parametrize("humans", [1, 2])
@@ -108,13 +108,38 @@ def test_a_registered_model_predicts_in_si_units(played, humans):
     np.testing.assert_allclose(planned.humans[..., 1] * game.planner.control_scale[1], expected, rtol=1e-5)
 
 
-def test_a_prediction_that_the_limits_cut_is_warned_of_and_one_of_another_shape_is_refused(played):
+def test_a_prediction_that_the_limits_cut_is_warned_of(played):
     game, state = played(MERGER_V1, semantics="physical")
     state = checked_state(state)
     with pytest.warns(UserWarning, match=r"'told' predicts an acceleration of -396 m/s\^2.*limits.*to -3.99"):
         CompiledPlans(game, [Told(acceleration=-400.0)]).warm_up(state)
-    with pytest.raises(ValueError, match=r"'told' predicts an array of shape \(3, 2\), not \(10, 2\)"):
-        CompiledPlans(game, [Told(steps_told=3)]).warm_up(state)
+
+
+@dataclass(frozen=True)
+class Says(ms_highway.PredictedHuman):
+    name = "says"
+    what: Any = None
+
+    def predict(self, game, state, start=None):
+        return self.what
+
+
+@pytest.mark.parametrize("humans", [1, 2])
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        (None, "None"),
+        ("fast", "'fast'"),
+        (4.0, r"an array of shape \(\) and type float32"),
+        (((0.0, -4.0),) * 3, r"an array of shape \(3, 2\)"),
+        (((0.0, 1j),) * 5, "an array .* and type complex64"),
+    ],
+)
+def test_what_is_no_prediction_is_refused_with_the_shape_and_the_units(played, humans, what, told):
+    game, state = played("merger", humans=humans)
+    plans = CompiledPlans(game, [Says(what=what)])
+    with pytest.raises(ValueError, match=rf"model 'says' predicts {told}.*; predict numbers \(5, 2\): curvature \[1/m"):
+        plans.plan(checked_state(state), [0] * humans)
 
 
 def test_every_model_predicts_what_its_plan_counts_on(played):
@@ -130,9 +155,10 @@ def test_every_model_predicts_what_its_plan_counts_on(played):
         ({"lanes": (-0.1, 0.0)}, r"lanes at \(-0.1, 0.0\).*2.5 to 6 m apart.*metres"),
         ({"lanes": (-133.0, 0.0)}, r"lanes at \(-133.0, 0.0\)"),
         ({"cars": ((-10.0, 0.0), (0.0, 30.0))}, r"a car at \(0.0, 30.0\), beside all lanes"),
+        ({"humans": 2}, "humans=2 and 0 streams; streams say where"),
         ({"cones": ((10.0, float("nan")),)}, r"a cone at \(10.0, nan\)"),
     ],
 )
-def test_scenarios_in_other_units_than_metres_are_refused(numbers, told):
+def test_impossible_scenarios_are_refused(numbers, told):
     with pytest.raises(ValueError, match=f"scenario 'merger' has {told}"):
         replace(MERGER, **numbers)

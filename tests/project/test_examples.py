@@ -45,15 +45,6 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
     assert printed["work_zone"].strip().endswith("False")  # nobody has crashed
 
 
-GUIDES = "zipper", "brief", "own_human", "agents", "rule", "imitate", "learn_to_choose", "recorded", "predict"
-
-
-@pytest.mark.parametrize("name", GUIDES)
-def test_a_guide_is_a_page_that_the_guide_names(name):
-    assert EXAMPLES[name].count("\n") <= 65
-    assert f"](examples/{name}.py)" in (DIRECTORY.parent / "MAP.md").read_text()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", [["merger-v1"], ["dense_merge", "--set", "humans=2", "--set", "duration=1"]])
 def test_an_agent_learns_in_jax_and_is_set_beside_random_choice_naive_and_learned_values(scenario):

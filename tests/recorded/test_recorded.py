@@ -24,6 +24,7 @@ from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.commonroad import read_xml
 from ms_highway.recorded.problem import problem_of
 from ms_highway.recorded.scenario import SHIPPED, open_recording
+from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import overlap
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -224,6 +225,14 @@ def test_a_collision_ends_the_episode_without_success(traffic, tmp_path):
     assert overlap(env.vehicle, others(env)[100])
     assert told["step"] == 2
     assert -1.0 < reward < -0.9
+
+
+def test_lanes_of_two_directions_are_two_roads(tmp_path):
+    env, _ = begun(written(tmp_path, lanelets=linked_lanes("opposite")), "learned")
+    numbers = sorted(set(straight_road(env.scenario).numbers.values()))
+    assert numbers[1] - numbers[0] > 1
+    *_, (*_, info) = steps(env)
+    assert info["recorded"]["success"]
 
 
 def test_leaving_the_road_by_a_corner_ends_the_episode(tmp_path):

@@ -26,14 +26,6 @@ def planned(scene, last=None):
     return plan_of(scene, SLOW, WEIGHTS, np.zeros(TRAFFIC, np.int32), last or no_plan(PLANNING))
 
 
-def test_a_plan_goes_round_a_wreck_over_the_lane_of_those_who_come_where_nobody_comes():
-    plan = planned(wrecked(country_road((26.0, 0, 0.0)), 0))
-    x, y = np.asarray(plan.path)[:, :2].T
-    assert y.min() < -2.0
-    assert not plan.broken
-    assert x[-1] > 20.0
-
-
 @pytest.mark.parametrize("side", [-1, 1])
 def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_back_to_its_lane(side):
     scene = wrecked(scene_of(bend=1 / 60, robot=(0.0, 0.0, 0.0, 8.0), cars=[(24.0, -0.5 * side, 0.0)], limit=10.0), 0)

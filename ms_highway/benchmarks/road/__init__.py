@@ -5,7 +5,6 @@ Imports what `ms_highway.benchmarks` may import; its names, here, import nothing
 
 import re
 from collections.abc import Iterable
-from typing import Any
 
 SCENES = (
     *("highway-fast-v0", "merge-v1", "merge-v0", "roundabout-v1", "roundabout-v0", "exit-v1", "exit-v0"),
@@ -55,6 +54,6 @@ def known_scenes(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(scenes))
 
 
-def driver_config(name: str) -> dict[str, Any]:
+def driver_config(name: str) -> dict:
     """Return the configuration for `ms_highway.drive` of a driver of this package, such as ``priced:2+intentions``."""
     return {"driver": name.removesuffix(INTENTIONS), "intentions": name.endswith(INTENTIONS)}

@@ -104,9 +104,7 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
 _kept_driver = cache(make_driver)
 
 
-def run_episode(
-    block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None
-) -> dict[str, Any]:
+def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> dict:
     """Drive one episode.
 
     It is no success after a crash. Where the scene has a goal, `ms_highway.road.stock.success` decides at its end;
@@ -161,12 +159,8 @@ def run_episode(
 
 
 def run_blocks(
-    blocks: Sequence[Block],
-    seeds: Sequence[int],
-    jobs: int | None = None,
-    films: Path | None = None,
-    modules: Sequence[str] = (),
-) -> Iterator[tuple[Block, list[dict[str, Any]]]]:
+    blocks: Sequence[Block], seeds: Sequence[int], films: Path | None = None, modules: Sequence[str] = ()
+) -> Iterator[tuple[Block, list[dict]]]:
     """Drive the same starts in all blocks; yield each block with its episodes, in the order of blocks and seeds.
 
     Each block has a process of its own, on one core: some scenes change the class of the other vehicles for good.
@@ -174,18 +168,17 @@ def run_blocks(
     Args:
         blocks: what drives where.
         seeds: of the starts.
-        jobs: number of processes at once, each on a core of its own while there are enough; by default, that of cores.
         films: directory for films of the first failure and the first success of each block.
         modules: to import in the processes.
 
     Raises:
         ValueError: if a driver cannot be made.
     """
-    workers, free = min(jobs or cores(), len(blocks)), Queue[int]()
-    for core in range(workers):
+    free = Queue[int]()
+    for core in range(cores()):
         free.put(core)
 
-    def drive(block: Block) -> tuple[Block, list[dict[str, Any]]]:
+    def drive(block: Block) -> tuple[Block, list[dict]]:
         core = free.get()
         try:
             with own_process(partial(low_latency_on_core, core), modules) as process:
@@ -193,18 +186,17 @@ def run_blocks(
         finally:
             free.put(core)
 
-    with ThreadPoolExecutor(workers) as threads:
+    with ThreadPoolExecutor(cores()) as threads:
         yield from threads.map(drive, blocks)
 
 
-def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[dict[str, Any]]:
+def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[dict]:
     episodes = [run_episode(block, seed) for seed in seeds]
-    if films is None:
-        return episodes
     firsts = {episode["success"]: episode["seed"] for episode in reversed(episodes)}
-    for succeeds, seed in firsts.items():
-        outcome = "success" if succeeds else "failure"
-        film(block, seed, films / file_name(f"{block.scene}_{block.driver}_{outcome}_{block.name(seed)}.gif"))
+    if films is not None:
+        for succeeds, seed in firsts.items():
+            outcome = "success" if succeeds else "failure"
+            film(block, seed, films / file_name(f"{block.scene}_{block.driver}_{outcome}_{block.name(seed)}.gif"))
     return episodes
 
 
@@ -216,25 +208,10 @@ def file_name(text: str) -> str:
 def film(block: Block, seed: int, path: Path) -> None:
     """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, that plays at true speed.
 
-    Where the ego takes the place of a recorded vehicle, the recording is shown above, each under its name.
-
     Raises:
         OSError: if it cannot be written.
     """
-    from ms_highway.visualization.video import named, write
-
-    pictures, rate = _filmed(block, seed)
-    if block.starts and isinstance(block.starts[seed].ego, int):
-        recorded, _ = _filmed(block._replace(driver=HUMAN, traffic="replay"), seed)
-        above, below = named(recorded, "the recorded driver"), named(pictures, block.driver)
-        together = range(max(len(above), len(below)))  # the shorter one stays at its end
-        pictures = [np.vstack([each[min(place, len(each) - 1)] for each in (above, below)]) for place in together]
-    write(pictures, path, rate)
-
-
-def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
-    """Return the pictures of an episode, and how many there are of a second."""
-    from ms_highway.visualization.video import scaled
+    from ms_highway.visualization.video import scaled, write
 
     env: Any = make_driver(block, render_mode="rgb_array")
     frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
@@ -248,10 +225,10 @@ def _filmed(block: Block, seed: int) -> tuple[list[np.ndarray], float]:
     run_episode(block._replace(exports=None), seed, env, picture)
     env.close()
     height, width = pictures[0].shape[:2]
-    return scaled(pictures, width * min(HIGHEST, height) // height), frequency / every
+    write(scaled(pictures, width * min(HIGHEST, height) // height), path, frequency / every)
 
 
-def summary(block: Block, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
     """Return the figures of a driver in a scene, for JSON.
 
     * ``success``, ``off_road``: shares of the episodes in which the goal was reached, and the road was left;
@@ -301,7 +278,7 @@ def _shares(counters: Iterable[Counter[str]]) -> dict[str, float]:
     return {name: number / counts.total() for name, number in counts.items()}
 
 
-def row(block: Block, episode: Mapping[str, Any]) -> dict[str, Any]:
+def row(block: Block, episode: Mapping) -> dict:
     """Return an episode as a row of a table."""
     numbers = {name: value for name, value in episode.items() if name not in ("decisions", "sources", "rungs")}
     start = {"start": block.name(episode["seed"])} if block.starts else {}

@@ -19,7 +19,7 @@ Lane: TypeAlias = tuple[str, str, int] | None
 """Index of a lane in a road network, or none."""
 
 
-def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict[str, Any]:
+def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict:
     """Return how a car moved: numbers by name.
 
     The acceleration of a frame is the larger of two: the change of ``speed * (cos(heading), sin(heading))``, and
@@ -79,7 +79,7 @@ class Watch:
 
         env.road.step = watched  # of this road only: a reset makes another
 
-    def motion(self) -> dict[str, Any]:
+    def motion(self) -> dict:
         """Return how the ego moved until now, or until it crashed, see `measured`."""
         return measured(np.array(self._states), self._time_step, self.crashed)
 

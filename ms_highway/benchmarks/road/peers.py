@@ -1,6 +1,5 @@
 """Drivers that are not this package's: highway-env's IDM and MOBIL, and trained agents."""
 
-from itertools import pairwise
 from time import perf_counter
 from typing import Any
 
@@ -38,13 +37,13 @@ class Peer(gym.Wrapper):
         self.inner: Any = env.unwrapped
         self.decisions: list[float] = []
 
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+    def reset(self, **options: Any) -> tuple[Any, dict]:
         """Start an episode."""
         self.seen, info = super().reset(**options)
         self.begin()
         return self.seen, info
 
-    def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict]:
         """Decide, and take a step of the environment."""
         self.decisions.clear()
         start = perf_counter()
@@ -92,7 +91,7 @@ class IdmEgo(OfferedSpeeds, IDMVehicle):
 
     decisions: list[float]
 
-    def act(self, action: dict[str, Any] | str | None = None) -> None:
+    def act(self, action: dict | str | None = None) -> None:
         """Follow and change lanes; the action is ignored."""
         start = perf_counter()
         super().act(action)
@@ -114,7 +113,13 @@ class Idm(Peer):
             self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
         )
         ego.target_speeds = np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
-        ego.route, ego.decisions = route_to_goal(self.inner), self.decisions
+        ego.decisions, goal = self.decisions, destination_of(self.inner)
+        if isinstance(self.inner, ExitEnv):
+            last = self.inner.config["lanes_count"]
+            ego.route = [("0", "1", last - 1), ("1", "2", last), ("2", "exit", 0)]
+        elif isinstance(goal, str):
+            ego.plan_route_to(goal)
+            ego.route[0] = (*ego.lane_index[:2], None)  # any lane will do
 
     def choose(self) -> Any:
         """Let the ego decide, at the speed that reaches a timed goal in time."""
@@ -122,20 +127,3 @@ class Idm(Peer):
         if isinstance(goal, TimedGoal):
             self.inner.vehicle.target_speed = goal.desired_speed(self.inner.vehicle, self.inner.time)
         return super().choose()
-
-
-def route_to_goal(env: Any) -> list[tuple[str, str, int | None]] | None:
-    """Return the roads of the ego's way to the goal, without a lane where each will do; None without a destination.
-
-    Args:
-        env: the environment, unwrapped, after a reset.
-    """
-    if isinstance(env, ExitEnv):
-        last = env.config["lanes_count"]
-        return [("0", "1", last - 1), ("1", "2", last), ("2", "exit", 0)]
-    destination = destination_of(env)
-    if not isinstance(destination, str):
-        return None
-    start, onward, _ = env.vehicle.lane_index
-    nodes = [start, *env.road.network.shortest_path(onward, destination)]
-    return [(one, other, None) for one, other in pairwise(nodes)]

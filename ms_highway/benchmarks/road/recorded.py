@@ -33,7 +33,7 @@ class RecordedStart(NamedTuple):
     ego: str | int
 
     @property
-    def config(self) -> dict[str, Any]:
+    def config(self) -> dict:
         """What the environment's configuration says of it."""
         return {"recording": self.recording, "ego": self.ego}
 
@@ -73,7 +73,7 @@ def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
     if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
         return False
     road = straight_road(scenario)
-    begin, end = road.way(track)[0][[0, -1], 1] / road.lane_width
+    begin, end = road.way(track)[[0, -1], 1] / road.lane_width
     return round(begin) != round(end) and abs(end - round(end)) < CENTRED and abs(end - begin) > CHANGED
 
 

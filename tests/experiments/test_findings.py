@@ -4,8 +4,7 @@ import pandas as pd
 import pytest
 
 from ms_highway.cli.console import print_tables
-from ms_highway.experiments.analysis.findings import answer
-from ms_highway.experiments.analysis.summary import summary
+from ms_highway.experiments.summary import answer, summary
 from ms_highway.visualization.tables import grid
 
 COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}

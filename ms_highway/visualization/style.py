@@ -1,9 +1,11 @@
-"""The colours of videos, as Matplotlib takes them, and the style of figures."""
+"""The style of figures, their files, and the colours of videos as Matplotlib takes them."""
 
+import io
 from collections.abc import Iterable, Iterator
 from itertools import cycle
 
 from matplotlib import rc_context
+from matplotlib.figure import Figure
 
 from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.envs.viewer import model_color
@@ -14,6 +16,8 @@ SHADES = {
     "learned": ["#7d52c9", "#a98be0", "#cfc0ee", "#5a35a0"],
 }
 OTHER_SHADES = ["#12908e", "#62bcb9", "#a9dad8", "#0b6462"]
+
+DPI = 160
 
 styled = rc_context(
     {
@@ -46,3 +50,11 @@ def controller_colors(controllers: Iterable[str]) -> list[str]:
         shades = left.setdefault(kind, cycle(choosing_shades(kind if kind in priced_types() else "switching")))
         colors.append(color_of(name) if is_model(name) else next(shades))
     return colors
+
+
+def content(figure: Figure, kind: str = "png") -> bytes:
+    """Return the content of a file of a figure: ``png``, ``pdf`` with fonts that publishers take, or ``svg``."""
+    written = io.BytesIO()
+    with rc_context({"pdf.fonttype": 42}):  # TrueType
+        figure.savefig(written, format=kind, dpi=DPI)
+    return written.getvalue()

@@ -1,0 +1,218 @@
+"""Learn the value of computation: rollouts and fits, round by round, as cost-sensitive policy iteration.
+
+Rollouts of later rounds follow the rule that was fitted last, and their states are those that this rule comes through.
+Every number is drawn from its own stream, so that a seed gives the same values, whether learning was interrupted or
+not, and on any number of devices.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from itertools import pairwise
+from math import ceil
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+from jax.sharding import Mesh
+
+from ms_highway.choice.learned_value import TOGETHER, Network, noise, outputs
+from ms_highway.choice.situation import description_names
+from ms_highway.choice.values import Values
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.directory import ResultsDirectory, this_run
+from ms_highway.experiments.rollouts import Course, Driving, Learning, Random, Rollouts
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import cheapest_first, human_model, ladder
+from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.extras import needing
+from ms_highway.runtime.files import read_arrays, reading, replacing
+
+with needing("learning"):
+    import optax
+
+REMEDY = "remove it, or choose another --out"
+LEAST_SPREAD = 1e-3  # of an input
+COURSE, FIT = 1, 2  # streams of random numbers
+
+NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
+HIDDEN = (32, 32)
+STEPS = 3000
+BATCH = 256
+RATE = 3e-3  # of learning at first; it falls to 0 by a cosine
+SOFTENING = 1.0  # power of the noise that an error weighs more with than its likelihood says (Seitzer et al. 2022)
+DECAY = 0.5  # of weights, times the rate and per step
+
+
+SEVERAL = {"prices": (30.0, 30.0), "rounds": 2, "states": (100, 100), "horizon": 25, "held": 25}
+"""How values are learned among several humans, where that differs from the defaults of `Learning`."""
+
+
+def prepare(
+    comparison: Comparison, rounds: int | None, states: int | None, horizon: int | None, seed: int
+) -> tuple[Learning, list[Course]]:
+    """Return how values are learned, and on which courses.
+
+    Args:
+        comparison: of the scenarios, with a controller that needs all T(M).
+        rounds: of rollouts and fits, None for the usual number, as below.
+        states: that rollouts start from in the first round; later ones have 5 for every 8 with one human.
+        horizon: steps of a rollout.
+        seed: of everything that is drawn.
+
+    Raises:
+        ValueError: naming what cannot be learned.
+    """
+    batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
+    models = cheapest_first(name for batch in batches for name in batch.rungs)
+    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
+    several = batches[0].humans > 1
+    if any((batch.humans > 1) != several for batch in batches):
+        raise ValueError("some scenarios have one human, others several; learn them in a file each")
+    if any(human_model(name).warm for name in models):
+        raise ValueError("rollouts have no rest of a last plan to begin with; leave +warm out of the ladder")
+    if batches[0].loop.drivers:
+        remedy = "leave config['yielding'] and config['human_driver'] out"
+        raise ValueError(f"values are learned among humans who plan for their reward; {remedy}")
+    settings = {
+        **comparison.common_config(),
+        "versions": this_run()["versions"],
+        "scenarios": list(comparison.controllers),
+        "seed": seed,
+        "planning_horizon": batches[0].environment.settings.horizon,  # "horizon" is that of the rollouts
+    }
+    later = states and (states if several else ceil(states * 5 / 8))
+    given = {"rounds": rounds, "horizon": horizon, "states": later and (states, later)}
+    own: dict = (SEVERAL if several else {}) | {name: value for name, value in given.items() if value}
+    courses = [Course(batch, tuple(map(models.index, batch.rungs))) for batch in batches]
+    return Learning({name: costs[name] for name in models}, seed=seed, settings=settings, **own), courses
+
+
+def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
+    """Fit values to rollouts in round ``number``, from 1; without any, return values that mean nothing."""
+    random, names = _stream(how, number, FIT), description_names()
+    network = new_network(random, len(names), len(how.costs) - 1)
+    centre, spread = np.zeros(len(names)), np.ones(len(names))
+    if done:
+        rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
+        centre = rollouts.descriptions.mean(axis=0)
+        spread = rollouts.descriptions.std(axis=0) + LEAST_SPREAD
+        network = fit(network, rollouts, centre, spread, random)
+    examples = sum(len(part.descriptions) for part in done)
+    settings = {"examples": examples, "rounds": number, "horizon": how.horizon, "held": how.held}
+    settings["together"] = TOGETHER
+    return Values(network, centre, spread, tuple(how.costs), names, {**how.settings, **settings})
+
+
+def _stream(how: Learning, *place: int) -> Random:
+    """Return the random numbers of a place, such as a round and the number of a course."""
+    return np.random.default_rng([how.seed, *place])
+
+
+def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[tuple[str, Values | None]]:
+    """Learn values on some courses.
+
+    Args:
+        learning: how.
+        courses: where.
+        kept: directory of all rollouts, from which an interrupted run goes on; removed by the caller at the end.
+        mesh: devices, see `ms_highway.loop.devices.device_mesh`.
+
+    Yields:
+        What was done, after the rollouts of each course and after each fit, and the values after a fit.
+
+    Raises:
+        ValueError: if the directory is there and holds something else.
+    """
+    games = []
+    for course in courses:
+        numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(course.game)]
+        games.append((course.name, course.steps, course.rungs, crc32(b"".join(numbers))))
+    settings = {**asdict(learning), "courses": games}
+    ResultsDirectory(kept).take_up(settings)
+    ResultsDirectory(kept).write_settings(settings)
+    values, done = fitted(learning, [], 0), list[Rollouts]()
+    for number in range(1, learning.rounds + 1):
+        for place, course in enumerate(courses):
+            file = kept / f"{number}-{place}.npz"
+            if not file.exists():
+                models = [list(learning.costs)[rung] for rung in course.rungs]
+                costs = Costs.of([learning.costs[name] for name in models], course.batch.humans)
+                rule = values.rule(ladder(models), costs, learning.prices[0])
+                driving = Driving(course, learning, rule, number > 1, mesh)
+                found = driving.roll_out(_stream(learning, number, COURSE, place), learning.states[number > 1])
+                with replacing(file) as path:
+                    np.savez(path, **found._asdict())
+            done.append(read_rollouts(file))
+            yield f"round {number} of {learning.rounds}: {course.name}", None
+        values = fitted(learning, done, number)
+        yield f"round {number} of {learning.rounds}: fitted", values
+
+
+def read_rollouts(file: Path) -> Rollouts:
+    """Read rollouts that an interrupted run has kept.
+
+    Raises:
+        ValueError: if the file is damaged, or holds numbers that are not finite.
+    """
+    with reading(file, REMEDY):
+        kept = Rollouts(**read_arrays(file, file.stat().st_size))  # it is not compressed
+        if not np.isfinite(kept.descriptions).all() or not (kept.gains < np.inf).all():
+            raise ValueError("it holds numbers that are not finite")
+    return kept
+
+
+def new_network(random: Random, inputs: int, means: int) -> Network:
+    """Draw weights with the variance that keeps the size of what tanh layers pass on (LeCun et al. 1998)."""
+    return tuple(
+        (
+            (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(np.float32),
+            np.zeros((NETWORKS, other), np.float32),
+        )
+        for one, other in pairwise([inputs, *HIDDEN, 2 * means])
+    )
+
+
+def fit(network: Network, rollouts: Rollouts, centre: Array, spread: Array, random: Random) -> Network:
+    """Fit what rungs gain over the first one, and the spread of that, by AdamW and the likelihood of normal errors.
+
+    Where small causes have large effects (Stay Back in 20 gradient steps), the spread is large, and errors weigh less.
+
+    Args:
+        network: first weights.
+        rollouts: from many states.
+        centre: of the inputs, means by which they are standardised.
+        spread: of the inputs, standard deviations likewise.
+        random: draws rollouts.
+    """
+    chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, BATCH))
+    standard = (rollouts.descriptions - centre) / spread
+    return jax.tree.map(np.asarray, _fit(network, chosen, np.float32(standard), np.float32(rollouts.gains)))
+
+
+@jax.jit
+def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Network:
+    def one(network: Network, inputs: Array) -> tuple[Array, Array]:
+        means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
+        return means[0], noise(spreads[0])
+
+    def loss(network: Network, chosen: Array) -> Array:
+        means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(network, inputs[chosen])
+        counts = jnp.isfinite(gains[chosen])
+        errors = means - jnp.where(counts, gains[chosen], 0)
+        surprise = errors**2 / (2 * apart**2) + jnp.log(apart)
+        surprise *= jax.lax.stop_gradient(apart) ** SOFTENING
+        return jnp.where(counts, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
+
+    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
+
+    def step(carry: Any, chosen: Array) -> tuple[Any, None]:
+        network, state = carry
+        updates, state = optimizer.update(jax.grad(loss)(network, chosen), state, network)
+        return (optax.apply_updates(network, updates), state), None
+
+    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), chosen)
+    return network
