@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
-from ms_highway.choice.rule import PHYSICAL_COSTS, PUBLISHED_COSTS, SHIPPED_COSTS
+from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS, shipped_kind
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
 from ms_highway.envs.controllers import KEYBOARD, ControllerSettings, Start
 from ms_highway.envs.registry import controller_settings
@@ -148,7 +148,7 @@ class Settings(Struct, frozen=True):
     @property
     def seconds(self) -> dict[str, float]:
         """T(M) by name [s], also of models in an order as far as it is known; none where it is to be measured."""
-        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS if self.humans > 1 else PHYSICAL_COSTS}
+        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS[shipped_kind(self.semantics, self.humans)]}
         given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
         known = dict(given)
         for model in (*map(human_model, self.controller.names()), *self.models):

@@ -24,8 +24,13 @@ from ms_highway.runtime.structures import Structure, read
 SHIPPED_VALUES = "shipped"
 """Stands for the values that come with the package."""
 
-SHIPPED_FILES = {"pair": "values.npz", "physical": "physical_values.npz", "several": "several_values.npz"}
-"""Files that come with the package: with one human, in physical semantics, among several humans."""
+SHIPPED_FILES = {
+    "pair": "values.npz",
+    "physical": "physical_values.npz",
+    "several": "several_values.npz",
+    "physical several": "crowd_values.npz",
+}
+"""Files that come with the package, by kind of scene, see `ms_highway.choice.rule.shipped_kind`."""
 
 VERSION = 3
 REMEDY = "learn values with `ms-highway values learn`"
@@ -100,7 +105,8 @@ class Values:
         places += [gains + place for place in places]
         *hidden, (weights, biases) = self.network
         network = (*hidden, (weights[..., places], biases[..., places]))
-        return LearnedValue(costs, price, network, self.centre, self.spread, models)
+        together = bool(self.provenance.get("together"))
+        return LearnedValue(costs, price, network, self.centre, self.spread, models, together=together)
 
 
 class _About(Structure):

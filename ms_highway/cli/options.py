@@ -31,6 +31,7 @@ SCENARIO_NAMES = (
     "stay-back-v1",
     "merger-v1",
     "give-way-v1",
+    "dense-merge-v1",
 )
 """Keys of `ms_highway.envs.ENVIRONMENTS`, for help texts, which need no JAX."""
 
@@ -44,7 +45,7 @@ CONTROLLERS = (
 LEARNED = "learned:1"
 """The controller that commands take by default: the package's best."""
 
-KEYS = f"""\
+KEYS = """\
 --set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists the
 keys; these are the usual ones:
 
@@ -65,7 +66,7 @@ keys; these are the usual ones:
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
   grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8
                           in -v1)
-  humans=6                number of humans, 2 to 20, in {" and ".join(SCENARIO_NAMES[3:5])}
+  humans=6                number of humans, 2 to 20, in dense_merge, dense-merge-v1 and crossing_crowd
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
                           keep their velocity; always make room for it; or mixed, each of them never or always
   human_driver=NAME       what drives the humans instead: what --import adds by ms_highway.add_driver

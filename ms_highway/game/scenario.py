@@ -64,10 +64,12 @@ class Stream:
     Attributes:
         lane: lateral position of the lane's centre [m].
         speed: mean speed [m/s].
+        spacing: from centre to centre, shortest and longest [m].
     """
 
     lane: float
     speed: float = SPEED_LIMIT
+    spacing: tuple[float, float] = (8.0, 14.0)
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ class Scenario:
             succeeds if it ends in the target lane, the leftmost one, and never collides.
         humans: their number, by default.
         caution: factor on the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
+        careless: share of the humans in streams that hardly yield.
         semantics: by default, see `build_game`.
         planning, solver, control_limit, grip: of plans by default, see `build_game`.
         way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
@@ -116,6 +119,7 @@ class Scenario:
     streams: tuple[Stream, ...] = ()
     humans: int = 1
     caution: float = 1.0
+    careless: float = 0.2
     semantics: Semantics = "paper"
     planning: PlanningSettings = PAPER_PLANNING
     solver: Solver = "gradient"

@@ -79,6 +79,12 @@ def test_a_budget_is_spent_where_it_gains_most(game):
         assert chosen(Budget(gains, costs, seconds, 0.5, deciding), game) == rungs
 
 
+def test_time_that_is_left_in_a_budget_goes_to_the_nearest_humans(game):
+    costs = Costs(0.010, np.array([0.0, 0.002, 0.008]))
+    rule = Budget(KnownGains(np.zeros((4, 3), np.float32)), costs, 0.027, 1.0)  # two of 8 ms
+    assert chosen(rule, game) == [TOM, NAIVE, NAIVE, TOM]
+
+
 @pytest.mark.slow
 def test_a_driver_measures_the_time_of_decisions_within_a_budget(game):
     costs = Costs(0.09, np.array([0.0, 0.08, 0.28]))
