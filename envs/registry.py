@@ -29,7 +29,7 @@ from ms_highway.envs.controllers import (
 )
 from ms_highway.game.scenario import Semantics
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction, function_names
-from ms_highway.planning.human_models import MODELS, is_model, model_names
+from ms_highway.planning.ladders import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
 BELIEF = "+belief"

@@ -8,7 +8,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.choice.learned_value import LEAST_NOISE
+from ms_highway.choice.learned_value import MIN_NOISE
 from ms_highway.choice.quadratic import Quadratic
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule
 from ms_highway.choice.situation import nearness
@@ -17,7 +17,7 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
 
-SHARE = 0.8
+PLANNABLE_SHARE = 0.8
 """Share of a budget that decision and plan may need; the rest is for times above the quantile that was measured.
 
 Measured in 40 episodes of Dense Merge: with a share of 1, a budget of 5 ms is late in 47 % of the steps."""
@@ -42,7 +42,7 @@ class Budget(Rule):
     gains: Rule
     costs: Costs
     seconds: Scalar
-    share: Scalar = SHARE
+    share: Scalar = PLANNABLE_SHARE
     deciding: Scalar = 0.0
 
     @property
@@ -56,8 +56,8 @@ class Budget(Rule):
         known = jnp.isfinite(decision.gains)
         values = jnp.where(known, jnp.asarray(decision.gains), -jnp.inf)
         values = values.at[:, 0].set(jnp.where(known[:, 0], values[:, 0], 0.0))
-        spare = LEAST_NOISE * (1 - nearness(game, outcome.after) / game.number)
-        values = values.at[:, -1].set(jnp.where(jnp.abs(values[:, -1]) < LEAST_NOISE, spare, values[:, -1]))
+        spare = MIN_NOISE * (1 - nearness(game, outcome.after) / game.number)
+        values = values.at[:, -1].set(jnp.where(jnp.abs(values[:, -1]) < MIN_NOISE, spare, values[:, -1]))
         capacity = self.share * self.seconds - self.deciding - self.costs.base
         rungs = best_rungs(values, self.costs.each, capacity)
         return decision._replace(memory=decision.memory._replace(rungs=rungs))

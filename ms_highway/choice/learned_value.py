@@ -24,8 +24,8 @@ Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
 TOGETHER = 4  # humans at most that are predicted by more than the first rung, the nearest ones
-CAUTION = 0.5  # standard deviations among the networks
-LEAST_NOISE = 0.02  # of gains
+DOUBT_MARGIN = 0.5  # standard deviations among the networks
+MIN_NOISE = 0.02  # of gains
 
 
 @jax.tree_util.register_dataclass
@@ -67,13 +67,13 @@ class LearnedValue(Rule):
     def _values(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:
         """Return the value of each rung for a human, what is compared, and whether it could not be estimated.
 
-        What a rung gains over the first one counts less `CAUTION` standard deviations among the networks: in doubt, the
-        first rung predicts.
+        What a rung gains over the first one counts less `DOUBT_MARGIN` standard deviations among the networks: in
+        doubt, the first rung predicts.
         """
         means, _ = outputs(self.network, (described - self.centre) / self.spread)
         gains, doubts = (jnp.pad(part(means, axis=0), (1, 0)) for part in (jnp.mean, jnp.std))
         known = jnp.isfinite(gains).all()
-        values = gains - CAUTION * doubts - self.price * jnp.asarray(self.costs.each)
+        values = gains - DOUBT_MARGIN * doubts - self.price * jnp.asarray(self.costs.each)
         estimates = values - values[rung] if self.cautious else gains
         return jnp.where(known, values, 0.0), jnp.where(known, estimates, NOT_ESTIMATED), ~known
 
@@ -92,4 +92,4 @@ def outputs(
 
 def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
     """Return standard deviations of outcomes from the second half of a network's `outputs`."""
-    return LEAST_NOISE + jax.nn.softplus(spreads)
+    return MIN_NOISE + jax.nn.softplus(spreads)

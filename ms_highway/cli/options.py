@@ -16,10 +16,10 @@ from ms_highway.cli.command import MOST, Option, number, option, output
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
 
-MOST_LAMBDAS = 10_000
+MAX_LAMBDAS = 10_000
 """Lambdas of switching in a sweep."""
 
-MOST_SEEDS = 2**63 - 1 - MOST
+MAX_SEEDS = 2**63 - 1 - MOST
 """First seed of as many as possible that Parquet's integers hold."""
 
 SCENARIO_NAMES = (
@@ -109,7 +109,7 @@ def compared(
         controllers(f"{kinds} {beside}"),
         option("--lambdas", several, nargs="+", type=lambdas, metavar="LAMBDA"),
         number("--seeds", seeds, "episodes per controller"),
-        number("--first-seed", 0, "of the first episode, from which the others count on", 0, MOST_SEEDS),
+        number("--first-seed", 0, "of the first episode, from which the others count on", 0, MAX_SEEDS),
         output("--out", "of results", directory=True, default=out, required=not out),
         FORMAT,
         SET,
@@ -165,7 +165,7 @@ def comparison(
     from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, scenario_name
     from ms_highway.envs.registry import priced_types
     from ms_highway.experiments.comparison import Comparison
-    from ms_highway.planning.human_models import rung_names
+    from ms_highway.planning.ladders import rung_names
 
     config, controllers = configuration(options), {}
     for name in map(scenario_name, options.scenarios or PAPER_SCENARIOS):
@@ -198,7 +198,7 @@ def lambdas(text: str) -> list[float]:
         match text.split(":"):
             case [price]:
                 values = [float(price) + 0.0]  # -0 is 0
-            case [low, high, count] if 1 < int(count) <= MOST_LAMBDAS:
+            case [low, high, count] if 1 < int(count) <= MAX_LAMBDAS:
                 values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
     if not values or len(set(values)) < len(values) or not all(0 <= value < np.inf for value in values):
         remedy = "give a number like 0.1, or LOW:HIGH:COUNT that differ in three digits, such as 0.001:10:25"

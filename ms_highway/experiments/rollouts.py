@@ -27,10 +27,10 @@ Random: TypeAlias = np.random.Generator
 WORST_STEP = 1e3  # reward of a step, where plans fail and cars leave the world
 
 # with one human, and among several:
-MOST_NOISE = 4.0, 1.0  # see `Course.starts`
+MAX_NOISE = 4.0, 1.0  # see `Course.starts`
 STATES_OF_AN_EPISODE = 4, 6
 STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step
-LEAST_LIKELY = 1.0, 0.3  # state to be drawn, where driving at the limit on the way to the lane counts 1
+MIN_LIKELY = 1.0, 0.3  # state to be drawn, where driving at the limit on the way to the lane counts 1
 
 
 class Rollouts(NamedTuple):
@@ -82,11 +82,11 @@ class Course:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
 
         With one human, a start is ``a + c (b - a)`` with two draws a and b, which has their mean and
-        ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation; c is drawn from 1 to `MOST_NOISE`.
+        ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation; c is drawn from 1 to `MAX_NOISE`.
         """
         drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
         starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
-        noise = random.uniform(1.0, MOST_NOISE[self.several], (count, 1, 1)).astype(np.float32)
+        noise = random.uniform(1.0, MAX_NOISE[self.several], (count, 1, 1)).astype(np.float32)
         return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
 
     def orders(self, random: Random, count: int) -> Array:
@@ -223,7 +223,7 @@ class Driving:
         states, weights = states[finite], weights[finite]
         away = np.abs(states[:, :, 0, 1] - float(game.scene.target_lane)) > float(game.scene.lane_width) / 2
         likely = away * states[:, :, 0, 3] / float(game.robot.speed_limit)
-        likely = np.clip(likely, LEAST_LIKELY[course.several], 1.0)
+        likely = np.clip(likely, MIN_LIKELY[course.several], 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
         visited = [own[random.choice(steps, each, replace=False, p=p)] for own, p in zip(states, likely, strict=True)]
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]

@@ -15,7 +15,9 @@ HEADING_NOISE = 1e-3  # rad, standard deviation
 START_SPEED_NOISE = 1e-3 * PAPER_UNIT  # m/s, standard deviation without streams
 MERGING_NOISE = 0.01 * PAPER_UNIT  # m, further standard deviation of the merging car's x
 
-SHORTNESS = 20.0  # of Beta(1, SHORTNESS), the share of a spacing between shortest and longest: 0.3 m more than that
+SPACING_BETA = (
+    20.0  # of Beta(1, SPACING_BETA), the share of a spacing between shortest and longest: 0.3 m more than that
+)
 SPEED_NOISE = 0.3  # m/s, standard deviation of the speed of a human in a stream
 CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
 CARELESS_FACTOR = 0.05  # of the humans that hardly yield
@@ -103,7 +105,7 @@ def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[St
 def _stream(stream: Stream, humans: int, random: Random) -> State:
     """Draw the starts of a stream, front first; the robot, at x = 0, is beside a gap in the middle, or the last one."""
     shortest, longest = stream.spacing
-    spacings = shortest + (longest - shortest) * random.beta(1.0, SHORTNESS, humans)
+    spacings = shortest + (longest - shortest) * random.beta(1.0, SPACING_BETA, humans)
     ahead = (humans + 1) // 2  # of the robot
     beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
     xp = spacings.__array_namespace__()

@@ -16,7 +16,7 @@ from ms_highway.road.stock import GoalEnv
 
 EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
 OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
-SLOWEST = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
+MIN_DESIRED_SPEED = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
 
 
 class RecordedSettings(Struct, frozen=True):
@@ -111,7 +111,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
         self.scenario, self.task, self.road, self.axes = scenario, task, road, straight.axes
-        self.goal, self.desired_speed = timed_goal(task, straight), max(speed, SLOWEST)
+        self.goal, self.desired_speed = timed_goal(task, straight), max(speed, MIN_DESIRED_SPEED)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
         self._along = float(road.states[vehicle][0])
 

@@ -13,7 +13,7 @@ from ms_highway.choice.quadratic import Switching
 from ms_highway.choice.rule import Decision, Outcome, Rule, decide, first_memory
 from ms_highway.loop.driver import Driver
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
+from ms_highway.planning.ladders import ladder
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 
