@@ -1,9 +1,8 @@
 """The environments: scenarios of a robot with one human or several, and one to record driving in.
 
-``import ms_highway`` registers with Gymnasium the ids ``ms-highway/stay-back-v1``, ``ms-highway/merger-v1`` and
-``ms-highway/give-way-v1``, in which cars keep to what tyres hold, the same at version 0, as in the paper;
-``ms-highway/dense-merge-v0``, ``ms-highway/crossing-crowd-v0`` and ``ms-highway/demonstration-v0``; and what the wings
-add. Imports `ms_highway.vehicle` and what stands below it.
+``import ms_highway`` registers with Gymnasium the ids ``ms-highway/stay-back-v1``, ``merger-v1``, ``give-way-v1`` and
+``dense-merge-v1``, in which cars keep to what tyres hold, the same at version 0; ``crossing-crowd-v0`` and
+``demonstration-v0``; and what the wings add. Imports `ms_highway.vehicle` and what stands below it.
 """
 
 import re
@@ -19,6 +18,7 @@ from ms_highway.envs.registry import check_name
 from ms_highway.envs.scenes import (
     CrossingCrowdEnv,
     DenseMergeEnv,
+    DenseMergeV1Env,
     GiveWayEnv,
     GiveWayV1Env,
     MergerEnv,
@@ -36,6 +36,7 @@ __all__ = [
     "CrossingCrowdEnv",
     "DemonstrationEnv",
     "DenseMergeEnv",
+    "DenseMergeV1Env",
     "GiveWayEnv",
     "GiveWayV1Env",
     "InteractionEnv",
@@ -59,6 +60,7 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
         StayBackV1Env,
         MergerV1Env,
         GiveWayV1Env,
+        DenseMergeV1Env,
     )
 }
 """The environments by name of their scenario."""

@@ -19,7 +19,8 @@ from ms_highway.loop.controller import Controller
 from ms_highway.loop.driver import Driver, drivable
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver, function_names
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import HumanModel, human_model, is_model, model_names
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.planning.ladders import human_model, is_model, model_names
 
 KEYBOARD = "keyboard"  # name of the human driver that reads the keyboard
 PLACE = "config['controller']"

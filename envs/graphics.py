@@ -29,7 +29,7 @@ from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.driver import Driver
-from ms_highway.planning.human_models import PACKAGE_MODELS, cheapest_first
+from ms_highway.planning.ladders import PACKAGE_MODELS, cheapest_first
 from ms_highway.runtime.arrays import Belief, Car, Controls
 
 MARGIN = 16  # px

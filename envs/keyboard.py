@@ -7,9 +7,9 @@ from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.runtime.arrays import Control, State
 
-PEDALS = 4.0  # m/s^2
-HEADING = 0.1  # rad, while a key is pressed; without one, the car returns to the direction of the road
-TURNING = 0.4  # rad/s
+KEY_ACCELERATION = 4.0  # m/s^2
+KEY_HEADING = 0.1  # rad, while a key is pressed; without one, the car returns to the direction of the road
+HEADING_RATE = 0.4  # rad/s
 
 
 def keyboard_control(game: Game, state: State) -> Control:
@@ -22,8 +22,8 @@ def keyboard_control(game: Game, state: State) -> Control:
         raise OSError("there is no window to press keys in; make the environment with render_mode='human'")
     keys = pygame.key.get_pressed()
     heading, speed = state[0, 2:]
-    wanted = HEADING * (int(keys[pygame.K_RIGHT]) - int(keys[pygame.K_LEFT]))  # y points to the right
+    wanted = KEY_HEADING * (int(keys[pygame.K_RIGHT]) - int(keys[pygame.K_LEFT]))  # y points to the right
     step = float(game.world.time_step)
-    turn = np.clip((wanted - heading) / step, -TURNING, TURNING)
-    pedals = PEDALS * (int(keys[pygame.K_UP]) - int(keys[pygame.K_DOWN]))
+    turn = np.clip((wanted - heading) / step, -HEADING_RATE, HEADING_RATE)
+    pedals = KEY_ACCELERATION * (int(keys[pygame.K_UP]) - int(keys[pygame.K_DOWN]))
     return keep_velocity(game.world, state[0]) + np.array([turn / max(speed, 1.0), pedals])

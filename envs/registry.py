@@ -11,7 +11,7 @@ from msgspec import Meta, field, json
 from ms_highway.choice.budget import Budget, OneStepGains
 from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
-from ms_highway.choice.rule import NEVER
+from ms_highway.choice.rule import NEVER, shipped_kind
 from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
@@ -29,7 +29,7 @@ from ms_highway.envs.controllers import (
 )
 from ms_highway.game.scenario import Semantics
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction, function_names
-from ms_highway.planning.human_models import MODELS, is_model, model_names
+from ms_highway.planning.ladders import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
 BELIEF = "+belief"
@@ -85,8 +85,7 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
 
 def _learned(values: str | None, semantics: Semantics, humans: int) -> Values:
     """Return the values of a file, or those that the package has for a number of humans and semantics."""
-    one = "physical" if semantics == "physical" else "pair"
-    return load_values(values or SHIPPED_VALUES, "several" if humans > 1 else one)
+    return load_values(values or SHIPPED_VALUES, shipped_kind(semantics, humans))
 
 
 class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):

@@ -4,6 +4,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.game.scenarios import (
     CROSSING_CROWD,
     DENSE_MERGE,
+    DENSE_MERGE_V1,
     GIVE_WAY,
     GIVE_WAY_V1,
     MERGER,
@@ -53,6 +54,12 @@ class DenseMergeEnv(InteractionEnv):
     """The robot's lane ends; it has to get into a stream of humans in the lane beside it."""
 
     scenario = DENSE_MERGE
+
+
+class DenseMergeV1Env(InteractionEnv):
+    """A careful robot has to get into a denser stream, whose humans yield; plans of a second, within tyres."""
+
+    scenario = DENSE_MERGE_V1
 
 
 class CrossingCrowdEnv(InteractionEnv):

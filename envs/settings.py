@@ -8,20 +8,21 @@ import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
-from ms_highway.choice.rule import PHYSICAL_COSTS, PUBLISHED_COSTS, SHIPPED_COSTS
+from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS, shipped_kind
 from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
 from ms_highway.envs.controllers import KEYBOARD, ControllerSettings, Start
 from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
-from ms_highway.game.planning_settings import MOST_ITERATIONS, PlanningSettings, gradient_steps, longest_step
+from ms_highway.game.planning_settings import MAX_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS
 from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS
 from ms_highway.numerics.solvers import Solver
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import MODELS, HumanModel, human_model, is_model, ladder
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
 
 HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "published"}
 """The humans' reward that belongs to each semantics."""
@@ -29,41 +30,44 @@ HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "publish
 YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
 """The human drivers for each way to yield."""
 
-LADDER = "give a list of human models, cheapest first, or say 'best'"
-COSTS = (
+LADDER_REMEDY = "give a list of human models, cheapest first, or say 'best'"
+COSTS_REMEDY = (
     "say 'published', 'shipped', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, "
     "'tom': 0.37}"
 )
-REWARD = (
+REWARD_REMEDY = (
     "say 'learned', 'published', or give finite weights by name, such as {'speed': 2, 'lane_alignment': 75}; weights "
     "that were learned are in ms_highway.game.learned_reward.load(path).weights"
 )
-LIMIT = "give None for the usual limits, 'unlimited', or two positive bounds, (omega, acceleration)"
-GRIP = "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
-WHOLE = "it must be a whole number from 1 to"
-LONGEST_HORIZON = 100  # steps
+LIMIT_REMEDY = "give None for the usual limits, 'unlimited', or two positive bounds, (omega, acceleration)"
+GRIP_REMEDY = "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
+WHOLE_NUMBER = "it must be a whole number from 1 to"
+MAX_HORIZON = 100  # steps
 
 
 class Settings(Struct, frozen=True):
     """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not have, see there."""
 
     controller: Any
-    ladder: Annotated[Literal["best"] | tuple[str, ...], Meta(description=LADDER)]
-    costs: Annotated[Literal["published", "shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS)]
+    ladder: Annotated[Literal["best"] | tuple[str, ...], Meta(description=LADDER_REMEDY)]
+    costs: Annotated[
+        Literal["published", "shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS_REMEDY)
+    ]
     semantics: Semantics
-    human_reward: Annotated[Literal["learned", "published"] | dict[str, Number] | None, Meta(description=REWARD)]
+    human_reward: Annotated[Literal["learned", "published"] | dict[str, Number] | None, Meta(description=REWARD_REMEDY)]
     humans: int
     beliefs: Literal["learned", "true"]
     yielding: Literal["usual", "never", "always", "mixed"]
     human_driver: str | None
-    control_limit: Annotated[Literal["unlimited"] | tuple[Positive, Positive] | None, Meta(description=LIMIT)]
-    grip: Annotated[Positive | None, Meta(description=GRIP)]
+    control_limit: Annotated[Literal["unlimited"] | tuple[Positive, Positive] | None, Meta(description=LIMIT_REMEDY)]
+    grip: Annotated[Positive | None, Meta(description=GRIP_REMEDY)]
     way_out: bool
     solver: Solver
-    horizon: Annotated[int, Meta(ge=1, le=LONGEST_HORIZON, description=f"{WHOLE} {LONGEST_HORIZON}")]
+    horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON, description=f"{WHOLE_NUMBER} {MAX_HORIZON}")]
     time_step: Annotated[float, Meta(ge=0.01, le=1.0, description="it must be from 0.01 to 1 s")]
     iterations: Annotated[
-        Annotated[int, Meta(ge=1, le=MOST_ITERATIONS)] | None, Meta(description=f"{WHOLE} {MOST_ITERATIONS}, or None")
+        Annotated[int, Meta(ge=1, le=MAX_ITERATIONS)] | None,
+        Meta(description=f"{WHOLE_NUMBER} {MAX_ITERATIONS}, or None"),
     ]
     step_size: Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
     duration: Positive
@@ -73,7 +77,7 @@ class Settings(Struct, frozen=True):
         if not isinstance(self.controller, ControllerSettings):  # as it is in copies
             force_setattr(self, "controller", controller_settings(self.controller))
         horizon, time_step, chosen = self.horizon, self.time_step, gradient_steps(self.planning)[0]
-        if chosen > MOST_ITERATIONS:
+        if chosen > MAX_ITERATIONS:
             why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"
             raise ValueError(f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give 'iterations'")
         if self.duration < time_step:
@@ -142,13 +146,13 @@ class Settings(Struct, frozen=True):
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
-        """The ladder; see `ms_highway.planning.human_models.ladder`."""
+        """The ladder; see `ms_highway.planning.ladders.ladder`."""
         return ladder(self.ladder)
 
     @property
     def seconds(self) -> dict[str, float]:
         """T(M) by name [s], also of models in an order as far as it is known; none where it is to be measured."""
-        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS if self.humans > 1 else PHYSICAL_COSTS}
+        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS[shipped_kind(self.semantics, self.humans)]}
         given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
         known = dict(given)
         for model in (*map(human_model, self.controller.names()), *self.models):

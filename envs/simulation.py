@@ -23,7 +23,8 @@ from ms_highway.loop.devices import usual_chunk
 from ms_highway.loop.human_drivers import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import Naive, cheapest_first, human_model, warn_of_limits
+from ms_highway.planning.human_models import Naive, warn_of_limits
+from ms_highway.planning.ladders import cheapest_first, human_model
 from ms_highway.runtime.arrays import Index, State
 
 STEP = (

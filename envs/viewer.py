@@ -11,7 +11,7 @@ from highway_env.envs.common.graphics import EnvViewer
 from highway_env.envs.common.observation import GrayscaleObservation
 from highway_env.road.graphics import WorldSurface
 
-from ms_highway.planning.human_models import MODELS, human_model, is_model
+from ms_highway.planning.ladders import MODELS, human_model, is_model
 
 Color = tuple[int, ...]
 

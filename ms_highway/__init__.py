@@ -13,7 +13,8 @@ JAX. To start::
 or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 
 * Environments: ``ms-highway/stay-back-v1``, ``merger-v1`` and ``give-way-v1``, within what tyres hold; the same at
-  version 0, the paper's; ``dense-merge-v0`` and ``crossing-crowd-v0``, with several humans, see `InteractionEnv`;
+  version 0, the paper's; ``dense-merge-v1``, its easier version 0 and ``crossing-crowd-v0``, with several humans, see
+  `InteractionEnv`;
   ``demonstration-v0``, traffic to record driving in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``,
   recorded traffic with its planning problems, see `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that
   and highway-env's own.
@@ -70,6 +71,7 @@ _ENVIRONMENTS = {
     "merger-v1": "envs:MergerV1Env",
     "give-way-v1": "envs:GiveWayV1Env",
     "dense-merge-v0": "envs:DenseMergeEnv",
+    "dense-merge-v1": "envs:DenseMergeV1Env",
     "crossing-crowd-v0": "envs:CrossingCrowdEnv",
     "demonstration-v0": "envs:DemonstrationEnv",
     "recorded-v0": "recorded:RecordedEnv",

@@ -54,8 +54,8 @@ from .planning.human_models import Naive as Naive
 from .planning.human_models import PredictedHuman as PredictedHuman
 from .planning.human_models import TheoryOfMind as TheoryOfMind
 from .planning.human_models import Turn as Turn
-from .planning.human_models import ladder as ladder
-from .planning.human_models import register as register
+from .planning.ladders import ladder as ladder
+from .planning.ladders import register as register
 from .road.driven import drive as drive
 from .road.robot import RoadRobot as RoadRobot
 from .runtime.jax_settings import keep_compilations as keep_compilations

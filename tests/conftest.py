@@ -27,7 +27,7 @@ SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WA
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ms-highway-tests"
 LARGEST = 500e6  # bytes of the cache
-MOST_MEMORY = 3e6  # kB of a worker
+MAX_MEMORY = 3e6  # kB of a worker
 
 XLA_DEFAULTS = "--xla_cpu_max_isa= --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
 """XLA's own defaults, stated so that commands leave them unchanged. XLA reads its flags once, but JAX names a compiled
@@ -87,7 +87,7 @@ def stopped_by_nans() -> Iterator[None]:
 def little_memory() -> Iterator[None]:
     """Forget what has been compiled where it takes much memory: that of all files would take many gigabytes."""
     yield
-    if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MOST_MEMORY:
+    if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MAX_MEMORY:
         jax.clear_caches()
         timing._warm.clear()  # what was compiled has to be compiled before it is timed again
 

@@ -14,20 +14,20 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.dynamics import recover_control
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import PACKAGE_MODELS
 from ms_highway.planning.hypotheses import next_controls
+from ms_highway.planning.ladders import PACKAGE_MODELS
 from ms_highway.runtime.arrays import Array, Belief, Controls, SameArray, State
 
-KEEPS = 0.98
+STAY_PROBABILITY = 0.98
 """Probability that a human keeps to its model for 0.1 s, so for five seconds on average."""
 
-NOISE = (0.005, 1.0)
+CONTROL_NOISE = (0.005, 1.0)
 """Standard deviations of humans around the controls of their model: curvature [1/m], acceleration [m/s^2]."""
 
-LEAST = 1e-3
+MIN_PROBABILITY = 1e-3
 """Probability that no model falls below, so that a human who changes is noticed soon."""
 
-LEAST_RESPONSE = 0.3  # probability of the models below which nobody counts on a human
+MIN_RESPONSE = 0.3  # probability of the models below which nobody counts on a human
 RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # that explain a human who minds its reward
 
 
@@ -47,14 +47,14 @@ def updated_belief(
     """
     xp = belief.__array_namespace__()
     models = belief.shape[-1]
-    keeps = KEEPS ** (time_step / 0.1)
+    keeps = STAY_PROBABILITY ** (time_step / 0.1)
     mixed = keeps * belief + (1 - keeps) / models
-    off = (predicted - observed[..., None, :]) / xp.asarray(NOISE)
+    off = (predicted - observed[..., None, :]) / xp.asarray(CONTROL_NOISE)
     log_likelihood = -xp.sum(off**2, axis=-1) / 2
     known = xp.all(xp.isfinite(log_likelihood), axis=-1, keepdims=True)
     log_likelihood = xp.where(known, log_likelihood, xp.zeros_like(log_likelihood))
     joint = mixed * xp.exp(log_likelihood - xp.max(log_likelihood, axis=-1, keepdims=True))
-    joint = xp.maximum(joint / xp.sum(joint, axis=-1, keepdims=True), xp.asarray(LEAST))
+    joint = xp.maximum(joint / xp.sum(joint, axis=-1, keepdims=True), xp.asarray(MIN_PROBABILITY))
     return joint / xp.sum(joint, axis=-1, keepdims=True)
 
 
@@ -80,4 +80,4 @@ def infer(game: Game, belief: Belief, before: State, after: State, robot: Contro
 
 def counted_on(belief: Float[SameArray, "humans models"]) -> Bool[Array, "humans"]:
     """Return which humans can be counted on to respond: all but those whose actions turn and tom do not explain."""
-    return belief[:, RESPONDING].sum(axis=1) >= LEAST_RESPONSE
+    return belief[:, RESPONDING].sum(axis=1) >= MIN_RESPONSE

@@ -1,8 +1,9 @@
 """Decide which human model is worth its time, by a learned value of computation.
 
-Networks estimate from the situation of each human alone what the robot earns more per step if this human is predicted
-by a rung rather than by the cheapest one (Russell and Wefald 1991; Callaway et al. 2018). The price of the time that
-the human adds to a plan is subtracted.
+Networks estimate from the situation of each human what the robot earns more per step if this human is predicted by a
+rung rather than by the cheapest one, as all nearer humans are (Russell and Wefald 1991; Callaway et al. 2018). The
+price of the time that the human adds to a plan is subtracted. A gap may open only if two humans are asked together:
+what is chosen is how many of the nearest humans are predicted by more than the cheapest rung.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule
-from ms_highway.choice.situation import describe
+from ms_highway.choice.situation import describe, nearness
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -22,14 +23,15 @@ from ms_highway.runtime.arrays import Array, Index, Scalar, Vector
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
-CAUTION = 0.5  # standard deviations among the networks
-LEAST_NOISE = 0.02  # of gains
+TOGETHER = 4  # humans at most that are predicted by more than the first rung, the nearest ones
+DOUBT_MARGIN = 0.5  # standard deviations among the networks
+MIN_NOISE = 0.02  # of gains
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LearnedValue(Rule):
-    """Take the rung of the highest estimated value for every human.
+    """Take the rung of the highest estimated value for as many of the nearest humans as are worth most together.
 
     Attributes:
         costs: planning time.
@@ -39,6 +41,8 @@ class LearnedValue(Rule):
         ladder: human models, cheapest first (static).
         cautious: whether gains are what is compared to choose, net of the price and of a margin for doubt; or else what
             is expected over the first rung, as budgets need it (static).
+        together: whether a value is what a human adds to nearer ones, so that some of the nearest are chosen together;
+            or else that of each human alone, as the values of Dense Merge and Crossing Crowd were learned (static).
     """
 
     costs: Costs
@@ -48,24 +52,30 @@ class LearnedValue(Rule):
     spread: Float[Array, "inputs"]
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     cautious: bool = field(default=True, metadata={"static": True})
+    together: bool = field(default=True, metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Take the rung of the highest value in the state after the last step; where none is known, the first."""
-        chosen, gains, failed = jax.vmap(self._best)(describe(game, outcome.after), jnp.asarray(memory.rungs))
-        return Decision(memory._replace(rungs=chosen.astype(jnp.int32)), gains, failed.any())
+        """Choose in the state after the last step; where no value is known, the first rung."""
+        values, gains, failed = jax.vmap(self._values)(describe(game, outcome.after), jnp.asarray(memory.rungs))
+        rank = nearness(game, outcome.after)
+        worth = values[:, 1:].max(axis=1) - values[:, 0]
+        count = jnp.argmax(jnp.concatenate([jnp.zeros(1), jnp.cumsum(worth[jnp.argsort(rank)][:TOGETHER])]))
+        thinks = rank < count if self.together else worth > 0
+        rungs = jnp.where(thinks, 1 + values[:, 1:].argmax(axis=1), 0)
+        return Decision(memory._replace(rungs=rungs.astype(jnp.int32)), gains, failed.any())
 
-    def _best(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:
-        """Return the best rung for a human, the gains over the one in use, and whether they could not be estimated.
+    def _values(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:
+        """Return the value of each rung for a human, what is compared, and whether it could not be estimated.
 
-        What a rung gains over the first one counts less `CAUTION` standard deviations among the networks: in doubt, the
-        first rung predicts.
+        What a rung gains over the first one counts less `DOUBT_MARGIN` standard deviations among the networks: in
+        doubt, the first rung predicts.
         """
         means, _ = outputs(self.network, (described - self.centre) / self.spread)
         gains, doubts = (jnp.pad(part(means, axis=0), (1, 0)) for part in (jnp.mean, jnp.std))
         known = jnp.isfinite(gains).all()
-        values = gains - CAUTION * doubts - self.price * jnp.asarray(self.costs.each)
+        values = gains - DOUBT_MARGIN * doubts - self.price * jnp.asarray(self.costs.each)
         estimates = values - values[rung] if self.cautious else gains
-        return jnp.where(known, jnp.argmax(values), 0), jnp.where(known, estimates, NOT_ESTIMATED), ~known
+        return jnp.where(known, values, 0.0), jnp.where(known, estimates, NOT_ESTIMATED), ~known
 
 
 def outputs(
@@ -82,4 +92,4 @@ def outputs(
 
 def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
     """Return standard deviations of outcomes from the second half of a network's `outputs`."""
-    return LEAST_NOISE + jax.nn.softplus(spreads)
+    return MIN_NOISE + jax.nn.softplus(spreads)

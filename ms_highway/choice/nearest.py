@@ -6,6 +6,7 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.choice.rule import Decision, Memory, Outcome, Rule, unestimated
+from ms_highway.choice.situation import nearness
 from ms_highway.game.game import Game
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Index
@@ -25,8 +26,6 @@ class Nearest(Rule):
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Rank the humans by their distance after the last step; of equal distances, the first counts as nearer."""
-        places = jnp.asarray(outcome.after)[: 1 + game.number, :2]
-        distances = jnp.linalg.norm(places[1:] - places[0], axis=1)
-        rank = jnp.argsort(jnp.argsort(distances))
+        """Rank the humans by their distance after the last step."""
+        rank = nearness(game, outcome.after)
         return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))

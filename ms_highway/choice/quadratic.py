@@ -77,7 +77,7 @@ class Quadratic(Rule):
         trust_radius: longest change of the scaled controls for which the expansion is trusted.
         trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
         cooldown: least number of steps between two downward checks of the same rung.
-        ladder: tuple of human models, cheapest first, see `ms_highway.planning.human_models.ladder` (static).
+        ladder: tuple of human models, cheapest first, see `ms_highway.planning.ladders.ladder` (static).
         steps: of the last plan that are expanded; None for the whole horizon (static).
     """
 

@@ -8,7 +8,7 @@ from ms_highway.game.features import features, reward
 from ms_highway.game.game import Game, each_human, others_of, pair
 from ms_highway.game.neighbours import headways, neighbours
 from ms_highway.game.reward import PAPER_FEATURES, Reward
-from ms_highway.runtime.arrays import Index, State
+from ms_highway.runtime.arrays import Index, Rungs, State
 
 LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, for which all cars coast
 DRIVERS = ("robot", "human")
@@ -41,7 +41,7 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
         state: all cars.
     """
     state, (length, _) = jnp.asarray(state), game.scene.car_size
-    distances = jnp.linalg.norm(state[1 : 1 + game.number, :2] - state[0, :2], axis=-1)
+    rank = nearness(game, state)
 
     def gaps(car: Index) -> Float[jax.Array, "6"]:
         others = state[jnp.asarray(others_of(len(state)))[car]]
@@ -50,10 +50,15 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
 
     def one(human: Index) -> Float[jax.Array, "numbers"]:
         numbers = _describe_pair(*pair(game, state, human))
-        nearer = jnp.mean(distances < distances[human])[None]
-        return jnp.concatenate([numbers, gaps(0), gaps(1 + human), nearer])
+        return jnp.concatenate([numbers, gaps(0), gaps(1 + human), rank[human][None] / game.number])
 
     return each_human(game, one, at_once=True)
+
+
+def nearness(game: Game, state: State) -> Rungs:
+    """Return how many humans are nearer to the robot than each; of equal distances, the first counts as nearer."""
+    places = jnp.asarray(state)[: 1 + game.number, :2]
+    return jnp.argsort(jnp.argsort(jnp.linalg.norm(places[1:] - places[0], axis=1)))
 
 
 def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:

@@ -24,15 +24,20 @@ from ms_highway.runtime.structures import Structure, read
 SHIPPED_VALUES = "shipped"
 """Stands for the values that come with the package."""
 
-SHIPPED_FILES = {"pair": "values.npz", "physical": "physical_values.npz", "several": "several_values.npz"}
-"""Files that come with the package: with one human, in physical semantics, among several humans."""
+SHIPPED_FILES = {
+    "pair": "values.npz",
+    "physical": "physical_values.npz",
+    "several": "several_values.npz",
+    "physical several": "crowd_values.npz",
+}
+"""Files that come with the package, by kind of scene, see `ms_highway.choice.rule.shipped_kind`."""
 
 VERSION = 3
 REMEDY = "learn values with `ms-highway values learn`"
-ANOTHER = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
-MOST_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
-LEAST, MOST = 1e-9, 1e9  # of spreads; other numbers are no larger, either, so that nothing overflows
-MOST_WEIGHT = 1e3  # of networks; those of the package are below 1
+ALTERNATIVES = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
+MAX_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
+MIN_SPREAD, MAX_NUMBER = 1e-9, 1e9  # of spreads; other numbers are no larger, either, so that nothing overflows
+MAX_WEIGHT = 1e3  # of networks; those of the package are below 1
 
 
 @dataclass(frozen=True)
@@ -75,13 +80,13 @@ class Values:
             raise ValueError(f"the layers of the networks are of shapes {shapes}, for {len(self.ladder)} models")
         standard = np.shape(self.centre), np.shape(self.spread)
         if set(standard) != {(sizes[0],)} or not all(
-            (np.abs(part) <= MOST).all() for part in (self.centre, self.spread)
+            (np.abs(part) <= MAX_NUMBER).all() for part in (self.centre, self.spread)
         ):
-            raise ValueError(f"the numbers of the networks are beyond {MOST:g}, or not as many as their inputs")
-        if not all((np.abs(part) <= MOST_WEIGHT).all() for part in layers):
-            raise ValueError(f"the weights of the networks are beyond {MOST_WEIGHT:g}, or not finite")
-        if np.min(self.spread) < LEAST:
-            raise ValueError(f"spreads are below {LEAST:g}")
+            raise ValueError(f"the numbers of the networks are beyond {MAX_NUMBER:g}, or not as many as their inputs")
+        if not all((np.abs(part) <= MAX_WEIGHT).all() for part in layers):
+            raise ValueError(f"the weights of the networks are beyond {MAX_WEIGHT:g}, or not finite")
+        if np.min(self.spread) < MIN_SPREAD:
+            raise ValueError(f"spreads are below {MIN_SPREAD:g}")
 
     def rule(self, models: tuple[HumanModel, ...], costs: Costs, price: float) -> LearnedValue:
         """Return the rule on a ladder of some of the models that were learned, the cheapest of them first.
@@ -92,15 +97,16 @@ class Values:
         names = [model.name for model in models]
         message = f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
         if unknown := [name for name in names if name not in self.ladder]:
-            raise ValueError(f"{message}, without {unknown[0]!r}; {ANOTHER} --set ladder={','.join(names)}")
+            raise ValueError(f"{message}, without {unknown[0]!r}; {ALTERNATIVES} --set ladder={','.join(names)}")
         if names[0] != self.ladder[0]:
-            raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, {ANOTHER}")
+            raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, {ALTERNATIVES}")
         gains = len(self.ladder) - 1
         places = [self.ladder.index(name) - 1 for name in names[1:]]
         places += [gains + place for place in places]
         *hidden, (weights, biases) = self.network
         network = (*hidden, (weights[..., places], biases[..., places]))
-        return LearnedValue(costs, price, network, self.centre, self.spread, models)
+        together = bool(self.provenance.get("together"))
+        return LearnedValue(costs, price, network, self.centre, self.spread, models, together=together)
 
 
 class _About(Structure):
@@ -147,7 +153,7 @@ def _shipped(name: str) -> Values:
 @cache
 def _read(path: Path, changed: int) -> Values:
     """Read a file, once for every time that it was ``changed``."""
-    arrays = read_arrays(path, MOST_BYTES)
+    arrays = read_arrays(path, MAX_BYTES)
     about = json.loads(str(arrays.pop("about")))
     version = about.pop("version", None) if isinstance(about, dict) else None
     if version != VERSION:

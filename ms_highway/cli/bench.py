@@ -14,7 +14,7 @@ from ms_highway.benchmarks.road import (
 )
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import print_tables, tell
-from ms_highway.cli.options import DEVICES, MOST_SEEDS, SCENARIOS, SET, comparison, controllers
+from ms_highway.cli.options import DEVICES, MAX_SEEDS, SCENARIOS, SET, comparison, controllers
 
 STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
 OTHERS = (
@@ -35,7 +35,7 @@ JSON = output("--json", "write all figures to a JSON file")
     number("--noise", [], "measure steadiness under such noise instead", *NOISES, nargs="+", metavar="NOISE"),
     option("--seen", "put the --noise into what the robot sees in every step", action="store_true"),
     number("--seeds", STARTS, "starts to add --noise to", 2),
-    number("--first-seed", 0, "of the first of these", 0, MOST_SEEDS),
+    number("--first-seed", 0, "of the first of these", 0, MAX_SEEDS),
     DEVICES,
     SET,
     JSON,
@@ -91,7 +91,7 @@ def bench(options: argparse.Namespace) -> None:
     option("scenes", STOCK, nargs="*", metavar="SCENE"),
     option("--drivers", "what drives", DRIVERS, nargs="+", metavar="DRIVER"),
     number("--seeds", None, "episodes of each (default: 20; in recordings, all)"),
-    number("--seed", 0, "of the first episode", 0, MOST_SEEDS),
+    number("--seed", 0, "of the first episode", 0, MAX_SEEDS),
     option("--traffic", OTHERS, choices=list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC])), metavar="KIND"),
     option("--data", "CommonRoad scenarios, for the scene recorded", type=Path, metavar="DIR"),
     option("--egos", "whose place the ego takes in recordings (default: problem)", choices=EGOS),

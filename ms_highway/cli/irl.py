@@ -20,8 +20,8 @@ DENSITY_NAMES = ("sparse", "medium", "dense")
 """Keys of `ms_highway.envs.demonstration.DENSITIES`; repeated here so that help needs no JAX."""
 
 HORIZON = 5  # steps, as the paper plans
-MOST_STEPS = 1000  # in a segment
-MOST_SEED = 2**32 - 1  # that JAX's random numbers take
+MAX_STEPS = 1000  # in a segment
+MAX_SEED = 2**32 - 1  # that JAX's random numbers take
 
 DATA = "a directory of CommonRoad scenarios (*.xml, *.xml.gz), or a Minari data set of `ms-highway irl record`"
 LEARNED = (
@@ -117,7 +117,7 @@ def evaluate(options: argparse.Namespace) -> None:
     "learn a reward",
     RECORDINGS,
     option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
-    number("--horizon", HORIZON, "length of segments, in steps", most=MOST_STEPS, metavar="K"),
+    number("--horizon", HORIZON, "length of segments, in steps", most=MAX_STEPS, metavar="K"),
     output("--out", "a .json file for the learned reward", required=True),
 )
 def fit(options: argparse.Namespace) -> None:
@@ -162,7 +162,7 @@ def fit(options: argparse.Namespace) -> None:
     option("--dataset", "such as ms-highway/maxent-v0", required=True, metavar="NAME"),
     option("--density", "of the traffic, in turn", DENSITY_NAMES, nargs="+", choices=DENSITY_NAMES, metavar="DENSITY"),
     option("--temperature", "of the driver maxent, in reward", TEMPERATURE, type=float),
-    number("--seed", 0, "seed of the first episode", 0, MOST_SEED),
+    number("--seed", 0, "seed of the first episode", 0, MAX_SEED),
 )
 def record(options: argparse.Namespace) -> None:
     """Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari data set, in

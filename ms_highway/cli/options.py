@@ -16,10 +16,10 @@ from ms_highway.cli.command import MOST, Option, number, option, output
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
 
-MOST_LAMBDAS = 10_000
+MAX_LAMBDAS = 10_000
 """Lambdas of switching in a sweep."""
 
-MOST_SEEDS = 2**63 - 1 - MOST
+MAX_SEEDS = 2**63 - 1 - MOST
 """First seed of as many as possible that Parquet's integers hold."""
 
 SCENARIO_NAMES = (
@@ -31,6 +31,7 @@ SCENARIO_NAMES = (
     "stay-back-v1",
     "merger-v1",
     "give-way-v1",
+    "dense-merge-v1",
 )
 """Keys of `ms_highway.envs.ENVIRONMENTS`, for help texts, which need no JAX."""
 
@@ -44,7 +45,7 @@ CONTROLLERS = (
 LEARNED = "learned:1"
 """The controller that commands take by default: the package's best."""
 
-KEYS = f"""\
+KEYS = """\
 --set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists the
 keys; these are the usual ones:
 
@@ -65,7 +66,7 @@ keys; these are the usual ones:
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
   grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8
                           in -v1)
-  humans=6                number of humans, 2 to 20, in {" and ".join(SCENARIO_NAMES[3:5])}
+  humans=6                number of humans, 2 to 20, in dense_merge, dense-merge-v1 and crossing_crowd
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
                           keep their velocity; always make room for it; or mixed, each of them never or always
   human_driver=NAME       what drives the humans instead: what --import adds by ms_highway.add_driver
@@ -108,7 +109,7 @@ def compared(
         controllers(f"{kinds} {beside}"),
         option("--lambdas", several, nargs="+", type=lambdas, metavar="LAMBDA"),
         number("--seeds", seeds, "episodes per controller"),
-        number("--first-seed", 0, "of the first episode, from which the others count on", 0, MOST_SEEDS),
+        number("--first-seed", 0, "of the first episode, from which the others count on", 0, MAX_SEEDS),
         output("--out", "of results", directory=True, default=out, required=not out),
         FORMAT,
         SET,
@@ -164,7 +165,7 @@ def comparison(
     from ms_highway.envs import ENVIRONMENTS, PAPER_SCENARIOS, scenario_name
     from ms_highway.envs.registry import priced_types
     from ms_highway.experiments.comparison import Comparison
-    from ms_highway.planning.human_models import rung_names
+    from ms_highway.planning.ladders import rung_names
 
     config, controllers = configuration(options), {}
     for name in map(scenario_name, options.scenarios or PAPER_SCENARIOS):
@@ -197,7 +198,7 @@ def lambdas(text: str) -> list[float]:
         match text.split(":"):
             case [price]:
                 values = [float(price) + 0.0]  # -0 is 0
-            case [low, high, count] if 1 < int(count) <= MOST_LAMBDAS:
+            case [low, high, count] if 1 < int(count) <= MAX_LAMBDAS:
                 values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
     if not values or len(set(values)) < len(values) or not all(0 <= value < np.inf for value in values):
         remedy = "give a number like 0.1, or LOW:HIGH:COUNT that differ in three digits, such as 0.001:10:25"

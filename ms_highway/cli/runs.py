@@ -34,9 +34,9 @@ def compare(options: argparse.Namespace) -> None:
     paper's two lambdas, and learned:1 beside them. stay-back-v1, merger-v1 and give-way-v1 are the same scenes within
     what tyres hold.
 
-    In dense_merge and crossing_crowd, a controller chooses a model for each of several humans. A model's name stands
-    for all humans; nearest:K predicts the K nearest humans by tom, and the others naively; budget:MILLISECONDS chooses
-    what is worth most within this time of planning and deciding per step.
+    In dense-merge-v1, dense_merge and crossing_crowd, a controller chooses a model for each of several humans. A
+    model's name stands for all humans; nearest:K predicts the K nearest humans by tom, and the others naively;
+    budget:MILLISECONDS chooses what is worth most within this time of planning and deciding per step.
 
     Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted
     by naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.

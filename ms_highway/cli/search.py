@@ -122,8 +122,8 @@ def learn(options: argparse.Namespace) -> None:
     was learned so far chooses; networks are fitted to what was earned more than by the cheapest model, and so on for
     some rounds. One file serves all lambdas and costs.
 
-    Among several humans (dense_merge, crossing_crowd), every human has a value of its own. The file is for
-    learned:LAMBDA:FILE there.
+    Among several humans (dense-merge-v1, dense_merge, crossing_crowd), the nearest one, two, three and four are
+    predicted by every model together; each has the value that it adds. The file is for learned:LAMBDA:FILE there.
 
     Starts are drawn anew, not by the numbered seeds of environments: all of those are held out, for `ms-highway
     frontier` to tell the regret of learned:LAMBDA:FILE. The same --seed gives the same values. Rollouts are kept beside
@@ -132,7 +132,7 @@ def learn(options: argparse.Namespace) -> None:
     Examples:
       ms-highway values learn merger give_way --out values.npz
       ms-highway compare merger --controllers tom learned:1:values.npz
-      ms-highway values learn dense_merge crossing_crowd --out several.npz
+      ms-highway values learn dense-merge-v1 --states 300 --out crowd.npz
       ms-highway --import zipper values learn zipper --out zipper.npz
     """
     from shutil import rmtree

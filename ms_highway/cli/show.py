@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import print_tables, say, tell, warn
-from ms_highway.cli.options import CONTROLLERS, LEARNED, MOST_SEEDS, SCENARIO_NAMES, SET, configuration
+from ms_highway.cli.options import CONTROLLERS, LEARNED, MAX_SEEDS, SCENARIO_NAMES, SET, configuration
 
 FILM = 'film the best fixed model beside one that is chosen online (default); needs the extra "video"'
 KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
@@ -57,7 +57,7 @@ def report(options: argparse.Namespace) -> None:
     option("scenario", ", ".join(SCENARIO_NAMES), metavar="SCENARIO"),
     option("--controller", CONTROLLERS, LEARNED, metavar="CONTROLLER"),
     option("--against", "a second controller, filmed from the same start", metavar="CONTROLLER"),
-    number("--seed", 0, "of the episode", 0, MOST_SEEDS),
+    number("--seed", 0, "of the episode", 0, MAX_SEEDS),
     number("--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100),
     number("--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS"),
     output("--out", "an .mp4 or .gif file", ".mp4", ".gif", required=True),

@@ -31,7 +31,7 @@ from ms_highway.loop.batch import simulate
 from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import cheapest_first
+from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.arrays import Array
 
 Key: TypeAlias = tuple[str, int]

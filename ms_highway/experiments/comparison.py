@@ -9,7 +9,7 @@ from ms_highway.envs import ENVIRONMENTS, environment_id
 from ms_highway.envs.registry import robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.experiments.records import columns
-from ms_highway.planning.human_models import rung_names
+from ms_highway.planning.ladders import rung_names
 
 EpisodeKey: TypeAlias = tuple[str, str, int]
 """Which episode: its scenario, its controller's short name, and its seed."""

@@ -20,8 +20,8 @@ from ms_highway.experiments.summary import interval
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import reading
 
-STRETCH = 4  # steps, mean of their number in a stretch that is changed
-ALONE = 0.5  # of the changes among several humans: for a single one
+MEAN_STRETCH = 4  # steps, mean of their number in a stretch that is changed
+SINGLE_SHARE = 0.5  # of the changes among several humans: for a single one
 SWITCHES = 12  # steps at which the first orders go over from one rung to another
 INDEX = ["controller", "seed"]
 KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
@@ -132,8 +132,8 @@ def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
     """Return an order [steps, humans] with another rung in one or two stretches of steps, for all humans or for one."""
     new, (steps, humans) = order.copy(), order.shape
     for _ in range(random.integers(1, 3)):
-        start, length = random.integers(steps), random.geometric(1 / STRETCH)
-        alone = humans > 1 and random.random() < ALONE
+        start, length = random.integers(steps), random.geometric(1 / MEAN_STRETCH)
+        alone = humans > 1 and random.random() < SINGLE_SHARE
         new[start : start + length, random.integers(humans) if alone else slice(None)] = random.integers(rungs)
     return new
 

@@ -18,7 +18,7 @@ import numpy as np
 from jax import numpy as jnp
 from jax.sharding import Mesh
 
-from ms_highway.choice.learned_value import Network, noise, outputs
+from ms_highway.choice.learned_value import TOGETHER, Network, noise, outputs
 from ms_highway.choice.situation import description_names
 from ms_highway.choice.values import Values
 from ms_highway.experiments.batch import make_batch
@@ -26,7 +26,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
 from ms_highway.experiments.rollouts import Course, Driving, Learning, Random, Rollouts
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import cheapest_first, human_model, ladder
+from ms_highway.planning.ladders import cheapest_first, human_model, ladder
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import read_arrays, reading, replacing
@@ -35,7 +35,7 @@ with needing("learning"):
     import optax
 
 REMEDY = "remove it, or choose another --out"
-LEAST_SPREAD = 1e-3  # of an input
+MIN_SPREAD = 1e-3  # of an input
 COURSE, FIT = 1, 2  # streams of random numbers
 
 NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
@@ -99,10 +99,11 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
     if done:
         rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
         centre = rollouts.descriptions.mean(axis=0)
-        spread = rollouts.descriptions.std(axis=0) + LEAST_SPREAD
+        spread = rollouts.descriptions.std(axis=0) + MIN_SPREAD
         network = fit(network, rollouts, centre, spread, random)
     examples = sum(len(part.descriptions) for part in done)
     settings = {"examples": examples, "rounds": number, "horizon": how.horizon, "held": how.held}
+    settings["together"] = TOGETHER
     return Values(network, centre, spread, tuple(how.costs), names, {**how.settings, **settings})
 
 

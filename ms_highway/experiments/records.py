@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
-from ms_highway.planning.human_models import known_models
+from ms_highway.planning.ladders import known_models
 
 KEYS = ["scenario", "controller", "seed"]
 """Columns that say which episode a step is of."""

@@ -1,10 +1,12 @@
 """Roll out the models of a ladder from visited situations: what the value of computation is learned from.
 
-One human is predicted by each model for some steps, then, as all others are, naively or by the learned rule.
+The nearest humans, one, two or more, are predicted by each model for some steps, the others naively; then all of them
+naively or by the learned rule.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from math import ceil
 from typing import Any, NamedTuple, TypeAlias
 
@@ -12,8 +14,8 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from ms_highway.choice.learned_value import LearnedValue
-from ms_highway.choice.situation import describe
+from ms_highway.choice.learned_value import TOGETHER, LearnedValue
+from ms_highway.choice.situation import describe, nearness
 from ms_highway.experiments.batch import Batch
 from ms_highway.game.game import Game
 from ms_highway.loop.batch import simulate
@@ -23,14 +25,12 @@ from ms_highway.runtime.arrays import Array
 Random: TypeAlias = np.random.Generator
 
 WORST_STEP = 1e3  # reward of a step, where plans fail and cars leave the world
-HUMANS_OF_A_STATE = 3  # that are rolled out
-DECIDED = 0.4  # of an episode among several humans, in which it is decided whether the robot merges
 
 # with one human, and among several:
-MOST_NOISE = 4.0, 1.0  # see `Course.starts`
+MAX_NOISE = 4.0, 1.0  # see `Course.starts`
 STATES_OF_AN_EPISODE = 4, 6
 STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step
-LEAST_LIKELY = 1.0, 0.05  # state to be drawn, where driving at the limit on the way to the lane counts 1
+MIN_LIKELY = 1.0, 0.3  # state to be drawn, where driving at the limit on the way to the lane counts 1
 
 
 class Rollouts(NamedTuple):
@@ -38,8 +38,8 @@ class Rollouts(NamedTuple):
 
     Attributes:
         descriptions: of the situations [examples, numbers], see `ms_highway.choice.situation`.
-        gains: over the first rung, per step that a rung was held [examples, rungs - 1]; -inf where a rung is not on the
-            course's ladder.
+        gains: over the first rung, where nearer humans have the same rung in both cases, per step that it was held
+            [examples, rungs - 1]; -inf where a rung is not on the course's ladder.
     """
 
     descriptions: Any
@@ -76,17 +76,17 @@ class Course:
     @property
     def steps(self) -> int:
         """The number of steps of an episode from which states are drawn."""
-        return round(DECIDED * self.batch.steps) if self.several else self.batch.steps
+        return self.batch.steps
 
     def starts(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
 
         With one human, a start is ``a + c (b - a)`` with two draws a and b, which has their mean and
-        ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation; c is drawn from 1 to `MOST_NOISE`.
+        ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation; c is drawn from 1 to `MAX_NOISE`.
         """
         drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
         starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
-        noise = random.uniform(1.0, MOST_NOISE[self.several], (count, 1, 1)).astype(np.float32)
+        noise = random.uniform(1.0, MAX_NOISE[self.several], (count, 1, 1)).astype(np.float32)
         return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
 
     def orders(self, random: Random, count: int) -> Array:
@@ -173,38 +173,38 @@ class Driving:
     def roll_out(self, random: Random, count: int) -> Rollouts:
         """Visit so many states and roll out from them.
 
-        In each state, some humans are chosen, near ones rather. Each is predicted by every rung for some steps, then by
-        the learned rule or, before there is one, naively; all others are predicted so from the first step on. The rule
-        is followed at the geometric mean of the prices.
+        From each state, one, two and up to `TOGETHER` of the nearest humans are predicted by every rung for some steps,
+        and all others naively; then all by the learned rule or, before there is one, naively. The rule is followed at
+        the geometric mean of the prices.
         """
         states, weights = self._visited(random, count)
         own, humans, how = self.course.rungs, self.course.batch.humans, self.how
         held = min(how.held, how.horizon)
-        distances = np.linalg.norm(states[:, 1 : 1 + humans, :2] - states[:, :1, :2], axis=-1)
-        likely = 1.0 / (1.0 + np.argsort(np.argsort(distances))) ** 2
-        keys = random.exponential(size=likely.shape) / likely  # the smallest are a sample without replacement
-        chosen = np.argsort(keys, axis=1)[:, :HUMANS_OF_A_STATE]
-        schedules = np.full((*chosen.shape, len(own), how.horizon, humans), DECIDES if self.learned else 0, np.int32)
-        is_chosen = np.arange(humans) == chosen[..., None, None]  # [states, chosen, 1, humans]
-        for rung in range(len(own)):
-            first = schedules[:, :, rung, :held]
-            first[:] = np.where(is_chosen, rung, first)
-        starts, drivers = (np.repeat(part, chosen.shape[1] * len(own), axis=0) for part in (states, weights))
+        ranks = np.asarray(_rank(self.course.game, states))
+        asked = min(TOGETHER, humans)
+        ways = [(0, 0), *product(range(1, len(own)), range(1, asked + 1))]  # rung, and how many humans have it
+        schedules = np.full((len(states), len(ways), how.horizon, humans), DECIDES if self.learned else 0, np.int32)
+        for place, (rung, number) in enumerate(ways):
+            schedules[:, place, :held] = np.where(ranks < number, rung, 0)[:, None]
+        starts, drivers = (np.repeat(part, len(ways), axis=0) for part in (states, weights))
         price = float(np.sqrt(np.prod(how.prices)))
         rewards = self.drive(starts, drivers, schedules.reshape(-1, how.horizon, humans), price).reward
         earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).sum(axis=1, dtype=float)
-        earned = earned.reshape(-1, len(own)) / held
-        gains = np.full((len(earned), len(how.costs) - 1), -np.inf)
-        gains[:, np.array(own[1:], int) - 1] = earned[:, 1:] - earned[:, :1]
-        described = np.asarray(_describe(self.course.game, states))[np.arange(len(states))[:, None], chosen]
+        naive, others = np.split(earned.reshape(len(states), -1) / held, [1], axis=1)
+        others = others.reshape(len(states), -1, asked)
+        nobody = np.broadcast_to(naive[:, None], (*others.shape[:2], 1))
+        each_more = np.diff(np.concatenate([nobody, others], axis=2), axis=2)  # [states, rungs, humans]
+        gains = np.full((len(states) * asked, len(how.costs) - 1), -np.inf)
+        gains[:, np.array(own[1:], int) - 1] = np.swapaxes(each_more, 1, 2).reshape(len(gains), -1)
+        nearest = np.argsort(ranks, axis=1)[:, :asked]
+        described = np.asarray(_describe(self.course.game, states))[np.arange(len(states))[:, None], nearest]
         return Rollouts(described.reshape(len(gains), -1), gains)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
 
         A learned rule plans half of the episodes; with one human, it takes over in the others. Among several, states
-        are drawn mostly of robots that drive and have not reached their lane: measured in Dense Merge, predictions
-        hardly matter in others, which are three of four.
+        of robots that drive and have not reached their lane are drawn more often: predictions hardly matter in others.
         """
         course, steps, game = self.course, self.course.steps, self.course.game
         each = STATES_OF_AN_EPISODE[course.several]
@@ -223,10 +223,10 @@ class Driving:
         states, weights = states[finite], weights[finite]
         away = np.abs(states[:, :, 0, 1] - float(game.scene.target_lane)) > float(game.scene.lane_width) / 2
         likely = away * states[:, :, 0, 3] / float(game.robot.speed_limit)
-        likely = np.clip(likely, LEAST_LIKELY[course.several], 1.0)
+        likely = np.clip(likely, MIN_LIKELY[course.several], 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
         visited = [own[random.choice(steps, each, replace=False, p=p)] for own, p in zip(states, likely, strict=True)]
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
 
 
-_describe = jax.jit(jax.vmap(describe, (None, 0)))
+_describe, _rank = (jax.jit(jax.vmap(function, (None, 0))) for function in (describe, nearness))

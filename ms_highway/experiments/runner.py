@@ -34,7 +34,7 @@ from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_proc
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
 LIVE_FILES, BATCHED_FILES = (STEPS_FILE, f"{PARTS}/[!.]*.csv"), ("episodes/part-*.parquet",)
-FEWEST = 60  # episodes that are worth the seconds in which further processes start
+MIN_EPISODES = 60  # episodes that are worth the seconds in which further processes start
 
 Compute: TypeAlias = Callable[[Comparison, Mapping[int, Sequence[EpisodeKey]]], Iterator[tuple[int, Tables]]]
 """Computes the episodes of numbered parts; yields the number of each with its tables, in any order."""
@@ -48,8 +48,8 @@ def run(
     Args:
         comparison: what to drive.
         directory: of the results.
-        processes: how many drive at once, each on a core of its own, if there are so many cores and at least `FEWEST`
-            episodes to drive; otherwise, this process alone does.
+        processes: how many drive at once, each on a core of its own, if there are so many cores and at least
+            `MIN_EPISODES` episodes to drive; otherwise, this process alone does.
         modules: to import in other processes, for scenarios and models that they add.
 
     Yields:
@@ -155,7 +155,7 @@ def _in_processes(
     Each process has a share of neighbours, so that two rarely compile the same functions.
     """
     _environment.cache_clear()
-    if number == 1 or len(keys) < FEWEST:
+    if number == 1 or len(keys) < MIN_EPISODES:
         yield from map(drive, keys)
         return
     pools = [own_process(partial(low_latency_on_core, core), modules) for core in range(number)]

@@ -20,7 +20,8 @@ from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import Scenario, build_game
 from ms_highway.game.scenarios import GIVE_WAY, MERGER, STAY_BACK
 from ms_highway.planning.compiled_plans import CompiledPlans, Costs
-from ms_highway.planning.human_models import MODELS, PAPER_MODELS, HumanModel, Naive, ladder
+from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.planning.ladders import MODELS, PAPER_MODELS, ladder
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, State
 from ms_highway.runtime.compilation import jit_quickly
@@ -30,7 +31,7 @@ SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WA
 ARRAYS = "states", "robot_controls", "human_controls", "rewards", "models", "ladder"
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
 SWITCHING = "switching_lambda_"
-MOST_BYTES = 2**27  # of a file, unpacked
+MAX_BYTES = 2**27  # of a file, unpacked
 LARGEST = 1e38  # number, in single precision
 
 
@@ -89,7 +90,7 @@ def read_episodes(file: Path) -> tuple[Scenario, dict[str, Array]]:
         ValueError: if it cannot be read, or its name or its numbers are not those of a reference file.
     """
     with reading(file, "name the logs that were released, SCENARIO__KIND.npz", " as a reference file"):
-        arrays = read_arrays(file, MOST_BYTES)
+        arrays = read_arrays(file, MAX_BYTES)
         episodes = {name: arrays[name] for name in ARRAYS}
         for name, array in episodes.items():
             if not (np.abs(array) < LARGEST).all():

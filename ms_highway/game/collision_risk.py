@@ -15,7 +15,8 @@ from ms_highway.runtime.arrays import Array, Times
 CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # weight of an obstacle's risk relative to a car's
-NEAR, CONTACT = 0.6, 0.3  # D - 1 at which the smooth indicator begins to rise, and the factor of its cube
+SMOOTH_MARGIN = 0.6  # D - 1 below which the smooth indicator rises
+SMOOTH_FACTOR = 0.3  # of the cube of what is missing to it
 
 
 class Bodies(NamedTuple):
@@ -77,7 +78,7 @@ def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = Fal
     distance = body_distance(scene, own, bodies)
     close = bodies.share * jnp.exp(-bodies.sharpness * distance)
     if smooth:
-        touches = CONTACT * jnp.maximum(NEAR - distance, 0.0) ** 3
+        touches = SMOOTH_FACTOR * jnp.maximum(SMOOTH_MARGIN - distance, 0.0) ** 3
     else:
         touches = jax.lax.stop_gradient(distance < 0).astype(close.dtype)
     risk, indicator = jnp.sum(jnp.stack([close, touches], axis=2), axis=(0, 1))

@@ -14,7 +14,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.collision_risk import CONTACT, NEAR, Bodies, bodies_around
+from ms_highway.game.collision_risk import SMOOTH_FACTOR, SMOOTH_MARGIN, Bodies, bodies_around
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import attention, depth_off_road
 from ms_highway.game.reward import Reward
@@ -91,7 +91,7 @@ def _closeness(parameters: Reward, bodies: Bodies, points: Points) -> Float[jax.
     distance = ahead**2 + across**2 - 1
     near = jax.lax.stop_gradient(distance)
     close = parameters.price("collision_risk") * bodies.share * jnp.exp(-bodies.sharpness * near)
-    contact, depth = CONTACT * parameters.price("collision"), jnp.maximum(NEAR - near, 0.0)
+    contact, depth = SMOOTH_FACTOR * parameters.price("collision"), jnp.maximum(SMOOTH_MARGIN - near, 0.0)
     fall = jnp.sqrt(bodies.sharpness * close + 3 * contact * depth**2)
     bend = jnp.sqrt(bodies.sharpness**2 * close / 2 + 3 * contact * depth)
     return jnp.stack([fall * ahead, fall * across, bend * distance])

@@ -22,9 +22,9 @@ SOFT_EDGE = 0.2  # m, depth off the road from which on the smooth feature grows 
 SOFT_LANE = 0.5  # m, width over which smooth indicators of a lane rise, and the nearest lane is another one
 SOFT_SLANT = 0.02  # rad, heading from which on a smooth car reaches farther aside
 STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
-SMALLEST_GAP = 0.03  # length units (1 m), below which induced braking grows no more
-ATTENTION = 0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
-OWN_LANE = 0.25  # lane widths, standard deviation of the lateral distance of cars in the own lane
+MIN_GAP = 0.03  # length units (1 m), below which induced braking grows no more
+ATTENTION_GAP = 0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
+LANE_SPREAD = 0.25  # lane widths, standard deviation of the lateral distance of cars in the own lane
 
 
 def reward(scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]) -> Float[jax.Array, "*batch"]:
@@ -127,7 +127,7 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     per_unit = 1 / scene.length_unit
     speed = own.speed * per_unit
     faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
-    braking = faster**2 / (2 * jnp.maximum(gap, SMALLEST_GAP))
+    braking = faster**2 / (2 * jnp.maximum(gap, MIN_GAP))
     return [
         own.cosine,
         -jnp.sum(ahead * (gap - STANDSTILL_GAP - parameters.headway * speed) ** 2, axis=0),
@@ -149,9 +149,9 @@ def _off_lanes(scene: Scene, car: Motion, smooth: bool) -> Times:
 def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, Times]:
     """Return how far others are ahead, the gaps to them [length units], and the attention to them, see `_traffic`."""
     per_unit = 1 / scene.length_unit
-    along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (OWN_LANE * scene.lane_width)
+    along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (LANE_SPREAD * scene.lane_width)
     gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
-    return along, gap, jnp.exp(-gap / ATTENTION - across**2 / 2)
+    return along, gap, jnp.exp(-gap / ATTENTION_GAP - across**2 / 2)
 
 
 def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:

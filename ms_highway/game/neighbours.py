@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.runtime.arrays import SameArray
 
-SLOWEST = 1.0  # m/s, least speed of a follower in its headway
+MIN_FOLLOWER_SPEED = 1.0  # m/s, least speed of a follower in its headway
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 
 SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
@@ -71,7 +71,7 @@ def headways(
     xp = driver.__array_namespace__()
     along = around[..., 0] - driver[..., :1]
     follower = xp.where(along > 0, driver[..., 3:], around[..., 3])
-    return xp.maximum(xp.abs(along) - length, 0.0) / xp.maximum(follower, SLOWEST)
+    return xp.maximum(xp.abs(along) - length, 0.0) / xp.maximum(follower, MIN_FOLLOWER_SPEED)
 
 
 def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:

@@ -8,11 +8,11 @@ from jax import numpy as jnp
 
 from ms_highway.runtime.arrays import Scalar
 
-MOST_ITERATIONS = 5000
+MAX_ITERATIONS = 5000
 """Upper bound on the gradient steps of a plan; more take seconds."""
 
 PAPER_STEPS = 20, 0.03  # number and size
-SHARE = 0.6
+STEP_SHARE = 0.6
 """Share of the `longest_step` that is taken where it is shorter than the wanted one."""
 
 STEEPEST = 1000.0  # the largest weight on a squared lateral distance in the paper's scenes [1 / length unit^2]
@@ -53,7 +53,7 @@ def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
     K = 10, and 929 of 0.00065 at K = 20.
     """
     papers_number, papers_length = PAPER_STEPS
-    length = planning.step_size or min(papers_length, SHARE * longest_step(planning.horizon, planning.time_step))
+    length = planning.step_size or min(papers_length, STEP_SHARE * longest_step(planning.horizon, planning.time_step))
     return planning.iterations or max(papers_number, round(papers_number * papers_length / length)), length
 
 

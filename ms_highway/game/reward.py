@@ -42,7 +42,7 @@ Feature: TypeAlias = Callable[[Scene, Motion, Motion], Scalar]
 OWN_FEATURES: dict[str, Feature] = {}
 """User-defined features by name, see `add_feature`."""
 
-MOST_WEIGHT = 1e30  # which single precision holds
+MAX_WEIGHT = 1e30  # which single precision holds
 
 TIME_HEADWAY = 1.0
 """Time gap between bumpers that the headway feature wants by default, besides 2 m [s]."""
@@ -148,8 +148,8 @@ def linear_reward(
             "add one of your own with ms_highway.add_feature, or --import the module that does"
         )
     for name, value in values.items():
-        if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.abs(value) <= MOST_WEIGHT:
-            raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number, at most {MOST_WEIGHT:g}")
+        if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.abs(value) <= MAX_WEIGHT:
+            raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number, at most {MAX_WEIGHT:g}")
     names = names or features_for(values)
     if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
         raise ValueError(f"the features {', '.join(names)} are not in the order of FEATURES, then user-defined ones")
@@ -179,7 +179,7 @@ PENALTIES = ("collision_risk", "collision", "off_road")
 NO_GRADIENT = ("collision", "merged", "partner_merged")
 """Indicators: without a gradient, driving carries no information about their weights."""
 
-FLOOR = 0.5  # of the least given comfort weight: the least curvature of -R in a fit
+CURVATURE_FLOOR = 0.5  # of the least given comfort weight: the least curvature of -R in a fit
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class RewardModel:
     @property
     def floor(self) -> float:
         """The least curvature of -R in any direction that a fit assumes."""
-        return FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
+        return CURVATURE_FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
 
     def signs(self) -> Float[np.ndarray, "learned"]:
         """Return the signs of the learned weights, which are fixed."""

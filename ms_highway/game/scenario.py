@@ -51,7 +51,7 @@ COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "colli
 SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
 """Bounds on plans for seconds, with `GRIP`: what tyres hold on a dry road."""
 
-WIDEST_LANE = 6.0  # m
+MAX_LANE_DISTANCE = 6.0  # m
 
 HUMANS = 2, 20
 """The fewest and the most humans of a scenario with streams."""
@@ -64,10 +64,12 @@ class Stream:
     Attributes:
         lane: lateral position of the lane's centre [m].
         speed: mean speed [m/s].
+        spacing: from centre to centre, shortest and longest [m].
     """
 
     lane: float
     speed: float = SPEED_LIMIT
+    spacing: tuple[float, float] = (8.0, 14.0)
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ class Scenario:
             succeeds if it ends in the target lane, the leftmost one, and never collides.
         humans: their number, by default.
         caution: factor on the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
+        careless: share of the humans in streams that hardly yield.
         semantics: by default, see `build_game`.
         planning, solver, control_limit, grip: of plans by default, see `build_game`.
         way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
@@ -116,6 +119,7 @@ class Scenario:
     streams: tuple[Stream, ...] = ()
     humans: int = 1
     caution: float = 1.0
+    careless: float = 0.2
     semantics: Semantics = "paper"
     planning: PlanningSettings = PAPER_PLANNING
     solver: Solver = "gradient"
@@ -132,12 +136,16 @@ class Scenario:
             raise ValueError(f"{place} has humans={self.humans} and {len(self.streams)} streams; {why}")
         lanes = np.sort(np.asarray(self.lanes, float).ravel())
         apart = np.diff(lanes)
-        if not len(lanes) or not np.isfinite(lanes).all() or np.any((apart < CAR_SIZE[1]) | (apart > WIDEST_LANE)):
-            found = f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to {WIDEST_LANE:g} m apart"
+        if (
+            not len(lanes)
+            or not np.isfinite(lanes).all()
+            or np.any((apart < CAR_SIZE[1]) | (apart > MAX_LANE_DISTANCE))
+        ):
+            found = f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to {MAX_LANE_DISTANCE:g} m apart"
             raise ValueError(f"{place} has {found}, and {remedy}")
         for kind, points in (("a car", self.cars), ("a cone", self.cones)):
             for point in points:
-                if not np.isfinite(point).all() or np.min(np.abs(lanes - point[1])) > WIDEST_LANE:
+                if not np.isfinite(point).all() or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE:
                     raise ValueError(f"{place} has {kind} at {point}, beside all lanes, at {self.lanes}; {remedy}")
 
 

@@ -1,4 +1,4 @@
-"""The package's scenarios: three of the paper with one human, two with several.
+"""The package's scenarios: three of the paper with one human, and some with several.
 
 The paper gives positions in a unit of 100/3 m, ``UNIT``.
 """
@@ -64,10 +64,10 @@ GIVE_WAY = Scenario(
 
 
 def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
-    """Return the next version of a scenario, in which robot and human plan and drive within what tyres hold.
+    """Return the next version of a scenario, in which robot and humans plan and drive within what tyres hold.
 
     Args:
-        scenario: of the paper.
+        scenario: at version 0.
         horizon: steps of plans; half a second, the paper's, is too short to brake or to go round anything.
         changes: of what else differs.
     """
@@ -89,6 +89,11 @@ MERGER_V1 = _physical(MERGER, 10)
 GIVE_WAY_V1 = _physical(GIVE_WAY, 10)
 
 
+def _lane_end(first_cone: float) -> tuple[tuple[float, float], ...]:
+    """Return the cones that end the robot's lane, from a place on that is given in the paper's unit."""
+    return tuple(((first_cone + 0.09 * place) * UNIT, 0.02 * UNIT) for place in range(3))
+
+
 def _merge_among_several(
     name: str, steps: int, lanes: tuple[float, ...], first_cone: float, streams: tuple[Stream, ...]
 ) -> Scenario:
@@ -102,7 +107,7 @@ def _merge_among_several(
         prices=(10.0, 1.0),
         robot_weights=COMMON_WEIGHTS | {"target_lane": 150, "merged": 5},
         human_weights=COMMON_WEIGHTS,
-        cones=tuple(((first_cone + 0.09 * place) * UNIT, 0.02 * UNIT) for place in range(3)),
+        cones=_lane_end(first_cone),
         streams=streams,
         humans=8,
         caution=0.3,
@@ -116,6 +121,23 @@ def _merge_among_several(
 
 DENSE_MERGE = _merge_among_several("dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),))
 """The robot's lane ends, and most gaps of the stream beside it are too short for a car unless somebody yields."""
+
+DENSE_MERGE_V1 = _physical(
+    DENSE_MERGE,
+    10,
+    steps=60,
+    ladder=("naive", "tom"),
+    robot_weights={**DENSE_MERGE.robot_weights, "collision_risk": -4},
+    cones=_lane_end(2.5),
+    streams=(Stream(-0.1 * UNIT, spacing=(7.0, 13.0)),),
+    caution=1.0,
+    careless=0.0,
+)
+"""All humans yield to who asks, and the robot is careful: it does not push into a gap that it does not expect to open.
+
+Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
+nearly all.
+"""
 
 CROSSING_CROWD = _merge_among_several(
     "crossing_crowd",

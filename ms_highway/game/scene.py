@@ -13,7 +13,7 @@ PAPER_UNIT = 100 / 3  # m
 CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)  # m: 5 by 2.5
 CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)  # m
 
-REACHED = 0.8  # m, from the centre of the target lane, within which a car has reached it
+LANE_TOLERANCE = 0.8  # m, from the centre of the target lane, within which a car has reached it
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "lanes": ("n",),
@@ -60,7 +60,7 @@ class Scene:
 
     def is_reached(self, y: Any) -> Any:
         """Return whether cars at these lateral positions have reached the target lane."""
-        return abs(y - float(self.target_lane)) < REACHED
+        return abs(y - float(self.target_lane)) < LANE_TOLERANCE
 
     def of_pair(self) -> "Scene":
         """Return the scene without what the partner does not change for car 0: obstacles, and another leader."""

@@ -15,11 +15,12 @@ HEADING_NOISE = 1e-3  # rad, standard deviation
 START_SPEED_NOISE = 1e-3 * PAPER_UNIT  # m/s, standard deviation without streams
 MERGING_NOISE = 0.01 * PAPER_UNIT  # m, further standard deviation of the merging car's x
 
-SPACING = 8.0, 14.0  # m from centre to centre, shortest and longest
-SHORTNESS = 20.0  # of Beta(1, SHORTNESS), the share of a spacing between the two: 8.3 m on average
+SPACING_BETA = (
+    20.0  # of Beta(1, SPACING_BETA), the share of a spacing between shortest and longest: 0.3 m more than that
+)
 SPEED_NOISE = 0.3  # m/s, standard deviation of the speed of a human in a stream
 CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
-CARELESS, CARELESS_FACTOR = 0.2, 0.05  # share of the humans that hardly yield, and what they weigh collision_risk by
+CARELESS_FACTOR = 0.05  # of the humans that hardly yield
 
 
 def _shape(size: Any) -> list[int]:
@@ -75,10 +76,9 @@ def draw_starts(scenario: Scenario, random: Random) -> State:
 def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[State, HumansWeights]:
     """Draw the start of every car, in SI units, and the weights of every human's reward.
 
-    Without streams, these are `draw_starts` and the weights given. In streams, centres are 8 to 14 m apart, most of
-    them near 8, and the robot starts beside a random place in the middle of every stream. Humans weigh
-    ``collision_risk`` by a factor of their own, log-normal around 1; every fifth, on average, by `CARELESS_FACTOR`: it
-    hardly yields.
+    Without streams, these are `draw_starts` and the weights given. Most spacings of a stream are near its shortest, and
+    the robot starts beside a random place in the middle of every stream. Humans weigh ``collision_risk`` by a factor of
+    their own, log-normal around 1; the careless ones by `CARELESS_FACTOR`.
 
     Args:
         scenario: to draw for.
@@ -97,15 +97,15 @@ def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[St
     noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, SPEED_NOISE]
     cars = cars + random.normal(scale=noise, size=cars.shape)
     factors = xp.exp(random.normal(0.0, CAUTION_SPREAD, number))
-    factors = xp.where(random.uniform(size=number) < CARELESS, CARELESS_FACTOR, factors).astype(np.float32)
+    factors = xp.where(random.uniform(size=number) < scenario.careless, CARELESS_FACTOR, factors).astype(np.float32)
     is_caution = np.array([name == "collision_risk" for name in humans.names])
     return cars, xp.where(is_caution, weights * factors[:, None], weights)
 
 
 def _stream(stream: Stream, humans: int, random: Random) -> State:
     """Draw the starts of a stream, front first; the robot, at x = 0, is beside a gap in the middle, or the last one."""
-    shortest, longest = SPACING
-    spacings = shortest + (longest - shortest) * random.beta(1.0, SHORTNESS, humans)
+    shortest, longest = stream.spacing
+    spacings = shortest + (longest - shortest) * random.beta(1.0, SPACING_BETA, humans)
     ahead = (humans + 1) // 2  # of the robot
     beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
     xp = spacings.__array_namespace__()

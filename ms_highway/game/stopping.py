@@ -14,9 +14,9 @@ from ms_highway.game.features import soft_positive
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Scalar, Times
 
-ROOM = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
-ASIDE = 0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
-SOFT = 0.2  # from which on what a car is late or aligned by counts nearly in proportion
+STOPPING_MARGIN = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
+LATERAL_MARGIN = 0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
+SMOOTHING = 0.2  # from which on what a car is late or aligned by counts nearly in proportion
 
 
 def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
@@ -25,8 +25,9 @@ def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
         r = soft(d) soft(1 - (dy / w)^2) s,  soft(z) = max(z, 0)^2 / (max(z, 0) + 0.2)
         d = (v^2 / (2 b) + l - dx) / car length + room
 
-    The distance of the centres is (dx, dy); bodies touch at the length l, and pass each other with `ASIDE` between them
-    at the width w; s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
+    The distance of the centres is (dx, dy); bodies touch at the length l, and pass each other with `LATERAL_MARGIN`
+    between them at the width w; s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is
+    passed.
 
     Args:
         scene: obstacles and sizes of bodies.
@@ -45,8 +46,8 @@ def lateness(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "ob
     car_length, car_width = jnp.asarray(scene.car_size)
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
     gap = obstacle_x - own.x
-    late = soft_positive((own.speed**2 / (2 * braking) + length - gap) / car_length + ROOM, SOFT)
-    aligned = soft_positive(1 - ((own.y - obstacle_y) / (width + ASIDE * car_width)) ** 2, SOFT)
+    late = soft_positive((own.speed**2 / (2 * braking) + length - gap) / car_length + STOPPING_MARGIN, SMOOTHING)
+    aligned = soft_positive(1 - ((own.y - obstacle_y) / (width + LATERAL_MARGIN * car_width)) ** 2, SMOOTHING)
     ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
     steps = own.x.shape[-1]
     half_way = np.arange(steps) == (steps - 1) // 2

@@ -25,7 +25,7 @@ COARSE = 2.0  # m, between samples of lanes
 TRIM = 2.0  # m, left out of lanes on both sides of a joint
 MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
 SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m
-SHARPEST = 0.19  # 1/m
+MAX_CURVATURE = 0.19  # 1/m
 NEAR = 20.0  # m, along a curve, in which a car is looked for
 
 
@@ -107,7 +107,7 @@ def join_lanes(
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
     for width in widths:
         smooth = _smooth(raw, width)
-        if np.abs(smooth.curve.curvature).max() <= SHARPEST:
+        if np.abs(smooth.curve.curvature).max() <= MAX_CURVATURE:
             break
     return smooth
 

@@ -42,7 +42,7 @@ BRIDGED = 10.0  # m, along the lane at a joint
 SHARPEST_TURN = 2.0  # rad, at a joint
 TURN = 5.0  # m of a jump that one radian of a jump in heading is worth
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
-MOST_ROADS = 50  # in which changes of lane are looked for
+MAX_ROADS = 50  # in which changes of lane are looked for
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -230,7 +230,7 @@ class Goal:
         its lane.
         """
         passed = 0.0
-        for own in islice(self.onward(lane), MOST_ROADS):
+        for own in islice(self.onward(lane), MAX_ROADS):
             if self.spot and own.index[:2] == self.spot.lane[:2]:
                 return self.spot.lane[2] - own.number, passed + self.spot.place
             passed, wanted = passed + own.length, self.towards.get(own.end)

@@ -4,10 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
+from ms_highway.geometry.curve import Curve
 from ms_highway.irl.recording import Recording
 from ms_highway.recorded.commonroad import read_scenario, scenario_files
-from ms_highway.recorded.scenario import SPEED_LIMIT, TrafficRecording
+from ms_highway.recorded.network import fits
+from ms_highway.recorded.scenario import SPEED_LIMIT, Points, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
+from ms_highway.runtime.arrays import Vector
+
+LANE_SPREAD = 0.5  # m, median deviation from the median offset, above which lanes are not parallel
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
@@ -40,16 +45,42 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those already counted."""
     road, tracks = straight_road(scenario), scenario.tracks
+    curve, lanes = _parallel_lanes(road.lines)
     states, drivers = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan), []
     for car, track in enumerate(tracks):
-        way = states[track.samples[:, 0].astype(int), car] = road.way(track)
-        along_the_road = np.abs(np.median(way[:, 2])) < np.pi / 2
+        times, *_, orientation, speed = track.samples.T
+        x, y = road.axes.positions(track.samples[:, 1:3]).T
+        along, aside, heading = curve.project(x, y, road.axes.headings(orientation))
+        states[times.astype(int), car] = np.stack([along, aside, heading, speed], axis=-1)
         identity = (scenario.group, track.number, *track.samples[0, 1:3].round(2))
-        if track.drives and len(way) > 1 and along_the_road and identity not in counted:
+        along_the_road = np.abs(np.median(heading)) < np.pi / 2
+        if track.drives and len(times) > 1 and along_the_road and identity not in counted:
             drivers.append(car)
             counted.add(identity)
-    numbers = np.unique([*road.numbers.values()])
-    roads = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)  # ramps, and the other direction, are separate
-    lanes = road.lane_width * max(roads, key=len)
     cars = np.array(drivers, dtype=int), np.array([track.size for track in tracks])
-    return Recording(scenario.name, scenario.group, states, *cars, lanes, road.lane_width, SPEED_LIMIT)
+    width = float(np.median(np.diff(lanes))) if len(lanes) > 1 else road.lane_width
+    return Recording(scenario.name, scenario.group, states, *cars, lanes, width, SPEED_LIMIT)
+
+
+def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:
+    """Return the curve of the leftmost of most lines that are parallel, and how far each is to its right [m].
+
+    A ramp has no lanes parallel to it but itself.
+    """
+    curves = [next(fits(line)) for line in lines]
+    offsets = np.array([[_offset(curve, line) for line in lines] for curve in curves])
+    most = offsets[np.isfinite(offsets).sum(axis=1).argmax()]
+    leftmost = int(np.nanargmin(most))
+    lanes = np.sort(offsets[leftmost])
+    return curves[leftmost], lanes[np.isfinite(lanes)]
+
+
+def _offset(curve: Curve, line: Points) -> float:
+    """Return how far to the right of a curve a line is [m]; NaN if it has another direction, or is not parallel.
+
+    Lanes may end. In recording 10 of US-101, a ramp comes from 40 m away: nobody drives at its median offset, 23 m.
+    """
+    along, aside = curve.locate(line)
+    middle = float(np.median(aside))
+    parallel = along[-1] > along[0] and np.median(np.abs(aside - middle)) < LANE_SPREAD
+    return middle if parallel else np.nan

@@ -13,7 +13,7 @@ from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import predict_with
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import STEPS, snapshots_at
-from ms_highway.planning.learned_driving import PAST
+from ms_highway.planning.learned_driving import PAST_STEPS
 
 ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
 WITHIN = -2 * np.log1p(-0.5)  # square of the distance in deviations from a normal mean within which half of all are
@@ -76,8 +76,13 @@ def predict(
     """
     past, centres, bodies = (np.array(values, dtype=float) for values in (states, lanes, sizes))
     past = past[None] if past.ndim == 2 else past
-    if past.ndim != 3 or past.shape[2] != 4 or len(past) > PAST + 1 or not (past.size and np.isfinite(past[-1]).all()):
-        message = f"finite numbers [cars, 4], or up to {PAST + 1} times of them, finite at the last"
+    if (
+        past.ndim != 3
+        or past.shape[2] != 4
+        or len(past) > PAST_STEPS + 1
+        or not (past.size and np.isfinite(past[-1]).all())
+    ):
+        message = f"finite numbers [cars, 4], or up to {PAST_STEPS + 1} times of them, finite at the last"
         raise ValueError(f"states are of shape {np.shape(states)}, or not all seen now; give {message}")
     cars, steps = past.shape[1], round(seconds / TIME_STEP)
     for name, value, right in (

@@ -25,8 +25,8 @@ from ms_highway.irl.snapshots import AT, SCALES, STEPS, Snapshots, lane_numbers
 from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.planning.car_following import idm_acceleration
 from ms_highway.planning.learned_driving import (
-    NOBODY,
-    SECOND,
+    FREE_GAP,
+    STEPS_PER_SECOND,
     Surroundings,
     leader_of,
     moved,
@@ -247,8 +247,8 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     states, centre = seen_states(snapshot.past[-1]), _lane_centre(snapshot, 0)
     _, y, heading, speed = states.T
     drift = speed * jnp.sin(heading)
-    times = TIME_STEP * (np.arange(SECOND + 1) - SECOND / 2)
-    drifted = times @ snapshot.past[-SECOND - 1 :, :, 1] / (times @ times)
+    times = TIME_STEP * (np.arange(STEPS_PER_SECOND + 1) - STEPS_PER_SECOND / 2)
+    drifted = times @ snapshot.past[-STEPS_PER_SECOND - 1 :, :, 1] / (times @ times)
     drifted = jnp.where(jnp.isfinite(drifted), drifted, drift)
     own = leader_of(snapshot, states, states, centre)
 
@@ -260,7 +260,7 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     def advantages(right: int) -> tuple[jax.Array, CarFlags]:
         beside = _lane_centre(snapshot, right)
         other = leader_of(snapshot, states, states, beside)
-        room = jnp.clip(other.gap, 0.0, NOBODY) - jnp.clip(own.gap, 0.0, NOBODY)
+        room = jnp.clip(other.gap, 0.0, FREE_GAP) - jnp.clip(own.gap, 0.0, FREE_GAP)
         sideways = [right * (y - centre) / snapshot.lane_width, right * drift, right * drifted]
         return jnp.stack([*sideways, hurry(other) - hurry(own), room / 10, speed / 10], axis=-1), beside != centre
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Recording, Rows, numbered
-from ms_highway.planning.learned_driving import PAST
+from ms_highway.planning.learned_driving import PAST_STEPS
 from ms_highway.runtime.arrays import Vector
 
 STEPS = 50
@@ -110,11 +110,11 @@ def snapshots_at(
 ) -> Iterator[Snapshots]:
     """Yield the snapshots of a recording in which some cars are to be predicted [times, cars, unseen ones included]."""
     missing = predicted.shape[1] - recording.states.shape[1]
-    states = np.pad(recording.states, ((PAST, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
+    states = np.pad(recording.states, ((PAST_STEPS, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
     sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
     road = lanes, recording.lane_width, recording.speed_limit
     for time in np.flatnonzero(predicted.any(axis=1)):
-        past, future = np.split(states[time : time + PAST + 1 + STEPS], [PAST + 1])
+        past, future = np.split(states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1])
         yield Snapshots(past, future, sizes, *road, predicted[time], track, group)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ms_highway.choice.rule import highest_gains
 from ms_highway.game.game import Game
 from ms_highway.loop.fallback import Status
-from ms_highway.planning.human_models import cheapest_first
+from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.arrays import Belief, Control, Controls, Gains, HumansControls, State
 
 
@@ -33,7 +33,7 @@ class ControlStep:
             `ms_highway.choice.rule.Decision`; with one human, none of the model that was in use.
         choice_failed: whether the models could not be chosen, see there.
         status: where the control comes from, see `ms_highway.loop.fallback.Status`.
-        belief: probability that each of `ms_highway.planning.human_models.PACKAGE_MODELS` predicts a human, for every
+        belief: probability that each of `ms_highway.planning.ladders.PACKAGE_MODELS` predicts a human, for every
             human; None where it is not inferred.
         planned: name of the model that predicted every human in the plan made in this step: not the same where that is
             late or failed.

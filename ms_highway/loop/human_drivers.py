@@ -16,11 +16,11 @@ from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.controller import ControlStep
 from ms_highway.runtime.arrays import Control, SameArray, State
 
-ROOM = 8.0  # m between bumpers, that is made for the robot
-MAKING_ROOM = 3.0  # m/s^2, of braking for it
-HARDEST = 8.0  # m/s^2
-CLOSEST = 0.5  # m, gap from which on braking grows no more
-BESIDE = 1.5  # lanes to the side, up to which room is made
+YIELD_GAP = 8.0  # m between bumpers, that is made for the robot
+YIELD_BRAKING = 3.0  # m/s^2, of braking for it
+MAX_BRAKING = 8.0  # m/s^2
+MIN_GAP = 0.5  # m, gap from which on braking grows no more
+YIELD_LANES = 1.5  # lanes to the side, up to which room is made
 
 RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
 
@@ -71,15 +71,15 @@ def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) 
     xp, scene, own, others = state.__array_namespace__(), game.scene, state[0], state[1:]
     length, width = xp.asarray(scene.car_size)[0], xp.asarray(scene.lane_width)
     along, aside = others[:, 0] - own[0], xp.abs(others[:, 1] - own[1])
-    gaps, closing = xp.maximum(along - length, CLOSEST), xp.maximum(own[3] - others[:, 3], 0.0)
+    gaps, closing = xp.maximum(along - length, MIN_GAP), xp.maximum(own[3] - others[:, 3], 0.0)
     partner = xp.arange(len(others)) == 0
     ahead = (along > 0) & (aside < width / 2) & (yields | ~partner)
     braking = xp.max(xp.where(ahead, closing**2 / (2 * gaps), 0.0))
     between = xp.any(ahead & (along < along[0]) & ~partner)
-    beside = (-length / 2 < along[0]) & (along[0] < length + ROOM) & (aside[0] < BESIDE * width)
-    braking = xp.where(yields & beside & ~between, xp.maximum(braking, MAKING_ROOM), braking)
+    beside = (-length / 2 < along[0]) & (along[0] < length + YIELD_GAP) & (aside[0] < YIELD_LANES * width)
+    braking = xp.where(yields & beside & ~between, xp.maximum(braking, YIELD_BRAKING), braking)
     kept = keep_velocity(game.world, own)
-    hardest = xp.minimum(HARDEST, own[3] / xp.asarray(game.world.time_step))
+    hardest = xp.minimum(MAX_BRAKING, own[3] / xp.asarray(game.world.time_step))
     return xp.stack([kept[0], kept[1] - xp.minimum(braking, hardest)])
 
 

@@ -39,10 +39,10 @@ DAMPING = 2.0
 Measured in Dense Merge under theory of mind, with four steps and an earlier cost of room to stop: starts 10 um apart
 are within 1.1 mm of each other two seconds later with a damping of 1.5, within 1.5 mm with 1 (95 % of 100)."""
 
-LONGEST = 1.0  # norm of a step [scaled controls]: full braking for two seconds
-STILL = 1e-3  # norm of a step that is not worth taking [scaled controls]
-LEAST_PART = 0.1  # of a step that is taken, up to which it is the last one
-LEAST_SHARE = 0.05  # of a step
+MAX_STEP = 1.0  # norm of a step [scaled controls]: full braking for two seconds
+STEP_TOLERANCE = 1e-3  # norm of a step that is not worth taking [scaled controls]
+MIN_PART = 0.1  # of a step that is taken, up to which it is the last one
+MIN_SHARE = 0.05  # of a step
 
 
 class Local(NamedTuple):
@@ -63,9 +63,9 @@ class Local(NamedTuple):
         return cho_solve((self.factor, True), vector)
 
     def step(self, gradient: Vector) -> Vector:
-        """Return ``C^-1 gradient``, shortened to `LONGEST`."""
+        """Return ``C^-1 gradient``, shortened to `MAX_STEP`."""
         whole = self.solve(gradient)
-        return whole * jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.sqrt(jnp.sum(whole**2)), LONGEST))
+        return whole * jnp.minimum(1.0, MAX_STEP / jnp.maximum(jnp.sqrt(jnp.sum(whole**2)), MAX_STEP))
 
 
 def expand(objective: Objective, controls: Controls, slope: Trajectory | None = None) -> Local:
@@ -92,7 +92,7 @@ def expand(objective: Objective, controls: Controls, slope: Trajectory | None = 
 def share(slope: Scalar, after: Scalar) -> Scalar:
     """Return the share of a step at the top of the parabola that has its slopes at both of its ends.
 
-    With the slope g where the step begins and g' after the whole of it, ``g / (g - g')``, at least `LEAST_SHARE` and at
+    With the slope g where the step begins and g' after the whole of it, ``g / (g - g')``, at least `MIN_SHARE` and at
     most 1; 1 where it still climbs at its end. NaN where the first slope is not finite, so that the plan fails and says
     so.
 
@@ -102,14 +102,14 @@ def share(slope: Scalar, after: Scalar) -> Scalar:
     """
     climbs = jnp.maximum(slope, 0.0)
     top = jnp.where(after < 0, climbs / (climbs - jnp.minimum(after, -1e-9)), 1.0)
-    top = jnp.where(jnp.isfinite(after), jnp.maximum(top, LEAST_SHARE), LEAST_SHARE)
+    top = jnp.where(jnp.isfinite(after), jnp.maximum(top, MIN_SHARE), MIN_SHARE)
     return jnp.where(jnp.isfinite(slope), top, jnp.nan)
 
 
 def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
     """Return controls after a step, projected on the limits.
 
-    A step is never shorter than `LEAST_SHARE`: where that goes beyond a wall, controls may earn less for a step.
+    A step is never shorter than `MIN_SHARE`: where that goes beyond a wall, controls may earn less for a step.
 
     Args:
         objective: to climb.
@@ -136,8 +136,8 @@ def convex_newton_steps(objective: Objective, start: Controls, steps: Index = ST
 def until_still(step: Callable[[Point], Point], start: Point, most: Index, moving: Callable[[Point], Any]) -> Point:
     """Repeat a step until it hardly moves anything.
 
-    A step whose norm is between `STILL` and twice that is taken in part, a shorter one not at all: where another start
-    needs one step more or less, it ends in nearly the same point.
+    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a shorter one not at all: where
+    another start needs one step more or less, it ends in nearly the same point.
 
     Args:
         step: returns the next point.
@@ -151,7 +151,7 @@ def until_still(step: Callable[[Point], Point], start: Point, most: Index, movin
         after = step(point)
         gone = jax.tree.map(jnp.subtract, after, point)
         norm = jnp.sqrt(sum(jnp.sum(part**2) for part in jax.tree.leaves(moving(gone))))
-        part = jnp.clip(norm / STILL - 1, 0.0, 1.0)
+        part = jnp.clip(norm / STEP_TOLERANCE - 1, 0.0, 1.0)
         return (
             jax.tree.map(lambda a, b, way: jnp.where(part < 1, a + part * way, b), point, after, gone),
             part,
@@ -160,6 +160,6 @@ def until_still(step: Callable[[Point], Point], start: Point, most: Index, movin
 
     def goes_on(now: tuple[Point, Scalar, Index]) -> Flag:
         _, part, count = now
-        return (part > LEAST_PART) & (count < most)
+        return (part > MIN_PART) & (count < most)
 
     return jax.lax.while_loop(goes_on, go, (start, jnp.ones(()), jnp.zeros((), int)))[0]

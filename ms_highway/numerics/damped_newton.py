@@ -13,7 +13,7 @@ from ms_highway.runtime.arrays import Flag, Matrix, Scalar, Vector
 SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
 """Shares of a step that a line search tries."""
 
-LEAST_DAMPING, GROWTH, MOST_DAMPING = 1.0, 6.0, 1e7  # reward per squared scaled control
+MIN_DAMPING, DAMPING_GROWTH, MAX_DAMPING = 1.0, 6.0, 1e7  # reward per squared scaled control
 
 
 def damped_factor(hessian: Matrix) -> Matrix:
@@ -24,15 +24,15 @@ def damped_factor(hessian: Matrix) -> Matrix:
         return jnp.linalg.cholesky(damping * identity - symmetric, symmetrize_input=False)
 
     def fails(tried: tuple[Scalar, Matrix]) -> Flag:
-        return ~jnp.isfinite(tried[1]).all() & (tried[0] < MOST_DAMPING)
+        return ~jnp.isfinite(tried[1]).all() & (tried[0] < MAX_DAMPING)
 
     def grow(
         tried: tuple[Scalar, Matrix],
     ) -> tuple[Scalar, Matrix]:
-        damping = GROWTH * tried[0]
+        damping = DAMPING_GROWTH * tried[0]
         return damping, factored(damping)
 
-    least = jnp.float32(LEAST_DAMPING)
+    least = jnp.float32(MIN_DAMPING)
     return jax.lax.while_loop(fails, grow, (least, factored(least)))[1]
 
 

@@ -15,7 +15,7 @@ HESSIAN_EVERY = 8  # steps; in between, the last Hessian serves
 FLOOR = 12.0  # of the Hessian's eigenvalues; 1 / 12 is the longest step per unit of gradient
 SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 8, 0], dtype=np.float32)  # of a Newton step that its line search tries
 
-MOST_STEPS = 50  # of the search for an optimum
+MAX_STEPS = 50  # of the search for an optimum
 FINE_SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of its steps
 TOLERANCE = 1e-3  # reward per scaled control, the gradient at which an optimum counts as found
 NOISE = 1e-6  # of a reward, relative, in float32
@@ -69,7 +69,7 @@ def find_optimum(objective: Objective, start: Controls, floor: float) -> Optimum
     def climbing(search: Search) -> Flag:
         count, controls, last = search
         moved = (count == 0) | (controls != last.controls).any()
-        return moved & (count < MOST_STEPS) & (jnp.abs(last.gradient).max() > TOLERANCE)
+        return moved & (count < MAX_STEPS) & (jnp.abs(last.gradient).max() > TOLERANCE)
 
     def improve(search: Search) -> Search:
         count, controls, _ = search

@@ -13,9 +13,9 @@ from ms_highway.geometry.lane_paths import COARSE, FINE, LaneCurve, Row, samples
 from ms_highway.geometry.road_map import Chain, Goal, Lane, kept
 from ms_highway.perception.scene import LANES
 
-AROUND = 6.0  # m, that lanes are sampled farther than the route beside them
-STEEPEST = 0.7  # cosine of the angle between a lane and the route, below which it counts as this
-BEYOND = 3.0  # m, up to which a lane is taken to go straight on
+LANE_MARGIN = 6.0  # m, that lanes are sampled farther than the route beside them
+MIN_LANE_COSINE = 0.7  # cosine of the angle between a lane and the route, below which it counts as this
+LANE_EXTENSION = 3.0  # m, up to which a lane is taken to go straight on
 DRIVEN = (6.0,)  # m, over which a route is smoothed: it cuts the corners of joints by up to 0.6 m
 NEARBY = 2.0  # widths of a lane, up to which a lane that leads elsewhere can be changed to
 
@@ -117,12 +117,12 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN before and after it."""
     x, y, heading = curve.x[here], curve.y[here], curve.heading[here]
     ends = sorted(lane.shape.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1))
-    low, high = max(ends[0] - AROUND, 0.0), min(ends[1] + AROUND, lane.length)
+    low, high = max(ends[0] - LANE_MARGIN, 0.0), min(ends[1] + LANE_MARGIN, lane.length)
     margin = COARSE if lane.length < 2 * COARSE else 0.0  # for two samples at least
     whole = -margin, lane.length + margin
-    _, centres, along = samples(lane.shape, *((low, high) if high - low > AROUND else whole))
+    _, centres, along = samples(lane.shape, *((low, high) if high - low > LANE_MARGIN else whole))
     along = np.unwrap(along)
     shape = Curve(centres[:, 0], centres[:, 1], along, np.gradient(along, COARSE), 0.0, COARSE)
     s, d, turned = shape.project(x, y, heading)
     outside = np.maximum(-s, s - shape.end)
-    return np.where(outside < BEYOND, -d / np.maximum(np.cos(turned), STEEPEST), np.nan)
+    return np.where(outside < LANE_EXTENSION, -d / np.maximum(np.cos(turned), MIN_LANE_COSINE), np.nan)

@@ -15,15 +15,15 @@ from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 from ms_highway.runtime.arrays import Car
 
 AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, in which others are seen ahead, coming, and behind
-MOST_VEHICLES, MOST_WAYS = 16, 3
-BRANCHES = 60.0  # m ahead, up to which all ways are told apart
-AGAINST = -0.7  # cosine of the angle between headings of those who come
-LENGTH = 140.0  # m, of ways
+MAX_VEHICLES, MAX_WAYS = 16, 3
+BRANCHING_DISTANCE = 60.0  # m ahead, up to which all ways are told apart
+ONCOMING_COSINE = -0.7  # cosine of the angle between headings of those who come
+PATH_LENGTH = 140.0  # m, of ways
 TENS = 10.0  # m, in steps of which the rest of a lane is counted
 CROOKED = 0.8  # widths of a lane: others take joints, such as exits from inner lanes, that the robot does not
 ON_LANE, ALONG = 1.0, 0.3  # m aside and rad, up to which a vehicle may follow a lane that begins where its own does
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m aside and ahead, in which a vehicle leads another
-SLOWEST = 0.1  # m/s, of what may move
+MIN_SPEED = 0.1  # m/s, of what may move
 FAR = -1e4  # m, coordinates of unused paths
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
 AWAY = np.stack([LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE])
@@ -68,7 +68,7 @@ def traffic_of(
     return {
         "paths": paths,
         "states": _padded([way.state for way in ways], np.zeros(4)),
-        "sizes": _padded([(way.car.LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
+        "sizes": _padded([(way.car.PATH_LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
         "present": owners >= 0,
         "limits": _padded([way.limit for way in ways], LIMIT),
         "owners": owners,
@@ -90,11 +90,11 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     others += [item for item in vehicle.road.objects if not isinstance(item, Landmark)]
     delta = np.array([car.position for car in others]).reshape(-1, 2) - vehicle.position
     distances = np.hypot(delta[:, 0], delta[:, 1])
-    comes = [isinstance(car, Vehicle) and car.direction @ vehicle.direction < AGAINST for car in others]
+    comes = [isinstance(car, Vehicle) and car.direction @ vehicle.direction < ONCOMING_COSINE for car in others]
     ahead = np.where(comes, ONCOMING, AHEAD)
     seen = distances < np.where(delta @ vehicle.direction > 0, ahead, BEHIND_SIGHT)
     nearest = [number for number in np.argsort(distances, kind="stable") if seen[number]]
-    return [others[number] for number in nearest[:MOST_VEHICLES]]
+    return [others[number] for number in nearest[:MAX_VEHICLES]]
 
 
 def _drives(car: RoadObject) -> bool:
@@ -111,7 +111,7 @@ def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
     if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
         x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
         path = Curve(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
-        return [Way(car, path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, SLOWEST))]
+        return [Way(car, path, np.array([0.0, 0.0, 0.0, car.speed]), max(car.speed, MIN_SPEED))]
     for lane in _begun(car, own) if _drives(car) else [own]:
         place = float(lane.shape.local_coordinates(car.position)[0])
         chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS))
@@ -121,7 +121,7 @@ def _ways(car: RoadObject, roads: RoadMap, intentions: bool) -> list[Way]:
     found = [item for item, number in zip(found, shown, strict=True) if number == max(shown)]
     found.sort(key=lambda item: item[0])
     ways = []
-    for _, place, chain in found[: MOST_WAYS if _drives(car) else 1]:
+    for _, place, chain in found[: MAX_WAYS if _drives(car) else 1]:
         curve = chain.curve(place // BLOCK)
         s, d, heading = curve.project(car.position, car.heading, place)
         path = curve.path(s, TRAFFIC_KNOTS)
@@ -156,8 +156,8 @@ def _chains_from(lane: Lane, tens: int) -> list[Chain]:
     found: list[Chain] = []
     open_ends: list[tuple[Lanes, float]] = [((lane,), TENS * tens)]
     for lanes, covered in open_ends:
-        nexts = lanes[-1].following(CROOKED) if covered < LENGTH else ()
-        onward = nexts if covered < BRANCHES else nexts[:1]
+        nexts = lanes[-1].following(CROOKED) if covered < PATH_LENGTH else ()
+        onward = nexts if covered < BRANCHING_DISTANCE else nexts[:1]
         open_ends += [((*lanes, following), covered + following.length) for following in onward]
         if not nexts:
             found.append(lane.roads.chain(lanes))

@@ -5,21 +5,22 @@ from jax import numpy as jnp
 from ms_highway.geometry.curve import namespace
 from ms_highway.runtime.arrays import Numbers
 
-FAR = 1e3
+FREE_GAP = 1e3
 """Distance to a car ahead that is not there [m]."""
 
-COMFORTABLE, BRAKING, HEADWAY, STANDSTILL = 3.0, 5.0, 1.5, 10.0  # m/s^2, m/s^2, s, m between centres: highway-env's
-HARDEST = 6.0  # m/s^2, of braking
+MAX_ACCELERATION, COMFORTABLE_BRAKING = 3.0, 5.0  # m/s^2, highway-env's
+HEADWAY, STANDSTILL = 1.5, 10.0  # s, and m between centres, highway-env's
+MAX_BRAKING = 6.0  # m/s^2, of braking
 
 
 def lowest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the lowest of values in the last axis of those that count, `FAR` where none does."""
-    return jnp.where(where, values, FAR).min(axis=-1)
+    """Return the lowest of values in the last axis of those that count, `FREE_GAP` where none does."""
+    return jnp.where(where, values, FREE_GAP).min(axis=-1)
 
 
 def highest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the highest of values in the last axis of those that count, minus `FAR` where none does."""
-    return jnp.where(where, values, -FAR).max(axis=-1)
+    """Return the highest of values in the last axis of those that count, minus `FREE_GAP` where none does."""
+    return jnp.where(where, values, -FREE_GAP).max(axis=-1)
 
 
 def idm_acceleration(
@@ -29,8 +30,8 @@ def idm_acceleration(
     ahead: Numbers,
     headway: float | Numbers = HEADWAY,
     standstill: float | Numbers = STANDSTILL,
-    strongest: float | Numbers = COMFORTABLE,
-    braking: float | Numbers = BRAKING,
+    strongest: float | Numbers = MAX_ACCELERATION,
+    braking: float | Numbers = COMFORTABLE_BRAKING,
 ) -> Numbers:
     """Return the acceleration of a follower, by default with highway-env's parameters; arrays of NumPy or JAX.
 
@@ -40,7 +41,7 @@ def idm_acceleration(
     Args:
         speed: of the follower [m/s].
         wanted: its desired speed [m/s].
-        gap: to the car ahead [m], `FAR` without one. It is that of centres in highway-env.
+        gap: to the car ahead [m], `FREE_GAP` without one. It is that of centres in highway-env.
         ahead: speed of that car [m/s].
         headway: desired time gap [s].
         standstill: desired gap of standing cars, between bumpers or centres as the gap is [m].
@@ -51,4 +52,4 @@ def idm_acceleration(
     xp = namespace(speed, wanted, gap, ahead)
     desired = standstill + xp.maximum(speed * headway + closing, 0.0)
     free = 1 - (speed / xp.maximum(wanted, 0.1)) ** 4
-    return xp.maximum(strongest * (free - (desired / xp.maximum(gap, 0.5)) ** 2), -HARDEST)
+    return xp.maximum(strongest * (free - (desired / xp.maximum(gap, 0.5)) ** 2), -MAX_BRAKING)

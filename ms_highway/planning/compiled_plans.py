@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel, human_model, warn_of_limits
+from ms_highway.planning.human_models import HumanModel, warn_of_limits
+from ms_highway.planning.ladders import human_model
 from ms_highway.planning.plans import Plan, cold_start, may_continue
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import Escape, keep_way_out

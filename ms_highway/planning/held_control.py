@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.game.features import ATTENTION, HEADING_SHARE, STANDSTILL_GAP
+from ms_highway.game.features import ATTENTION_GAP, HEADING_SHARE, STANDSTILL_GAP
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
@@ -22,7 +22,7 @@ Cars = Float[Any, "*cars"]
 
 UNIT = PAPER_UNIT  # m
 TURN_SCALE = 1 / SPEED_LIMIT  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
-HARDEST, STRONGEST, SHARPEST = 8.0, 4.0, 0.02  # m/s^2 of braking and accelerating, 1/m
+MAX_BRAKING, MAX_ACCELERATION, MAX_CURVATURE = 8.0, 4.0, 0.02  # m/s^2 of braking and accelerating, 1/m
 TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps that a control is held for
 
 
@@ -43,7 +43,7 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: C
     """
     xp = namespace(traits.desired_speed, speed, leader.gap)
     wish = xp.maximum(traits.desired_speed, 1.0)
-    attention = xp.where(leader.there, xp.exp(-xp.maximum(leader.gap, 0.0) / (ATTENTION * UNIT)), 0.0)
+    attention = xp.where(leader.there, xp.exp(-xp.maximum(leader.gap, 0.0) / (ATTENTION_GAP * UNIT)), 0.0)
     closing = leader.speed - speed
     slope = xp.zeros_like(speed)
     bend = len(TIMES) * weights["comfort_acceleration"] * traits.patience / UNIT**2
@@ -55,7 +55,7 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: C
         slope += 2 * attention * weights["closing_speed"] * closing * time / wish**2
         bend += 2 * (weights["speed"] + attention * weights["closing_speed"]) * time**2 / wish**2
         bend += 2 * attention * weights["headway"] * change**2 / UNIT**2
-    return xp.clip(slope / bend, -HARDEST, STRONGEST)
+    return xp.clip(slope / bend, -MAX_BRAKING, MAX_ACCELERATION)
 
 
 def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, speed: Cars) -> Cars:
@@ -80,4 +80,4 @@ def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, spee
         slope -= 2 * weights["lane_alignment"] * (offset + speed * time * heading) * aside / UNIT**2
         slope -= straight * heading * turned
         bend += 2 * weights["lane_alignment"] * aside**2 / UNIT**2 + straight * turned**2
-    return xp.clip(slope / bend, -SHARPEST, SHARPEST)
+    return xp.clip(slope / bend, -MAX_CURVATURE, MAX_CURVATURE)

@@ -1,6 +1,6 @@
 """Predict what every human does next if one model or another is true of it.
 
-The models are `ms_highway.planning.human_models.PACKAGE_MODELS`, on which `ms_highway.choice.belief` decides.
+The models are `ms_highway.planning.ladders.PACKAGE_MODELS`, on which `ms_highway.choice.belief` decides.
 """
 
 from dataclasses import replace

@@ -12,19 +12,19 @@ from ms_highway.game.neighbours import Leader, leaders
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.planning.held_control import held_acceleration, held_curvature
 
-PAST = 30
+PAST_STEPS = 30
 """Steps of 0.1 s before a moment that drivers are known by."""
 
-SECOND = 10
+STEPS_PER_SECOND = 10
 """Steps of a second."""
 
-NOBODY = 60.0
+FREE_GAP = 60.0
 """Distance to a leader that is not seen [m]."""
 
-EVERY = 2  # steps between the times in the past at which plans are compared with what drivers did
-CLIPPED = 3.0  # standard deviations, of surprises by which traits are updated
-FARTHEST = 1.5  # of the logarithm of a trait from the median's
-FAR = 1e4  # m behind, where cars are that are not seen
+STRIDE = 2  # steps between the times in the past at which plans are compared with what drivers did
+MAX_SURPRISE = 3.0  # standard deviations, of surprises by which traits are updated
+MAX_DEVIATION = 1.5  # of the logarithm of a trait from the median's
+UNSEEN_DISTANCE = 1e4  # m behind, where cars are that are not seen
 
 Cars = Float[Any, "cars"]
 States = Float[Any, "cars 4"]
@@ -48,7 +48,11 @@ class Surroundings(NamedTuple):
 
 def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 4"]:
     """Return states in which cars that are not seen stand far behind."""
-    return jnp.where(jnp.isfinite(states).all(axis=-1, keepdims=True), states, jnp.array([-FAR, -FAR, 0.0, 0.0]))
+    return jnp.where(
+        jnp.isfinite(states).all(axis=-1, keepdims=True),
+        states,
+        jnp.array([-UNSEEN_DISTANCE, -UNSEEN_DISTANCE, 0.0, 0.0]),
+    )
 
 
 def leader_of(around: Any, states: States, others: States, lane: Cars) -> Leader:
@@ -56,7 +60,7 @@ def leader_of(around: Any, states: States, others: States, lane: Cars) -> Leader
     not_itself, lengths = ~jnp.eye(len(states), dtype=bool), around.sizes[:, 0]
     place, there = leaders(states[:, 0], lane, others, not_itself, around.lane_width / 2)
     gap = others[place, 0] - states[:, 0] - (lengths + lengths[place]) / 2
-    return Leader(jnp.where(there, gap, NOBODY), others[place, 3], there)
+    return Leader(jnp.where(there, gap, FREE_GAP), others[place, 3], there)
 
 
 def moved(
@@ -127,14 +131,14 @@ def shown_traits(drivers: Drivers, around: Any, past: Float[Any, "times cars 4"]
         predicted, slope = jax.value_and_grad(expected)(mean, speed, leader)
         along = jnp.sum(covariance * slope, axis=1)
         variance = jnp.sum(slope * along) + prior.noise**2
-        reach, gain = CLIPPED * jnp.sqrt(variance), along / variance
+        reach, gain = MAX_SURPRISE * jnp.sqrt(variance), along / variance
         moved = mean + gain * jnp.clip(gained - predicted, -reach, reach)
-        after = jnp.clip(moved, -FARTHEST, FARTHEST), covariance - gain[:, None] * along
+        after = jnp.clip(moved, -MAX_DEVIATION, MAX_DEVIATION), covariance - gain[:, None] * along
         return jax.tree.map(partial(jnp.where, seen), after, traits)
 
-    for first in range(0, PAST, SECOND):
-        then, last = slice(first, first + SECOND, EVERY), first + SECOND
-        gained = (speeds[last] - speeds[first]) / (SECOND * TIME_STEP)
+    for first in range(0, PAST_STEPS, STEPS_PER_SECOND):
+        then, last = slice(first, first + STEPS_PER_SECOND, STRIDE), first + STEPS_PER_SECOND
+        gained = (speeds[last] - speeds[first]) / (STEPS_PER_SECOND * TIME_STEP)
         led = Leader(*(part[then].T for part in leader))
         traits = jax.vmap(update)(traits, speeds[then].T, led, gained, seen[first : last + 1].all(axis=0))
     return traits[0]

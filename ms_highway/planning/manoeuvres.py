@@ -16,14 +16,14 @@ from ms_highway.game.game import Game
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
 
-FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
-SIDEWAYS = 6.0  # m/s^2, of lateral acceleration at most
-SLOWEST = 3.0  # m/s, below which curvatures are not computed by division by the speed
-OPEN = 6.0  # car lengths, of a gap behind the last car of a lane or ahead of the first
-ROOM = 1.3  # car lengths to the middles of the cars around a gap that is wide enough
-PULL, MATCH = 2.0, 3.0  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
-HARDEST, STRONGEST = 7.0, 4.0  # m/s^2, of braking and speeding up towards a gap
-EARLY = 2.0  # m, short of its place in a gap at which a car changes lanes
+STEERING_FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
+MAX_LATERAL_ACCELERATION = 6.0  # m/s^2, of lateral acceleration at most
+MIN_SPEED = 3.0  # m/s, below which curvatures are not computed by division by the speed
+OPEN_GAP = 6.0  # car lengths, of a gap behind the last car of a lane or ahead of the first
+GAP_MARGIN = 1.3  # car lengths to the middles of the cars around a gap that is wide enough
+POSITION_GAIN, SPEED_GAIN = 2.0, 3.0  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
+MAX_BRAKING, MAX_ACCELERATION = 7.0, 4.0  # m/s^2, of braking and speeding up towards a gap
+ENTRY_TOLERANCE = 2.0  # m, short of its place in a gap at which a car changes lanes
 
 Ways = tuple[Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]]
 Around = TypeVar("Around")
@@ -43,8 +43,8 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     """Return scaled controls and states of a car that goes into the gap ahead of each other car, and behind all.
 
     A gap is in the lane that its cars are nearest to. The car takes the speed of the gap and a place in its middle, or
-    anywhere between `ROOM` to both sides where there is more; it keeps to its lane until it is there. Where a lane is
-    empty, it keeps its speed.
+    anywhere between `GAP_MARGIN` to both sides where there is more; it keeps to its lane until it is there. Where a
+    lane is empty, it keeps its speed.
 
     Args:
         game: of the car.
@@ -62,8 +62,8 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     of_lane = places == lanes[:, None]
     last, taken = _first(of_lane, x[:, 0]), of_lane.any(axis=1)[:, None]
     kept = car[0] + car[3] * game.dynamics.time_step * jnp.arange(1, 1 + x.shape[1])
-    behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN * length, kept)])
-    before = jnp.concatenate([jnp.where(leads, x[leader], x + OPEN * length), jnp.where(taken, x[last], kept)])
+    behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN_GAP * length, kept)])
+    before = jnp.concatenate([jnp.where(leads, x[leader], x + OPEN_GAP * length), jnp.where(taken, x[last], kept)])
     pace = jnp.concatenate(
         [(speed + jnp.where(leads, speed[leader], speed)) / 2, jnp.where(taken, speed[last], car[3])]
     )
@@ -73,10 +73,10 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
         def follow(car: Car, now: tuple[Scalar, ...]) -> Control:
             middle, half, pace = now
             off = car[0] + car[3] * game.dynamics.time_step - middle
-            spare = jnp.maximum(half - ROOM * length, 0.0)
-            pull = PULL * (jnp.clip(off, -spare, spare) - off) + MATCH * (pace - car[3])
-            enters = jnp.abs(off) < jnp.maximum(half - length, 0.0) + EARLY
-            return _towards(game, car, jnp.where(enters, lane, present), jnp.clip(pull, -HARDEST, STRONGEST))
+            spare = jnp.maximum(half - GAP_MARGIN * length, 0.0)
+            pull = POSITION_GAIN * (jnp.clip(off, -spare, spare) - off) + SPEED_GAIN * (pace - car[3])
+            enters = jnp.abs(off) < jnp.maximum(half - length, 0.0) + ENTRY_TOLERANCE
+            return _towards(game, car, jnp.where(enters, lane, present), jnp.clip(pull, -MAX_BRAKING, MAX_ACCELERATION))
 
         return _drive(game, car, follow, gap, None)
 
@@ -99,9 +99,9 @@ def _towards(game: Game, car: Car, lane: Scalar, acceleration: Scalar) -> Contro
     """
     _, y, heading, speed = car
     limit = jnp.asarray(game.planner.control_limit)
-    aside = -(FREQUENCY**2) * (y - lane) - 2 * FREQUENCY * speed * jnp.sin(heading)
-    omega = jnp.clip(aside, -SIDEWAYS, SIDEWAYS) / jnp.maximum(speed, SLOWEST)
-    omega = omega / jnp.maximum(speed, SLOWEST) if game.dynamics.steering == "curvature" else omega
+    aside = -(STEERING_FREQUENCY**2) * (y - lane) - 2 * STEERING_FREQUENCY * speed * jnp.sin(heading)
+    omega = jnp.clip(aside, -MAX_LATERAL_ACCELERATION, MAX_LATERAL_ACCELERATION) / jnp.maximum(speed, MIN_SPEED)
+    omega = omega / jnp.maximum(speed, MIN_SPEED) if game.dynamics.steering == "curvature" else omega
     wanted = jnp.maximum(acceleration, -speed / game.dynamics.time_step)
     control = jnp.clip(jnp.stack([omega, wanted + keep_velocity(game.dynamics, car)[1]]), -limit, limit)
     if game.planner.grip is not None:

@@ -24,7 +24,7 @@ from ms_highway.numerics.solvers import optimize_controls
 from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
 from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories
 
-MARGIN = 5.0
+RESTART_MARGIN = 5.0
 """Reward by which a manoeuvre has to be better than the last plan, so that plans do not change for little."""
 
 ACCELERATIONS = np.array([-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32)  # m/s^2, of the manoeuvres to start from
@@ -80,7 +80,7 @@ def driving(game: Game, car: Car, others: Trajectories) -> Objective:
 
 
 def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Controls:
-    """Return the manoeuvre that earns most, if that is `MARGIN` more than the last plan earns; else the last plan.
+    """Return the manoeuvre that earns most, if that is `RESTART_MARGIN` more than the last plan earns; else that plan.
 
     NaN where none of them earns anything finite.
 
@@ -102,7 +102,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
     controls = jnp.concatenate([last[None], controls])
     paths = jnp.concatenate([objective.path(last)[None], jnp.stack(observe(states), axis=1)])
     earned = jax.vmap(objective.earned)(controls, paths)
-    return best_of(controls, earned.at[0].add(MARGIN))
+    return best_of(controls, earned.at[0].add(RESTART_MARGIN))
 
 
 @jax.jit  # traced once for the human and the robot, naive and turn

@@ -22,7 +22,7 @@ from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
-MARGIN = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly
+CLEARANCE = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly
 
 
 class Escape(NamedTuple):
@@ -41,8 +41,8 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """Return the best escape, and whether it replaces the robot's control, which leaves no way out as good.
 
     Of all manoeuvres, the best escape is the one that collides latest; among those that never collide, one that keeps
-    `MARGIN` to all others is better; of equals, the one that earns most. The control, with the best that can follow it,
-    is looked at over the same `ESCAPE_STEPS` from now on as the escapes, and stays where it is as good.
+    `CLEARANCE` to all others is better; of equals, the one that earns most. The control, with the best that can follow
+    it, is looked at over the same `ESCAPE_STEPS` from now on as the escapes, and stays where it is as good.
 
     Args:
         game: of the robot.
@@ -67,8 +67,8 @@ def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> 
     scene, own = game.scene, observe(way)
     wider = replace(
         scene,
-        car_size=jnp.asarray(scene.car_size) + MARGIN,
-        obstacle_size=jnp.asarray(scene.obstacle_size) + MARGIN,
+        car_size=jnp.asarray(scene.car_size) + CLEARANCE,
+        obstacle_size=jnp.asarray(scene.obstacle_size) + CLEARANCE,
     )
     free, wide = (collision_risk(checked, own, others)[1] == 0 for checked in (scene, wider))
     return jnp.sum(jnp.cumprod(free)) + wide.all()

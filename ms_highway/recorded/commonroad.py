@@ -38,8 +38,8 @@ NO_LANES = {"bicycleLane", "border", "crosswalk", "restricted_area", "sidewalk"}
 SPEED_SIGNS = {"274", "3.24", "B14", "B31", "C43", "R15", "R2-1", "r301", "Ρ-32"}  # noqa: RUF001
 """Ids of the signs of a maximum speed in all countries; that of Greece begins with a Greek letter."""
 
-MOST_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
-MOST_STEPS, MOST_SPEED, MOST_RADIANS, FARTHEST = 1e5, 200.0, 1e3, 1e8  # of a time, m/s, of an angle, m
+MAX_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
+MAX_STEPS, MAX_SPEED, MAX_RADIANS, MAX_COORDINATE = 1e5, 200.0, 1e3, 1e8  # of a time, m/s, of an angle, m
 SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
 ANGLES = 2 * np.pi / 64 * np.arange(64)  # rad, of the corners of the polygon that a circle is read as
 
@@ -79,9 +79,9 @@ def read_xml(path: Path) -> bytes:
     """
     opened = gzip.open if path.name.endswith(COMPRESSED) else open
     with opened(path, "rb") as file:
-        xml = file.read(MOST_BYTES + 1)
-    if len(xml) > MOST_BYTES:
-        raise ValueError(f"more than {MOST_BYTES} bytes of XML")
+        xml = file.read(MAX_BYTES + 1)
+    if len(xml) > MAX_BYTES:
+        raise ValueError(f"more than {MAX_BYTES} bytes of XML")
     return xml
 
 
@@ -132,7 +132,7 @@ def _references(element: Element, tag: str) -> tuple[int, ...]:
     return tuple(int(one.get("ref", "")) for one in element.iterfind(tag))
 
 
-def _number(element: Element, path: str, most: float = FARTHEST, default: float | None = None) -> float:
+def _number(element: Element, path: str, most: float = MAX_COORDINATE, default: float | None = None) -> float:
     """Return the number at a path of tags below an element, from ``-most`` to ``most``, or else the default."""
     text = element.findtext(path)
     if text is None and default is not None:
@@ -154,8 +154,8 @@ def _speed_limits(identity: int, element: Element) -> list[float]:
     """Return the speed limits that a traffic sign shows."""
     shown = element.iterfind("trafficSignElement")
     limits = [_number(one, "additionalValue") for one in shown if one.findtext("trafficSignID") in SPEED_SIGNS]
-    if not all(1 <= limit <= MOST_SPEED for limit in limits):
-        raise ValueError(f"it shows <additionalValue> {limits} m/s; limits are from 1 to {MOST_SPEED:g} m/s")
+    if not all(1 <= limit <= MAX_SPEED for limit in limits):
+        raise ValueError(f"it shows <additionalValue> {limits} m/s; limits are from 1 to {MAX_SPEED:g} m/s")
     return limits
 
 
@@ -212,14 +212,14 @@ def _whole(identity: int, element: Element, samples: np.ndarray, drives: bool) -
 def _pose(element: Element, path: str = "") -> tuple[float, float, float]:
     """Return x, y and orientation of a state at a path below an element; intervals are refused."""
     x, y = (_number(element, f"{path}position/point/{axis}") for axis in "xy")
-    return x, y, _number(element, f"{path}orientation/exact", MOST_RADIANS)
+    return x, y, _number(element, f"{path}orientation/exact", MAX_RADIANS)
 
 
 def _sample(element: Element, path: str = "") -> list[float]:
     """Return the time step, x, y, orientation and speed of a state at a path below an element."""
     time, speed = (
-        _number(element, f"{path}time/exact", MOST_STEPS),
-        _number(element, f"{path}velocity/exact", MOST_SPEED),
+        _number(element, f"{path}time/exact", MAX_STEPS),
+        _number(element, f"{path}velocity/exact", MAX_SPEED),
     )
     if time < 0:
         raise ValueError(f"<{path}time> is {time}; it must not be negative")
@@ -239,9 +239,9 @@ def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
     parts = {part.tag for part in state}
     if unknown := parts - {"position", "time", "velocity", "orientation"}:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
-    first, last = _interval(state, "time", MOST_STEPS)
-    speeds = _interval(state, "velocity", MOST_SPEED) if "velocity" in parts else None
-    headings = _interval(state, "orientation", MOST_RADIANS) if "orientation" in parts else None
+    first, last = _interval(state, "time", MAX_STEPS)
+    speeds = _interval(state, "velocity", MAX_SPEED) if "velocity" in parts else None
+    headings = _interval(state, "orientation", MAX_RADIANS) if "orientation" in parts else None
     if headings and headings[1] - headings[0] >= 2 * np.pi:
         headings = None
     places: list[Points | None] = [None]
@@ -279,7 +279,7 @@ def _outline(piece: Element) -> Points:
     elif piece.tag == "rectangle":
         corners = SQUARE * [_number(piece, "length"), _number(piece, "width")]
         corners[:, 0] -= _number(piece, "originXShift", default=0.0)
-        corners = _turned(corners, _number(piece, "orientation", MOST_RADIANS, 0.0))
+        corners = _turned(corners, _number(piece, "orientation", MAX_RADIANS, 0.0))
     else:
         raise ValueError(f"<{piece.tag}> is no shape that can be read: rectangle, circle or polygon")
     if len(corners) < 3 or not np.ptp(corners, axis=0).all():

@@ -16,7 +16,7 @@ from ms_highway.road.stock import GoalEnv
 
 EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
 OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
-SLOWEST = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
+MIN_DESIRED_SPEED = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
 
 
 class RecordedSettings(Struct, frozen=True):
@@ -111,9 +111,9 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
         self.scenario, self.task, self.road, self.axes = scenario, task, road, straight.axes
-        self.goal, self.desired_speed = timed_goal(task, straight), max(speed, SLOWEST)
+        self.goal, self.desired_speed = timed_goal(task, straight), max(speed, MIN_DESIRED_SPEED)
         self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
-        self._along = float(straight.states_of([vehicle])[0, 0])
+        self._along = float(road.states[vehicle][0])
 
     @property
     def goal_areas(self) -> list[Points]:
@@ -123,12 +123,12 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     def _simulate(self, action: Any = None) -> None:
         """Let everybody act and move for a step, and judge where that has led the ego."""
         super()._simulate(action)
-        ego, straight = self.vehicle, straight_road(self.scenario)
-        along = float(straight.states_of([ego])[0, 0])
+        ego, road = self.vehicle, self.road
+        along = float(road.states[ego][0])
         self.progress, self._along = along - self._along, along
-        self.off_road |= not straight.covers(ego.polygon()[:-1])
+        self.off_road |= not road.straight.covers(ego.polygon()[:-1])
         orientation, point = float(self.axes.headings(ego.heading)), self.axes.points(ego.position)
-        reached = self.task.is_reached(self.road.now, point, orientation, ego.speed)
+        reached = self.task.is_reached(road.now, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
 
     def _rewards(self, action: Any) -> dict[str, float]:

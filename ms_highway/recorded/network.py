@@ -20,7 +20,7 @@ Values = Float[np.ndarray, "n"]
 STEP = 1.0  # m, between samples of a lane
 SPACING = 0.5  # m, between samples of curves
 SMOOTHED = 10.0, 5.0, 2.5, 1.25, 0.625  # m; waves shorter than 2 pi times that, at first about 60 m, are smoothed
-FEWEST_POINTS = 5  # that a smoothing spline can be fitted to
+MIN_POINTS = 5  # that a smoothing spline can be fitted to
 BRIDGED = 60.0  # m of the lanes before and after, by which a lane goes on smoothly
 CLOSE = 5.0  # m, by which a lane may be farther than another, and nearer in position and heading
 WITHIN = 0.1  # m, from the middle of a lanelet to that of its lane
@@ -198,13 +198,16 @@ def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequen
     centre = lanelet.centre
     before = [_last(known[number].centre) for number in lanelet.before[:1] if number in known]
     after = [_last(known[number].centre[::-1])[::-1] for number in lanelet.after[:1] if number in known]
-    limit = SPEED_LIMIT if lanelet.limit is None else lanelet.limit
     for smooth in chain(fits(np.concatenate([*before, centre, *after])), fits(centre)):
         along, _ = smooth.locate(centre)
         places = np.linspace(along[0], along[-1], max(round((along[-1] - along[0]) / STEP), 2) + 1)
-        order = np.argsort(along, kind="stable")
-        widths = np.interp(places, along[order], np.linalg.norm(lanelet.left - lanelet.right, axis=-1)[order])
-        lane = SampledLane(axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)), widths, lines, limit)
+        widths = np.interp(places, np.maximum.accumulate(along), np.linalg.norm(lanelet.left - lanelet.right, axis=-1))
+        lane = SampledLane(
+            axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1)),
+            widths,
+            lines,
+            lanelet.limit or SPEED_LIMIT,
+        )
         along, aside = lane.curve.locate(axes.positions(resample(centre.T, STEP).T))
         off = max(np.abs(aside).max(), -along.min(), along.max() - lane.length)
         if off <= WITHIN:
@@ -220,10 +223,10 @@ def fits(line: Points) -> Iterator[Curve]:
     distance = arc_lengths(line.T)
     for smoothed in SMOOTHED:
         spacing = smoothed / 2
-        even = np.linspace(0, distance[-1], max(round(distance[-1] / spacing) + 1, FEWEST_POINTS))
+        even = np.linspace(0, distance[-1], max(round(distance[-1] / spacing) + 1, MIN_POINTS))
         points = np.stack([np.interp(even, distance, part) for part in line.T], axis=-1)
         smooth = make_smoothing_spline(even, points, lam=smoothed**4 / spacing)
-        step = min(SPACING, distance[-1] / FEWEST_POINTS)
+        step = min(SPACING, distance[-1] / MIN_POINTS)
         x, y = resample(smooth(np.arange(0.0, distance[-1] + step, step / 2)).T, step)
         yield Curve.through(x, y, spacing=step)
 

@@ -18,7 +18,7 @@ States = Float[np.ndarray, "n 4"]
 
 
 class StraightRoad:
-    """The road of a recording, and its lanes as parallel lines, at 0, 1, ... widths to the right of the leftmost one.
+    """The road of a recording, and its lanes as parallel lines to the right of the leftmost one, as far as wide.
 
     On the straight road, x is the distance along the road, y that to the right of the leftmost lane's centre, and
     headings are relative to the lane. Where lanes side by side differ in length, x is scaled to their mean.
@@ -26,7 +26,7 @@ class StraightRoad:
     Attributes:
         axes: of highway-env in the map of the recording.
         network: of the lanes.
-        numbers: of each lane, by its index in the network, from the left; a lane that follows another has its number.
+        centres: y of each lane, by its index in the network; a lane that follows another has the same.
         lane_width: median width of the lanes [m].
 
     Raises:
@@ -49,10 +49,14 @@ class StraightRoad:
                     queue += [(after, number, start + _length(lane)) for after in lane.following()]
                     before = [other for other in self._lanes if lane in other.following()]
                     queue += [(other, number, start - _length(other)) for other in before]
-        leftmost = min(number for number, _ in found.values())
-        self.numbers = {lane.index: number - leftmost for lane, (number, _) in found.items()}
-        self._starts = np.array([found[lane][1] for lane in self._lanes])
-        self.lane_width = float(np.median([lane.shape.width_at(lane.length / 2) for lane in self._lanes]))
+        numbers, starts = map(np.array, zip(*map(found.__getitem__, self._lanes), strict=True))
+        widths = np.array([lane.shape.width_at(lane.length / 2) for lane in self._lanes])
+        numbers, self._starts, self.lane_width = numbers - numbers.min(), starts, float(np.median(widths))
+        of_number = [
+            np.median(widths[numbers == each] if each in numbers else widths) for each in range(max(numbers) + 1)
+        ]
+        y = np.cumsum(of_number) - (np.array(of_number) + of_number[0]) / 2
+        self.centres = {lane.index: float(y[number]) for lane, number in zip(self._lanes, numbers, strict=True)}
 
     def __deepcopy__(self, memo: object) -> "StraightRoad":
         return self  # what never changes is shared by copies of environments
@@ -71,15 +75,23 @@ class StraightRoad:
         nearest = (np.abs(aside) + beyond + np.abs(heading)).argmin(axis=0)  # as highway-env measures distances
         along, aside, heading = every[nearest, :, np.arange(len(positions))].T
         lanes = [self._lanes[number] for number in nearest]
-        widths = np.array([lane.shape.width_at(place) for lane, place in zip(lanes, along, strict=True)])
         scales = np.array([_length(lane) / lane.length for lane in lanes])
-        y = self.lane_width * (np.array([self.numbers[lane.index] for lane in lanes]) + aside / widths)
+        y = np.array([self.centres[lane.index] for lane in lanes]) + aside
         return np.stack([self._starts[nearest] + along * scales, y, heading, speeds], axis=-1)
 
     def states_of(self, vehicles: Iterable[Vehicle]) -> States:
         """Return the present states of vehicles on the straight road."""
         poses = np.array([(*vehicle.position, vehicle.heading, vehicle.speed) for vehicle in vehicles]).reshape(-1, 4)
         return self.states(poses[:, :2], poses[:, 2], poses[:, 3])
+
+    @property
+    def lines(self) -> list[Points]:
+        """Middles of the lanes with the same y, one lane after the other, from the left."""
+        order = sorted(range(len(self._lanes)), key=self._starts.__getitem__)
+        own: dict[float, list[Points]] = {}
+        for lane in (self._lanes[place] for place in order):
+            own.setdefault(self.centres[lane.index], []).append(lane.shape.centres)
+        return [np.concatenate(own[centre]) for centre in sorted(own)]
 
     def way(self, track: RecordedTrack) -> States:
         """Return the states of a track on the straight road."""

@@ -14,12 +14,12 @@ from ms_highway.recorded.scenario import SPEED_LIMIT, RecordedTrack, TrafficReco
 from ms_highway.recorded.straight_road import States, straight_road
 from ms_highway.vehicle.human import CommuterVehicle
 
-BEYOND = 30.0  # m past the end of the road, where vehicles leave it
-CLEAR = 2.0  # m that have to be free ahead of and behind a vehicle that enters, or changes lanes
-BESIDE = 0.3  # m beyond the edge of a lane, up to which the middle of a vehicle is in it
-CLOSING = 1.0  # s, for which a gap in the lane beside has to be long enough at the present speeds
+EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
+ENTRY_GAP = 2.0  # m that have to be free ahead of and behind a vehicle that enters, or changes lanes
+LANE_TOLERANCE = 0.3  # m beyond the edge of a lane, up to which the middle of a vehicle is in it
+GAP_TIME = 1.0  # s, for which a gap in the lane beside has to be long enough at the present speeds
 LOOK_AHEAD = 2.0  # s, after which a car will be in the lane that it was recorded in, if it begins to change now
-SETTLING = 1.0  # s, in which a car without a leader becomes as fast as it was recorded at its place
+SPEED_TIME = 1.0  # s, in which a car without a leader becomes as fast as it was recorded at its place
 
 
 class GuidedVehicle(Vehicle):
@@ -62,9 +62,9 @@ class LearnedVehicle(CommuterVehicle):
         straight, (start, end, place) = self.road.straight, self.lane_index
         x, *_, speed = self.road.states[self]
         later = min(int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)), len(self.way) - 1)
-        lane = round(self.way[later, 1] / straight.lane_width)
-        beside = start, end, place + int(np.sign(lane - straight.numbers[self.lane_index]))
-        may_change = self.lane_index == self.target_lane_index != beside and beside in straight.numbers
+        aside = self.way[later, 1] - straight.centres[self.lane_index]
+        beside = start, end, place + int(np.sign(round(aside / straight.lane_width)))
+        may_change = self.lane_index == self.target_lane_index != beside and beside in straight.centres
         if may_change and all(map(self._leaves_room, self.road.neighbour_vehicles(self, beside))):
             self.target_lane_index = beside
 
@@ -74,14 +74,14 @@ class LearnedVehicle(CommuterVehicle):
             return True
         apart = self.road.states[other][[0, 3]] - self.road.states[self][[0, 3]]
         gap = abs(apart[0]) - (other.LENGTH + self.LENGTH) / 2
-        return bool(gap > CLEAR + CLOSING * max(-np.sign(apart[0]) * apart[1], 0.0))
+        return bool(gap > ENTRY_GAP + GAP_TIME * max(-np.sign(apart[0]) * apart[1], 0.0))
 
     def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
         """Return the acceleration of a vehicle behind another one, see `CommuterVehicle` [m/s^2]."""
         if front_vehicle:
             return super().acceleration(ego_vehicle, front_vehicle)
         x, *_, speed = self.road.states[self]
-        return float(np.interp(x, self.way[:, 0], self.way[:, 3]) - speed) / SETTLING
+        return float(np.interp(x, self.way[:, 0], self.way[:, 3]) - speed) / SPEED_TIME
 
 
 class RecordedRoad(Road):
@@ -136,8 +136,8 @@ class RecordedRoad(Road):
     def neighbour_vehicles(self, vehicle: Vehicle, lane_index: LaneIndex | None = None) -> tuple[Any, Any]:
         """Return the nearest vehicles ahead and behind in a lane and those before and after it, None without one."""
         vehicles, (x, y, *_) = [*self.states], np.array([*self.states.values()]).T
-        centre = self.straight.lane_width * self.straight.numbers[lane_index or vehicle.lane_index]
-        inside = np.abs(y - centre) < self.straight.lane_width / 2 + BESIDE
+        centre = self.straight.centres[lane_index or vehicle.lane_index]
+        inside = np.abs(y - centre) < self.straight.lane_width / 2 + LANE_TOLERANCE
         found = [nearest_ahead(way * (x - self.states[vehicle][0]), inside) for way in (1, -1)]
         ahead, behind = (vehicles[place] if there else None for place, there in found)
         return ahead, behind
@@ -176,7 +176,7 @@ class RecordedRoad(Road):
             vehicle.way = self.straight.way(track)
             vehicle.way[:, 0] = np.maximum.accumulate(vehicle.way[:, 0])
             vehicle.target_speed = SPEED_LIMIT if kind is LearnedVehicle else max(float(track.samples[:, 4].max()), 1.0)
-            with_room = sized(copy(vehicle), (vehicle.LENGTH + 2 * CLEAR, vehicle.WIDTH))
+            with_room = sized(copy(vehicle), (vehicle.LENGTH + 2 * ENTRY_GAP, vehicle.WIDTH))
             free = not any(overlap(with_room, other) for other in self.vehicles)
             if free or self.now == self.begin or kind is GuidedVehicle:
                 self.vehicles.append(vehicle)
@@ -189,7 +189,7 @@ class RecordedRoad(Road):
         if isinstance(vehicle, GuidedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
-        return place > vehicle.lane.length + BEYOND and not self.network.graph.get(vehicle.lane_index[1])
+        return place > vehicle.lane.length + EXIT_DISTANCE and not self.network.graph.get(vehicle.lane_index[1])
 
 
 DRIVEN = {"learned": LearnedVehicle, "replay": GuidedVehicle, "idm": IDMVehicle}
@@ -205,7 +205,5 @@ def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two things on a road overlap."""
-    (pose, size), (other_pose, sizes) = (
-        ((*item.position, item.heading), (item.LENGTH, item.WIDTH)) for item in (one, other)
-    )
-    return bool(separation(pose, size, other_pose, sizes) < 0)
+    own, theirs = ((*item.position, item.heading) for item in (one, other))
+    return bool(separation(own, (one.LENGTH, one.WIDTH), theirs, (other.LENGTH, other.WIDTH)) < 0)

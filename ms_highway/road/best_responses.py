@@ -27,13 +27,13 @@ from ms_highway.road.simulation import earlier
 from ms_highway.runtime.arrays import Car, Index, Matrix, Numbers, Scalar, Vector
 
 NEWTON_STEPS = 3
-UNIT = 5.0
+ACCELERATION_UNIT = 5.0
 """Unit of the accelerations that are optimised [m/s^2]."""
 
-LEAST, MOST = -6.0 / UNIT, 3.0 / UNIT  # accelerations of humans
-STARTS = np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / UNIT  # steady braking
-SETTLING = 0.8  # s, in which the distance to the path falls to 1 / e, as under highway-env's steering
-NEAREST = 6  # other cars that a driver heeds besides the robot
+MIN_ACCELERATION, MAX_ACCELERATION = -6.0 / ACCELERATION_UNIT, 3.0 / ACCELERATION_UNIT  # accelerations of humans
+FIRST_ACCELERATIONS = np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / ACCELERATION_UNIT  # steady braking
+PATH_TIME = 0.8  # s, in which the distance to the path falls to 1 / e, as under highway-env's steering
+NEAREST_CARS = 6  # other cars that a driver heeds besides the robot
 ALONG_PER_ASIDE = 5.0  # m along the path that count like one aside
 HEEDED = "speed", "collision_risk", "headway", "closing_speed", "induced_braking", "comfort_acceleration"
 """Terms of the reward that depend on accelerations."""
@@ -44,7 +44,7 @@ HEEDED = "speed", "collision_risk", "headway", "closing_speed", "induced_braking
 class Commuter:
     """A human on its path, and the motion of others in the path's coordinates.
 
-    Its reward is that of a straight road of one lane. Accelerations are scaled, in units of `UNIT`.
+    Its reward is that of a straight road of one lane. Accelerations are scaled, in units of `ACCELERATION_UNIT`.
 
     Attributes:
         planning: time step and number of steps.
@@ -96,7 +96,7 @@ class Commuter:
             gradient, hessian = self.expand(scaled)
             return best(scaled + SHARES[:, None] * damped_solve(damped_factor(hessian), gradient))
 
-        first = best(jnp.broadcast_to(STARTS, (len(STARTS), self.planning.steps)))
+        first = best(jnp.broadcast_to(FIRST_ACCELERATIONS, (len(FIRST_ACCELERATIONS), self.planning.steps)))
         return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)
 
     def held(self, scaled: Steps) -> Steps:
@@ -104,8 +104,8 @@ class Commuter:
 
         With unlimited speeds c_k, the speed that never falls below zero is ``c_k - min(0, c_1, ..., c_k)``.
         """
-        speed, per_step, steps = self.state[3], self.planning.time_step * UNIT, scaled.shape[-1]
-        limited = jnp.clip(scaled, LEAST, MOST)[..., None, :]
+        speed, per_step, steps = self.state[3], self.planning.time_step * ACCELERATION_UNIT, scaled.shape[-1]
+        limited = jnp.clip(scaled, MIN_ACCELERATION, MAX_ACCELERATION)[..., None, :]
         free = speed + jnp.sum(np.tri(steps, dtype=np.float32) * limited, axis=-1) * per_step  # XLA fuses such sums
         kept = free - jnp.minimum(jax.lax.cummin(free, axis=free.ndim - 1), 0.0)
         return (kept - earlier(speed, kept)) / per_step
@@ -119,23 +119,23 @@ class Commuter:
     @property
     def aside(self) -> Steps:
         """Lateral position after each step."""
-        return self.state[1] * jnp.exp(-self.planning.times / SETTLING)
+        return self.state[1] * jnp.exp(-self.planning.times / PATH_TIME)
 
     @property
     def _effects(self) -> Numbers:
         """Derivatives of s and speed after each step in the accelerations [2, steps, n]."""
         steps, dt = np.arange(self.planning.steps), self.planning.time_step
         age = steps[:, None] - steps
-        by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * UNIT)
+        by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * ACCELERATION_UNIT)
         return jnp.stack([by_speed * (age + 0.5) * dt, by_speed])
 
     @property
     def _comfort(self) -> Scalar:
-        return self.reward.comfort[1] * (UNIT / PAPER_UNIT) ** 2
+        return self.reward.comfort[1] * (ACCELERATION_UNIT / PAPER_UNIT) ** 2
 
 
 def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World) -> Commuter:
-    """Return other car i as a commuter among the robot and the `NEAREST` others.
+    """Return other car i as a commuter among the robot and the `NEAREST_CARS` others.
 
     Args:
         scene: the road.
@@ -157,7 +157,7 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
     kept = state[0] + state[3] * planning.times
     apart = ((s - kept) ** 2 / ALONG_PER_ASIDE**2 + (d - human.aside) ** 2).min(axis=1)[1:]
     matters = scene.present & (scene.owners != scene.owners[i])
-    _, nearest = jax.lax.top_k(-jnp.where(matters, apart, jnp.inf), NEAREST)
+    _, nearest = jax.lax.top_k(-jnp.where(matters, apart, jnp.inf), NEAREST_CARS)
     heeded = jnp.concatenate([jnp.zeros(1, int), 1 + nearest])
     seen = Motion(*(field[heeded] for field in seen))
     away = jnp.where(matters[nearest], 0.0, -FAR_AWAY)

@@ -12,7 +12,7 @@ from ms_highway.choice.rule import Rule, decide, first_memory
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.fallback import LATE, PLANNED, STATUSES, fallback_status
 from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
-from ms_highway.planning.car_following import HARDEST
+from ms_highway.planning.car_following import MAX_BRAKING
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.road.plan import RoadPlan, answer_road, no_plan, propose_road
@@ -138,7 +138,7 @@ class RoadDriver:
         changes = [speed - self._speeds.get(name, speed) for name, speed in zip(seen, speeds, strict=True)]
         self._speeds = dict(zip(seen, speeds, strict=True))
         accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
-        return replace(scene, accelerations=accelerations.clip(-HARDEST, HARDEST).astype(np.float32))
+        return replace(scene, accelerations=accelerations.clip(-MAX_BRAKING, MAX_BRAKING).astype(np.float32))
 
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
         """Return the numbers of the models of all cars; those that cannot move are predicted by the first one."""

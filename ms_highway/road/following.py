@@ -9,17 +9,17 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Pose
 from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
-from ms_highway.planning.car_following import FAR, HARDEST, idm_acceleration
+from ms_highway.planning.car_following import FREE_GAP, MAX_BRAKING, idm_acceleration
 from ms_highway.road.constants import IDM, TOM
 from ms_highway.road.traffic import ROOM, Situation
 from ms_highway.runtime.arrays import Car
 
-FOLLOWED = 0.7  # cosine of the angle between paths, from which a car follows the robot ahead
-SETTLING = 1.0  # s, in which cars move to the middle of their path
-SLOWLY = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
-BACKWARDS = 0.3  # m/s, above which a car rolls backwards
-HARD, HELD = 3.0, 3.0  # m/s^2 and s: braking ahead from which it is expected to go on, and for how long
-FADES = 1.0  # s, in which others who do not do what their model says come back to it
+SAME_WAY_COSINE = 0.7  # cosine of the angle between paths, from which a car follows the robot ahead
+PATH_TIME = 1.0  # s, in which cars move to the middle of their path
+SLOW_SHARE = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
+REVERSING_SPEED = 0.3  # m/s, above which a car rolls backwards
+HARD_BRAKING, BRAKING_TIME = 3.0, 3.0  # m/s^2 and s: braking ahead from which it is expected to go on, and for how long
+CORRECTION_TIME = 1.0  # s, in which others who do not do what their model says come back to it
 
 
 class Manners(NamedTuple):
@@ -50,13 +50,13 @@ def manners_of(now: Situation, models: Places, plans: int) -> Manners:
     follows = (models >= IDM) & scene.moving & ~now.crossings.exist
     expected = follows | ((models == TOM) & scene.moving)
     surprise = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
-    limit = jnp.where(now.leading & (scene.accelerations < -HARD), scene.accelerations, jnp.inf)[:, None]
+    limit = jnp.where(now.leading & (scene.accelerations < -HARD_BRAKING), scene.accelerations, jnp.inf)[:, None]
     return Manners(
         follows,
         given=jnp.zeros_like(follows),
         accelerations=jnp.zeros((plans, len(models), len(times))),
-        surprise=surprise[:, None] * jnp.exp(-times / FADES),
-        limit=jnp.where(times - now.planning.time_step / 2 < HELD, limit, jnp.inf),
+        surprise=surprise[:, None] * jnp.exp(-times / CORRECTION_TIME),
+        limit=jnp.where(times - now.planning.time_step / 2 < BRAKING_TIME, limit, jnp.inf),
     )
 
 
@@ -73,7 +73,7 @@ def aside(scene: RoadScene, times: Steps) -> EachStep:
     """
     _, now, heading, speed = scene.states.T[..., None]
     sideways = speed * jnp.sin(heading)
-    settles = (now + (sideways + now / SETTLING) * times) * jnp.exp(-times / SETTLING)
+    settles = (now + (sideways + now / PATH_TIME) * times) * jnp.exp(-times / PATH_TIME)
     return jnp.where(scene.moving[:, None], settles, now + sideways * (1 - jnp.exp(-times)))
 
 
@@ -91,11 +91,11 @@ def follow_all(now: Situation, where: Pose, along: Traffic, speeds: Traffic, rob
     """
     scene, (s, d, _, speed) = now.scene, robot
     first, _, _, desired = jnp.asarray(scene.states).T
-    desired = jnp.where(desired < SLOWLY * scene.limits, scene.limits, desired)
+    desired = jnp.where(desired < SLOW_SHARE * scene.limits, scene.limits, desired)
     moved, ahead = along - first, s + scene.size[0] / 2 - where[0]
-    gaps = jnp.where(scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FAR)
+    gaps = jnp.where(scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FREE_GAP)
     in_lane = jnp.abs(where[1] - d) < scene.reach[:, 1] + ROOM
-    behind = jnp.where((ahead > 0) & in_lane & (where[2] > FOLLOWED), ahead, FAR)
+    behind = jnp.where((ahead > 0) & in_lane & (where[2] > SAME_WAY_COSINE), ahead, FREE_GAP)
     by_leader = idm_acceleration(speeds, desired, gaps, speeds[scene.leaders])
     return jnp.minimum(by_leader, idm_acceleration(speeds, desired, behind, speed))
 
@@ -125,8 +125,8 @@ def move_traffic(
     (ordered, surprise, limit), dt = orders, now.planning.time_step
     modelled = jnp.where(manners.follows, follow_all(now, where, along, speeds, robot), 0.0)
     modelled = jnp.where(manners.given, ordered, modelled)
-    acceleration = jnp.clip(jnp.minimum(modelled + surprise, limit), -HARDEST, HARDEST)
+    acceleration = jnp.clip(jnp.minimum(modelled + surprise, limit), -MAX_BRAKING, MAX_BRAKING)
     acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
-    rolls = along_paths(now.scene)[1] < -BACKWARDS  # may go on so; others stop at most
+    rolls = along_paths(now.scene)[1] < -REVERSING_SPEED  # may go on so; others stop at most
     acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
     return along + speeds * dt, speeds + acceleration * dt

@@ -12,7 +12,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Traffic
-from ms_highway.road.best_responses import UNIT, commuter_among
+from ms_highway.road.best_responses import ACCELERATION_UNIT, commuter_among
 from ms_highway.road.constants import TOM, RoadPlanning, RoadWeights
 from ms_highway.road.following import manners_of
 from ms_highway.road.proposals import PROPOSALS, LastPlan, Profiles, proposals
@@ -21,7 +21,7 @@ from ms_highway.road.simulation import DrivenPlans, simulate
 from ms_highway.road.traffic import Situation, situation_of
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, for_each
 
-ANSWERED = 4  # best proposals that others answer
+WITH_RESPONSES = 4  # best proposals that others answer
 
 
 class Judged(NamedTuple):
@@ -61,7 +61,7 @@ class Proposed(NamedTuple):
 
     Attributes:
         now: the situation.
-        few: the best of the proposals, `ANSWERED` of them.
+        few: the best of the proposals, `WITH_RESPONSES` of them.
         numbers: which ones these are.
         worth: upper bound on the gain from predicting each car better: what the best plan would earn more if that car
             cost nothing.
@@ -98,7 +98,7 @@ def propose_road(
     judged = Judged(plans, driven, score(now, driven, plans))
     total = judged.scores.total
     worth = (total[:, None] + judged.scores.answerable).max(axis=0) - total.max()
-    _, numbers = jax.lax.top_k(judged.scores.preference, ANSWERED)
+    _, numbers = jax.lax.top_k(judged.scores.preference, WITH_RESPONSES)
     few = jax.tree.map(lambda field: field[numbers], judged)
     return Proposed(now, few, numbers, worth, _best(now, few, few, numbers))
 
@@ -113,7 +113,7 @@ def answer_road(proposed: Proposed, models: Places) -> RoadPlan:
     now, few = proposed.now, proposed.few
     optimises = (models == TOM) & now.scene.moving
     responses = _best_responses(now, optimises, few.driven)
-    answering = manners_of(now, models, ANSWERED)._replace(given=optimises, accelerations=responses)
+    answering = manners_of(now, models, WITH_RESPONSES)._replace(given=optimises, accelerations=responses)
     driven = simulate(now, answering, few.plans)
     return _best(now, few, Judged(few.plans, driven, score(now, driven, few.plans)), proposed.numbers)
 
@@ -133,6 +133,6 @@ def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> Ea
 
     def one(car: Places, found: EachStep) -> EachStep:
         response = jax.vmap(lambda *all_others: commuter_among(scene, planning, car, *all_others).best_response())
-        return found.at[:, car].set(UNIT * response(driven.path, driven.world))
+        return found.at[:, car].set(ACCELERATION_UNIT * response(driven.path, driven.world))
 
-    return for_each(optimises, one, jnp.zeros((ANSWERED, len(optimises), planning.steps)))
+    return for_each(optimises, one, jnp.zeros((WITH_RESPONSES, len(optimises), planning.steps)))

@@ -10,27 +10,27 @@ from ms_highway.perception.scene import LANES, Lane, PlanFlags, Plans
 from ms_highway.road.traffic import Situation
 from ms_highway.runtime.arrays import Controls, Index, ManyControls, Vector
 
-STEADY = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration
-YIELDING = 0.5, 1.5, 3.0, 5.0, np.inf  # s, of profiles that let cars pass who come until then
-ROUND = 0.3, 0.6  # shares of the desired speed, in profiles that go round what cannot move
+CONSTANT_ACCELERATIONS = -5.0, -3.0, -1.5, 0.0, 1.5, 3.0  # m/s^2, of profiles of constant acceleration
+YIELD_TIMES = 0.5, 1.5, 3.0, 5.0, np.inf  # s, of profiles that let cars pass who come until then
+OBSTACLE_SPEEDS = 0.3, 0.6  # shares of the desired speed, in profiles that go round what cannot move
 IN_EACH_LANE = (  # share of the desired speed, acceleration, whether it follows, and closes up as late as is safe
     (1.0, 0.0, True, False),
     (1.0, 0.0, True, True),
-    *((1.0, acceleration, False, False) for acceleration in STEADY),
+    *((1.0, acceleration, False, False) for acceleration in CONSTANT_ACCELERATIONS),
 )
-ALL = (
+PROFILES = (
     *((lane, *profile, 0.0, 0) for lane in range(LANES) for profile in IN_EACH_LANE),
-    *((1, 1.0, 0.0, True, False, seconds, 0) for seconds in YIELDING),
-    *((1, share, 0.0, True, False, 0.0, side) for share in ROUND for side in (-1, 1)),
+    *((1, 1.0, 0.0, True, False, seconds, 0) for seconds in YIELD_TIMES),
+    *((1, share, 0.0, True, False, 0.0, side) for share in OBSTACLE_SPEEDS for side in (-1, 1)),
     (1, 1.0, 0.0, False, False, 0.0, 0),  # the rest of the last plan
 )
 """Profiles of all proposals: the fields of `Profiles` up to ``side``."""
 
-PROPOSALS = len(ALL)
+PROPOSALS = len(PROFILES)
 LAST_PLAN = PROPOSALS - 1
 """Number of the proposal that is the rest of the last plan."""
 
-FULL_BRAKING = tuple(number for number, profile in enumerate(ALL) if profile[2] == min(STEADY))
+FULL_BRAKING = tuple(number for number, profile in enumerate(PROFILES) if profile[2] == min(CONSTANT_ACCELERATIONS))
 """Numbers of those that brake hardest."""
 
 
@@ -86,6 +86,6 @@ def proposals(now: Situation, last: LastPlan) -> Profiles:
     s, d, _ = scene.route.project(x, y, jnp.zeros(()))
     nearest = jnp.where(jnp.isfinite(d), jnp.argmin(jnp.abs(interpolate(scene.lanes, s) - d)), 1)
     controls = jnp.broadcast_to(last.controls, (PROPOSALS, *last.controls.shape))
-    plans = Profiles._make([*map(jnp.asarray, zip(*ALL, strict=True)), given, controls])
+    plans = Profiles._make([*map(jnp.asarray, zip(*PROFILES, strict=True)), given, controls])
     lane = jnp.where(given, jnp.where(side == 0, nearest, 1), plans.lane)
     return plans._replace(lane=lane, side=jnp.where(given, side, plans.side))

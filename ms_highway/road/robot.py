@@ -15,7 +15,7 @@ from ms_highway.geometry.lane_paths import Point
 from ms_highway.perception.observation import observe_road
 from ms_highway.perception.scene import RoadScene
 from ms_highway.road.driver import RoadDriver, RoadStep
-from ms_highway.road.simulation import SLIP
+from ms_highway.road.simulation import MAX_SLIP_SINE
 from ms_highway.road.timed_goal import RobotGoal, TimedGoal, destination_for
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.road_view import at_constant_speed
@@ -26,10 +26,10 @@ PERIOD = 0.2
 GRIP = 5.0
 """Largest total acceleration, by default [m/s^2]."""
 
-MARGIN = 0.98
+GRIP_MARGIN = 0.98
 """Share of the grip that is used."""
 
-WIDEST = 1.1  # rad, slip angle at most
+MAX_SLIP = 1.1  # rad, slip angle at most
 ANY_TURN = 3.2  # rad, where a car hardly moves
 
 
@@ -42,7 +42,7 @@ def steering_of(curvature: float, length: float) -> float:
 
 
 def _slip(curvature: float, length: float) -> float:
-    return asin(min(max(curvature * length / 2, -SLIP), SLIP))
+    return asin(min(max(curvature * length / 2, -MAX_SLIP_SINE), MAX_SLIP_SINE))
 
 
 def keep_grip(
@@ -67,8 +67,8 @@ def keep_grip(
     most, turn, product = grip * dt, ANY_TURN, 2 * speed * abs(before)
     if product >= 1e-9:
         turn = float(np.arccos(np.clip((speed**2 + abs(before) ** 2 - most**2) / product, -1.0, 1.0)))
-    left, right = np.clip([phase(before) - turn, phase(before) + turn], -WIDEST, WIDEST)
-    sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * SLIP / length)
+    left, right = np.clip([phase(before) - turn, phase(before) + turn], -MAX_SLIP, MAX_SLIP)
+    sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * MAX_SLIP_SINE / length)
     curvature = min(max(curvature, 2 * sin(left) / length), 2 * sin(right) / length)
     curvature = min(max(curvature, -sharpest), sharpest)
     most_along = sqrt(max(grip**2 - (speed**2 * curvature) ** 2, 0.0))
@@ -161,7 +161,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         speed, now = self.speed, self._along_heading()
         before = now if self._before is None else self._before
         towards = before * rect(1.0, -self.heading)
-        curvature, along = keep_grip(self._wanted, speed, towards, self.LENGTH, dt, MARGIN * self.grip)
+        curvature, along = keep_grip(self._wanted, speed, towards, self.LENGTH, dt, GRIP_MARGIN * self.grip)
         self.applied = np.array([curvature, along])
         self.action = {"steering": steering_of(curvature, self.LENGTH), "acceleration": along}
         super().step(dt)

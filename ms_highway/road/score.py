@@ -8,12 +8,12 @@ from jax import numpy as jnp
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Pose, interpolate, rotated
 from ms_highway.perception.scene import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans, World
-from ms_highway.planning.car_following import FAR, highest, lowest
+from ms_highway.planning.car_following import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.simulation import DrivenPlans, aim, earlier
 from ms_highway.road.terminal_value import terminal_value
-from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING, Situation, lane_of
+from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING_SPEED, Situation, lane_of
 from ms_highway.runtime.arrays import Numbers
 
 
@@ -122,7 +122,7 @@ def _collisions(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachC
     followed = steps < _first(jnp.abs(driven.d - d) >= scene.size[1])
     stays = jnp.equal(lanes, 1)[:, None, None] | (steps < _first(jnp.abs(d - scene.robot[1]) >= weights.begun))
     counts = scene.present[:, None] & ~(behind & followed & (driven.cosine > CROSSING) & stays)
-    clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FAR)
+    clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FREE_GAP)
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
     onward, sideways = rotated(speeds * jnp.cos(others[2]), speeds * jnp.sin(others[2]), own[2])
     relative = jnp.sqrt(jnp.maximum((speed - onward) ** 2 + sideways**2, 1e-4))
@@ -162,7 +162,7 @@ def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
     """
     weights, times = now.weights, now.planning.times
     early = jnp.minimum(weights.early * driven.speeds + 0.5, weights.unsure * times**2 / 2)
-    early = jnp.where((driven.cosine < SAME_WAY) & (driven.speeds > STANDING), early, 0.0)
+    early = jnp.where((driven.cosine < SAME_WAY) & (driven.speeds > STANDING_SPEED), early, 0.0)
     lengths, widths = now.scene.sizes.T[..., None]
     return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
 

@@ -11,10 +11,10 @@ from ms_highway.choice.budget import Budget
 from ms_highway.choice.rule import Rule, always
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import human_model
+from ms_highway.planning.ladders import human_model
 from ms_highway.road.constants import MODELS, RoadPlanning
 from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
-from ms_highway.road.robot import MARGIN
+from ms_highway.road.robot import GRIP_MARGIN
 from ms_highway.road.rules import Bounds, Priced
 from ms_highway.runtime import retired
 
@@ -117,7 +117,7 @@ class RoadSettings(Struct, frozen=True):
         Args:
             desired_speed: that the scene rewards, where no other is configured [m/s].
         """
-        return RoadPlanning(self.desired_speed or desired_speed, MARGIN * self.acceleration, self.curvature)
+        return RoadPlanning(self.desired_speed or desired_speed, GRIP_MARGIN * self.acceleration, self.curvature)
 
     def build(self, planning: RoadPlanning) -> RoadDriver:
         """Return a driver with these limits and wishes."""

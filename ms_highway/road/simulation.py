@@ -7,7 +7,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Curve, Pose, interpolate
 from ms_highway.perception.scene import EachStep, RoadScene, States, Steps, Traffic, World
-from ms_highway.planning.car_following import FAR, idm_acceleration, lowest
+from ms_highway.planning.car_following import FREE_GAP, idm_acceleration, lowest
 from ms_highway.road.constants import RoadPlanning
 from ms_highway.road.following import Manners, along_paths, aside, move_traffic
 from ms_highway.road.proposals import Profiles
@@ -15,22 +15,23 @@ from ms_highway.road.traffic import ROOM, WAITING, Situation
 from ms_highway.runtime.arrays import Car, Control, Flag, ManyControls, Numbers, Scalar
 
 LIMITED_SPEED = 1.0  # m/s, below which curvature is limited as at this speed
-SLIP = 0.9  # sine of the slip angle at most
+MAX_SLIP_SINE = 0.9  # sine of the slip angle at most
 BRAKING_FIRST = 0.6  # share of the grip that the braking of plans may take before their steering
-FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
-SIDEWAYS = 3.0  # m/s^2, of lateral acceleration for it at most
+STEERING_FREQUENCY = 1.6  # rad/s, of the critically damped way to the centre of a lane
+MAX_LATERAL_ACCELERATION = 3.0  # m/s^2, of lateral acceleration for it at most
 STEERING_SPEED = 3.0  # m/s, below which steering is not sharper than at this speed
 PREVIEW = 0.4  # s, ahead of which the speed in bends is looked up
 
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
-HASTE = 3.0  # m/s^2, to the desired speed
-EAGERNESS = 2.0  # times the acceleration of the model of following that the robot takes
+MAX_ACCELERATION = 3.0  # m/s^2, to the desired speed
+FOLLOWING_GAIN = 2.0  # times the acceleration of the model of following that the robot takes
 HEADWAY, STANDSTILL = 0.7, 2.0  # s and m, between bumpers, of the robot
 CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
-CREEPING = 3.0  # m/s, at which crossing cars come that stand
+CREEP_SPEED = 3.0  # m/s, at which crossing cars come that stand
 
-TURNING = 4.0  # m, before what cannot move, that leave room to turn round it
-CLEAR, OVERTAKING = 0.5, 3.0  # m around others and s before it passes them, in which a plan changes no lane
+TURNING_MARGIN = 4.0  # m, before what cannot move, that leave room to turn round it
+LANE_CHANGE_GAP = 0.5  # m around others, within which a plan changes no lane
+LANE_CHANGE_TIME = 3.0  # s before passing them, within which it does not, either
 
 
 class DrivenPlans(NamedTuple):
@@ -103,7 +104,7 @@ def aim(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
     """Return the angles from the headings of others to their paths: centres that turn move aside of where cars head."""
     bends = jnp.where(scene.moving[:, None], jax.vmap(Curve.bend, (0, -2), -2)(scene.paths, along), 0.0)
-    return jnp.arcsin(jnp.clip(bends * scene.sizes[:, :1] / 2, -SLIP, SLIP))
+    return jnp.arcsin(jnp.clip(bends * scene.sizes[:, :1] / 2, -MAX_SLIP_SINE, MAX_SLIP_SINE))
 
 
 def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Pose, speeds: Traffic) -> Control:
@@ -117,13 +118,16 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
 
     # towards its aim
     turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
-    back = -(FREQUENCY**2) * (d - goal) - 2 * FREQUENCY * speed * jnp.sin(heading)
+    back = -(STEERING_FREQUENCY**2) * (d - goal) - 2 * STEERING_FREQUENCY * speed * jnp.sin(heading)
     squared = jnp.maximum(speed, STEERING_SPEED) ** 2
-    curvature = turn / jnp.maximum(1 - d * turn, 0.2) + jnp.clip(back, -SIDEWAYS, SIDEWAYS) / squared
+    curvature = (
+        turn / jnp.maximum(1 - d * turn, 0.2)
+        + jnp.clip(back, -MAX_LATERAL_ACCELERATION, MAX_LATERAL_ACCELERATION) / squared
+    )
 
     # slow enough for bends, and to wait for those who cross until they have passed; past its line, it goes
     lengths = scene.sizes[:, 0]
-    arrival = jnp.maximum(crossings.begin - lengths / 2, 0.0) / jnp.maximum(scene.states[:, 3], CREEPING)
+    arrival = jnp.maximum(crossings.begin - lengths / 2, 0.0) / jnp.maximum(scene.states[:, 3], CREEP_SPEED)
     awaited = scene.moving & (arrival < plan.yields) & (along < crossings.last + lengths / 2 + 1.0)
     left = crossings.line - front
     left = lowest(left, awaited & (left > -WAITING)) - PREVIEW * speed
@@ -133,14 +137,14 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     # behind whoever is ahead, here or in the lane that the robot goes to
     beside = (where[1] > jnp.minimum(d, target) - apart) & (where[1] < jnp.maximum(d, target) + apart)
     beside = beside & (scene.moving | (plan.side == 0))
-    room = scene.reach[:, 0] + TURNING * (~scene.moving & (plan.lane == 1))
-    gap = jnp.where((ahead > 0) & beside & scene.present, ahead - room, FAR)
+    room = scene.reach[:, 0] + TURNING_MARGIN * (~scene.moving & (plan.lane == 1))
+    gap = jnp.where((ahead > 0) & beside & scene.present, ahead - room, FREE_GAP)
     safe = onward + jnp.sqrt(2 * CLOSE_BRAKING * jnp.maximum(gap - CLOSE_GAP - CLOSE_REACTION * speed, 0.0))
-    kept = EAGERNESS * idm_acceleration(speed, FAR, gap, onward, HEADWAY, STANDSTILL).min()
+    kept = FOLLOWING_GAIN * idm_acceleration(speed, FREE_GAP, gap, onward, HEADWAY, STANDSTILL).min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
 
     free = COMFORT_GAIN * (jnp.minimum(cap, plan.share * planning.desired_speed) - speed)
-    free = jnp.minimum(jnp.clip(free, -HASTE, HASTE), kept)
+    free = jnp.minimum(jnp.clip(free, -MAX_ACCELERATION, MAX_ACCELERATION), kept)
     acceleration = jnp.where(plan.follows, free, plan.rate)
     return jnp.stack([curvature, jnp.minimum(acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip))])
 
@@ -154,9 +158,9 @@ def _waits(now: Situation, plan: Profiles, car: Car, lane: Scalar, where: Pose, 
     scene, (s, d, _, speed) = now.scene, car
     ahead, apart = where[0] - s - scene.size[0] / 2, scene.reach[:, 1] + ROOM
     overtakes = ~plan.follows & (ahead > 0)
-    passing = jnp.where(overtakes, OVERTAKING * jnp.maximum(speed - onward, 0.0), 0.0)
+    passing = jnp.where(overtakes, LANE_CHANGE_TIME * jnp.maximum(speed - onward, 0.0), 0.0)
     inside = (jnp.abs(where[1] - lane) < apart) & (jnp.abs(d - lane) > apart) & scene.present
-    beside = inside & (jnp.abs(ahead) < scene.reach[:, 0] + CLEAR + passing)
+    beside = inside & (jnp.abs(ahead) < scene.reach[:, 0] + LANE_CHANGE_GAP + passing)
     return beside.any() & (now.crossings.come & (where[0] > s)).any()
 
 

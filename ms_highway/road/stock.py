@@ -8,12 +8,12 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.planning.car_following import BRAKING, COMFORTABLE, STANDSTILL
+from ms_highway.planning.car_following import COMFORTABLE_BRAKING, MAX_ACCELERATION, STANDSTILL
 from ms_highway.road.timed_goal import RobotGoal
 
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
 USUAL_SPEED = 30.0  # m/s
-MERGED = 370.0  # m, where merge-v0 ends
+MERGE_END = 370.0  # m, where merge-v0 ends
 
 
 class GoalEnv:
@@ -82,7 +82,7 @@ def success(env: Any) -> bool | None:
     elif isinstance(env, RoundaboutEnv):
         there = road in (("nx", "nxs"), ("nxs", "nxr"))
     elif isinstance(env, MergeEnv):
-        there = env.vehicle.position[0] > getattr(env, "end_position", MERGED)
+        there = env.vehicle.position[0] > getattr(env, "end_position", MERGE_END)
     else:
         return None
     return bool(there) and not any(vehicle.crashed for vehicle in vehicles)
@@ -142,4 +142,4 @@ def restore_traffic() -> None:
     """Undo that: give highway-env's drivers their own values back, unless somebody else has set others."""
     if OVERWRITTEN.items() <= vars(IDMVehicle).items():
         IDMVehicle.DISTANCE_WANTED = STANDSTILL
-        IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = COMFORTABLE, -BRAKING
+        IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = MAX_ACCELERATION, -COMFORTABLE_BRAKING

@@ -8,13 +8,13 @@ from jax.scipy.ndimage import map_coordinates
 
 from ms_highway.geometry.curve import interpolate
 from ms_highway.perception.scene import EachCar, EachFlag, Lane, Plans, Values
-from ms_highway.planning.car_following import FAR
+from ms_highway.planning.car_following import FREE_GAP
 from ms_highway.road.constants import LANE
 from ms_highway.road.simulation import DrivenPlans
-from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING, Situation, lane_of
+from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING_SPEED, Situation, lane_of
 from ms_highway.runtime.arrays import Scalar
 
-AROUND = 2  # lanes to each side of the robot's in the table of values
+LANES_BESIDE = 2  # lanes to each side of the robot's in the table of values
 PLACES, SPEEDS = 144, 13  # in the table
 SLOWER, FASTER = 2, 1  # steps of speed in a second at most
 
@@ -77,7 +77,7 @@ def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
     low, high = jnp.minimum(goal[:, None], d) - apart - beside, jnp.maximum(goal[:, None], d) + apart + beside
     front = (end.s > middle) & (end.d > low) & (end.d < high) & scene.present
     onward = end.speeds * end.cosine
-    counts = front & ((end.cosine > CROSSING) | (end.speeds < STANDING)) & (onward < speed)
+    counts = front & ((end.cosine > CROSSING) | (end.speeds < STANDING_SPEED)) & (onward < speed)
     closing = jnp.maximum(speed - onward, 0.0)
     braking = planning.stopping * planning.grip - weights.lead_braking
     needed = weights.room + weights.reaction * speed + closing**2 / (2 * braking)
@@ -94,11 +94,11 @@ def speed_lost(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans,
     scene, weights, fastest = now.scene, now.weights, jnp.asarray(now.planning.desired_speed, float)
     s, speed, step = driven.states[:, -1, 0] + scene.size[0] / 2, driven.states[:, -1, 3], fastest / (SPEEDS - 1)
     place, pace = jnp.clip(s / step, 0.0, PLACES - 1.01), jnp.clip(speed / step, 0.0, SPEEDS - 1.01)
-    lost = -map_coordinates(_values(now, driven, step), [lanes + AROUND - 1, place, pace], order=1)
+    lost = -map_coordinates(_values(now, driven, step), [lanes + LANES_BESIDE - 1, place, pace], order=1)
     there, onward, inside = _others_after(now, driven, lane_of(scene.lanes, lanes, s)[:, None])
     gap = there - s[:, None]
     closable = jnp.maximum(gap - scene.reach[:, 0] - weights.close_up_gap, 0.0)
-    allowed = jnp.where(inside[:, 0] & (gap > 0), onward + closable / weights.close_up_seconds, FAR)
+    allowed = jnp.where(inside[:, 0] & (gap > 0), onward + closable / weights.close_up_seconds, FREE_GAP)
     first = (allowed == allowed.min(axis=-1, keepdims=True)) & (allowed < fastest)
     return lost * step / weights.horizon, first
 
@@ -106,7 +106,7 @@ def speed_lost(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans,
 def _others_after(now: Situation, driven: DrivenPlans, centres: Plans) -> tuple[EachCar, EachCar, EachFlag]:
     """Return where others are after each plan [m], how fast they go along the route [m/s], and in which lanes."""
     end = driven.end
-    along = ((jnp.abs(end.cosine) > CROSSING) | (end.speeds < STANDING)) & now.scene.present
+    along = ((jnp.abs(end.cosine) > CROSSING) | (end.speeds < STANDING_SPEED)) & now.scene.present
     inside = jnp.abs(end.d[:, None] - centres[..., None]) < LANE / 2 + 0.5
     return end.s, end.speeds * end.cosine, inside & along[:, None]
 
@@ -118,18 +118,18 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     """
     scene, weights, fastest = now.scene, now.weights, now.planning.desired_speed
     places, speeds = step * jnp.arange(PLACES), step * jnp.arange(SPEEDS)
-    centres = LANE * jnp.arange(-AROUND, AROUND + 1.0)
+    centres = LANE * jnp.arange(-LANES_BESIDE, LANES_BESIDE + 1.0)
     left, right = interpolate(scene.edges, places)
     there = (centres[:, None] > left + LANE / 4) & (centres[:, None] < right - LANE / 4)
-    there = there.at[AROUND].set(True)
+    there = there.at[LANES_BESIDE].set(True)
     traffic = _others_after(now, driven, jnp.tile(centres, (len(driven.s), 1)))
     s, onward, inside = (jnp.median(field, axis=0) for field in traffic)
     reach, seconds = scene.reach[:, 0], jnp.arange(weights.horizon + 1)
     ahead = (s + onward * seconds[:, None])[:, None, None] - places[:, None]  # [seconds, 1, places, traffic]
     room_behind = jnp.minimum(weights.room_behind, weights.headway_behind * fastest)
-    ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - room_behind), ahead - reach, FAR)
+    ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - room_behind), ahead - reach, FREE_GAP)
     free = ahead.min(axis=-1, keepdims=True)
-    onward = jnp.where(ahead == free, onward, FAR).min(axis=-1, keepdims=True)  # of whoever is next
+    onward = jnp.where(ahead == free, onward, FREE_GAP).min(axis=-1, keepdims=True)  # of whoever is next
     closing = jnp.maximum(speeds - jnp.maximum(onward, 0.0), 0.0)
     coming = weights.away * jnp.maximum(-onward, 0.0)
     needed = weights.room_ahead + weights.reaction * speeds + coming + closing**2 / (2 * weights.comfort_braking)
@@ -142,7 +142,7 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
         value = jnp.stack([value[:, speed : speed + PLACES, speed] for speed in range(SPEEDS)], axis=-1)
         value = jnp.pad(value, ((0, 0), (0, 0), (SLOWER, FASTER)), constant_values=-jnp.inf)
         value = reduce(jnp.maximum, (value[..., change : change + SPEEDS] for change in range(SLOWER + FASTER + 1)))
-        aside = jnp.pad(value - after[0] - weights.lane_change, ((1, 1), (0, 0), (0, 0)), constant_values=-FAR)
+        aside = jnp.pad(value - after[0] - weights.lane_change, ((1, 1), (0, 0), (0, 0)), constant_values=-FREE_GAP)
         return jnp.maximum(value, jnp.maximum(aside[:-2], aside[2:])), None
 
     return jax.lax.scan(back, jnp.zeros(hindered.shape[1:]), (hindered[:-1], hindered[1:]), reverse=True)[0]

@@ -9,19 +9,19 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.lane_paths import Point
-from ms_highway.geometry.road_map import MOST_ROADS, Spot, road_map
+from ms_highway.geometry.road_map import MAX_ROADS, Spot, road_map
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.driver import RoadDriver
 
-SPARE = 2.0  # s, from the ends of the time to be there, at most
+TIME_MARGIN = 2.0  # s, from the ends of the time to be there, at most
 LOOK_AHEAD = 1.0  # s, after which the speed on the way there is desired
-HASTE = 3.0  # m/s, by which it is more than the present one at most
-WITHIN = 0.5  # m/s, inside the interval of speeds
-GOAL = 20.0  # weight of being in the lane in time: more than that others there are slow
-SLOWEST = 0.1  # m/s, that is desired
+MAX_SPEED_GAIN = 3.0  # m/s, by which it is more than the present one at most
+SPEED_MARGIN = 0.5  # m/s, inside the interval of speeds
+GOAL_WEIGHT = 20.0  # weight of being in the lane in time: more than that others there are slow
+MIN_SPEED = 0.1  # m/s, that is desired
 SOON = 0.1  # s
-CLOSE, CLOSEST = 1.0, 2.0  # s and m, gap below which a follower counts as close
-GENTLE, BEFORE = 1.5, 1.0  # m/s^2 and m, of braking before the spot
+CLOSE_TIME, CLOSE_GAP = 1.0, 2.0  # s and m, gap below which a follower counts as close
+GENTLE_BRAKING, STOP_MARGIN = 1.5, 1.0  # m/s^2 and m, of braking before the spot
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class TimedGoal:
         """Return how far the spot is ahead of a vehicle along its lanes [m]; negative behind it."""
         roads = road_map(vehicle.road.network)
         own, passed = roads.lanes[vehicle.lane_index], 0.0
-        for lane in islice(roads.goal(self.spot).onward(own), MOST_ROADS):
+        for lane in islice(roads.goal(self.spot).onward(own), MAX_ROADS):
             if lane.index[:2] == self.spot.lane[:2]:
                 passed += float(lane.shape.local_coordinates(self.position)[0])
                 break
@@ -66,18 +66,20 @@ class TimedGoal:
         """
         left, speed = self.distance(vehicle), float(vehicle.speed)
         if left <= 0 and now > self.times[0]:
-            return max(speed, SLOWEST)
-        within = min(WITHIN, (self.speeds[1] - self.speeds[0]) / 2)
+            return max(speed, MIN_SPEED)
+        within = min(SPEED_MARGIN, (self.speeds[1] - self.speeds[0]) / 2)
         ends = self.speeds[1] - within, self.speeds[0] + (within if self.speeds[0] > 0 else 0.0)
-        soonest, latest = (2 * max(left, 0.0) / max(speed + end, SLOWEST) for end in ends)
+        soonest, latest = (2 * max(left, 0.0) / max(speed + end, MIN_SPEED) for end in ends)
         first, last = (max(time - now, SOON) for time in self.times)
         if max(first, soonest) <= min(last, latest):  # some time allows an allowed speed
             first, last = max(first, soonest), min(last, latest)
-        spare = min((last - first) / 2, SPARE)
-        time = min(max(left / max(speed, SLOWEST), first + spare), last - spare)
+        spare = min((last - first) / 2, TIME_MARGIN)
+        time = min(max(left / max(speed, MIN_SPEED), first + spare), last - spare)
         acceleration = 2 * (left - speed * time) / time**2
-        wanted = speed + min(acceleration * min(LOOK_AHEAD, time), HASTE)
-        return max(wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE * max(left - BEFORE, 0.0))), SLOWEST)
+        wanted = speed + min(acceleration * min(LOOK_AHEAD, time), MAX_SPEED_GAIN)
+        return max(
+            wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE_BRAKING * max(left - STOP_MARGIN, 0.0))), MIN_SPEED
+        )
 
     def guide(self, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
         """Let the next plan of a vehicle's driver be there in time; what follows that counts for nothing.
@@ -91,7 +93,7 @@ class TimedGoal:
         rest = (self.times[1] - now - planning.steps * float(planning.time_step)) / weights.horizon
         terminal = float(weights.terminal) * min(max(rest, 0.0), 1.0)
         driver.planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
-        driver.weights = replace(weights, goal=GOAL, terminal=terminal)
+        driver.weights = replace(weights, goal=GOAL_WEIGHT, terminal=terminal)
 
 
 RobotGoal: TypeAlias = str | TimedGoal | None
@@ -109,4 +111,4 @@ def _follower_speed(vehicle: Vehicle) -> float:
     if rear is None:
         return 0.0
     gap = float(np.linalg.norm(rear.position - vehicle.position)) - (rear.LENGTH + vehicle.LENGTH) / 2
-    return float(rear.speed) if gap < CLOSE * rear.speed + CLOSEST else 0.0
+    return float(rear.speed) if gap < CLOSE_TIME * rear.speed + CLOSE_GAP else 0.0

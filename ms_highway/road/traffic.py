@@ -8,11 +8,11 @@ from jax import numpy as jnp
 from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
 from ms_highway.perception.scene import Flags, Lane, RoadScene, Steps, Traffic
-from ms_highway.planning.car_following import FAR, highest, lowest
+from ms_highway.planning.car_following import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 
-STANDING = 1.0
+STANDING_SPEED = 1.0
 """Speed up to which a car stands [m/s]."""
 
 ROOM, WAITING = 0.4, 0.8
@@ -22,10 +22,10 @@ SHARING, SAME_WAY, CROSSING = 0.85, 0.8, 0.5
 """Cosines of the angle between a car's path and the robot's route, from which it shares the lane, goes the same way
 and does not cross its way."""
 
-PASSED = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
+PASSED_MARGIN = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
 BEND_BRAKING = 2.5  # m/s^2, before bends
-SIGHT = 30.0  # m ahead, in which obstacles are gone round
-KNOTS_IN_SIGHT = int((BEHIND + SIGHT + 10.0) / SPACING)  # of the route, 10 m more: on a loop, not the next lap
+OBSTACLE_SIGHT = 30.0  # m ahead, in which obstacles are gone round
+KNOTS_IN_SIGHT = int((BEHIND + OBSTACLE_SIGHT + 10.0) / SPACING)  # of the route, 10 m more: on a loop, not the next lap
 STRIDE = 0.5  # m, between places on ways that may cross: knots move with cars, and lines would jump with knots
 
 
@@ -70,7 +70,7 @@ class Crossings(NamedTuple):
     @property
     def exist(self) -> Flags:
         """Which of the paths cross the route at all."""
-        return self.begin < FAR
+        return self.begin < FREE_GAP
 
 
 class Obstruction(NamedTuple):
@@ -147,10 +147,10 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     joins = along & (s < scene.robot[0]) & (places >= 0)
     shares = along[:, now] | joins.any(axis=-1)
     come = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0]) & scene.moving
-    aslant = (s > scene.robot[0] - PASSED) & (cosine < SHARING) & ~shares[:, None]
+    aslant = (s > scene.robot[0] - PASSED_MARGIN) & (cosine < SHARING) & ~shares[:, None]
     across = inside & aslant
     line = lowest(s[:, 1:], across[:, 1:] & across[:, :-1]) - scene.sizes[:, 1] / 2 - WAITING
-    aside = jnp.where(aslant & ~come[:, None], jnp.sign(d) * apart, FAR)
+    aside = jnp.where(aslant & ~come[:, None], jnp.sign(d) * apart, FREE_GAP)
     return Crossings(places, s, aside, come, line, lowest(places, across), highest(places, across))
 
 
@@ -183,7 +183,7 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     first, last, left, right = (bound(each, axis=(1, 2)) for each in (s, d) for bound in (jnp.min, jnp.max))
     needed = scene.size[1] + 2 * weights.comfortable
     own = interpolate(scene.lanes[1], first)
-    near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + SIGHT)
+    near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + OBSTACLE_SIGHT)
     found = near & (left < own + needed / 2) & (right > own - needed / 2)
 
     sides = jnp.stack([lowest(left, found) - needed / 2, highest(right, found) + needed / 2])

@@ -8,13 +8,13 @@ import jax
 import msgspec
 import numpy as np
 
-MOST = 1e300
+MAX_NUMBER = 1e300
 
-Finite = Annotated[float, msgspec.Meta(gt=-MOST, lt=MOST)]
+Finite = Annotated[float, msgspec.Meta(gt=-MAX_NUMBER, lt=MAX_NUMBER)]
 """A number that is neither infinite nor NaN."""
 
-NotNegative = Annotated[float, msgspec.Meta(ge=0, lt=MOST)]
-Positive = Annotated[float, msgspec.Meta(gt=0, lt=MOST)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0, lt=MAX_NUMBER)]
+Positive = Annotated[float, msgspec.Meta(gt=0, lt=MAX_NUMBER)]
 
 
 class Structure(msgspec.Struct, **{"frozen": True, "forbid_unknown_fields": True}):

@@ -26,12 +26,12 @@ BENDS_SEEN = 60.0  # m ahead
 STRAIGHT = 1e-6  # 1/m, the curvature of a straight road
 CORNERING = 6.0  # m/s^2, lateral, in bends ahead: less than tyres hold, so that braking leaves room for steering
 SLOWING = 3.0  # m/s^2, deceleration before them
-SLOWEST = 3.0  # m/s, in any bend
+MIN_SPEED = 3.0  # m/s, in any bend
 
 HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
-BESIDE = 0.3  # m between sides, below which others are in the way
-WATCHED = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s from now, at which others may be in the way
-FREE = 1e3  # m/s, so high that no desired speed limits the acceleration
+LANES_BESIDE = 0.3  # m between sides, below which others are in the way
+WATCHED_TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s from now, at which others may be in the way
+FREE_GAP = 1e3  # m/s, so high that no desired speed limits the acceleration
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class RoadView:
 
     Attributes:
         seen: what a robot would see in the driver's place.
-        others: states of others on all their ways at the times `WATCHED` from now, at constant speed [traffic, times,
-            4]; what has crashed stays where it is.
+        others: states of others on all their ways at `WATCHED_TIMES` from now, at constant speed
+            [traffic, times, 4]; what has crashed stays where it is.
         scene: the lanes left of the driver's, its own, and right of it; those that are closed repeat its own. Where a
             lane ends, its centre moves to that of the target lane, so that its followers merge.
         states: of the driver and its neighbours; obstacles count as cars that stand.
@@ -57,18 +57,18 @@ class RoadView:
     def clear_acceleration(self, times: int) -> float:
         """Return the highest acceleration that keeps clear of others by the Intelligent Driver Model, or infinity.
 
-        A vehicle that is in the driver's path, or will be at one of the first ``times`` of `WATCHED` and before the
-        driver, counts as the car ahead.
+        A vehicle that is in the driver's path, or will be at one of the first ``times`` of `WATCHED_TIMES` and before
+        the driver, counts as the car ahead.
         """
         seen, (own, aside, _, speed) = self.seen, self.states[0]
-        (s, d, turned, speeds), watched = np.moveaxis(self.others[:, :times], -1, 0), WATCHED[:times]
+        (s, d, turned, speeds), watched = np.moveaxis(self.others[:, :times], -1, 0), WATCHED_TIMES[:times]
         across = np.abs(np.sin(turned))
         length, width = ((seen.sizes + seen.size) / 2).T[..., None]
-        in_way = np.abs(d - np.where(watched > 0.0, 0.0, aside)) < width + BESIDE + across * (length - width)
+        in_way = np.abs(d - np.where(watched > 0.0, 0.0, aside)) < width + LANES_BESIDE + across * (length - width)
         gap = s - own - length + across * (length - width)
         first = gap > max(speed, 1.0) * watched - length
         along = np.maximum(speeds * np.cos(turned), 0.0)
-        bound = idm_acceleration(speed, FREE, gap - along * watched, along, HEADWAY, STANDSTILL)
+        bound = idm_acceleration(speed, FREE_GAP, gap - along * watched, along, HEADWAY, STANDSTILL)
         return float(bound.min(initial=np.inf, where=in_way & (s > own) & first & seen.present[:, None]))
 
 
@@ -77,16 +77,11 @@ def states_of(cars: Iterable[RoadObject]) -> State:
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
-def straightened(route: Curve, states: State) -> State:
-    """Transform states of cars from highway-env's coordinates to those of a route."""
-    x, y, heading, speed = states.T
-    return np.stack([*route.project(x, y, heading), speed], axis=-1)
-
-
 def look(driver: Vehicle) -> RoadView:
     """View the road from a driver now, whose size is assumed for all; it follows its ``route``, if it has one."""
     seen = observe_road(driver)
-    (own,), others = straightened(seen.route, states_of([driver])), _others(seen)
+    x, y, heading, speed = states_of([driver])[0]
+    own, others = np.array([*seen.route.project(x, y, heading), speed]), _others(seen)
     lanes, wanted, (first, last) = interpolate(seen.lanes, own[0]), 1 + int(np.sign(seen.changes[1])), TAPER
     lanes[1] += (lanes[wanted] - lanes[1]) * np.clip((first - seen.room) / (first - last), 0.0, 1.0)
     lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
@@ -113,9 +108,9 @@ def look(driver: Vehicle) -> RoadView:
 
 
 def _others(seen: RoadScene) -> State:
-    """Return states of others at the times `WATCHED` in the coordinates of the route [traffic, times, 4]."""
+    """Return states of others at the times `WATCHED_TIMES` in the coordinates of the route [traffic, times, 4]."""
     along, aside, turned, speed = (values[:, None] for values in seen.states.T)
-    times = np.where(seen.moving[:, None], WATCHED, 0.0)
+    times = np.where(seen.moving[:, None], WATCHED_TIMES, 0.0)
     x, y, heading = seen.paths.place(along + speed * times, aside + 0.0 * times)
     straight = seen.route.project(x, y, heading + np.where(times > 0.0, 0.0, turned))
     return np.stack([*straight, speed + 0.0 * times], axis=-1)
@@ -137,4 +132,4 @@ def _limit_before_bends(route: Curve, place: float) -> float:
     """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead of a place [m]."""
     ahead = np.arange(0.0, BENDS_SEEN)
     bends = np.maximum(np.abs(route.bend(place + ahead)), STRAIGHT)
-    return float(np.sqrt(np.maximum(CORNERING / bends, SLOWEST**2) + 2 * SLOWING * ahead).min())
+    return float(np.sqrt(np.maximum(CORNERING / bends, MIN_SPEED**2) + 2 * SLOWING * ahead).min())

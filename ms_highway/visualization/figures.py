@@ -12,13 +12,13 @@ from ms_highway.envs.viewer import model_color
 from ms_highway.experiments.records import common_seeds, models_of, one_episode
 from ms_highway.experiments.summary import choosing_controllers, most_informative_pair
 from ms_highway.game.scenario import title
-from ms_highway.planning.human_models import cheapest_first
+from ms_highway.planning.ladders import cheapest_first
 from ms_highway.visualization.style import color_of, controller_colors, styled
 from ms_highway.visualization.tradeoff import curve, episode_count, whiskers
 
-FEWEST_LAMBDAS = 3  # that make a curve
-MOST_CONTROLLERS = 8  # in bars and timelines, the first ones
-MOST_DECIDING = 2  # controllers whose decisions are drawn beside each other
+MIN_LAMBDAS = 3  # that make a curve
+MAX_CONTROLLERS = 8  # in bars and timelines, the first ones
+MAX_DECIDING = 2  # controllers whose decisions are drawn beside each other
 SMALL_GAIN = 0.01
 
 CAPTIONS = {
@@ -51,13 +51,13 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
         scenario: its name.
     """
     rows = summaries.query("scenario == @scenario")
-    main = rows["controller"][:MOST_CONTROLLERS]
-    if rows.groupby("kind")["price"].nunique().max() >= FEWEST_LAMBDAS:
+    main = rows["controller"][:MAX_CONTROLLERS]
+    if rows.groupby("kind")["price"].nunique().max() >= MIN_LAMBDAS:
         found: dict[str, Callable[[], Figure]] = {"curve": partial(curve, summaries, scenario)}
     else:
         found = {"bars": partial(bars, rows[rows["controller"].isin(main)], scenario)}
     found["timeline"] = partial(timeline, records[records["controller"].isin(main)], scenario)
-    deciding = choosing_controllers(summaries, scenario)[:MOST_DECIDING]
+    deciding = choosing_controllers(summaries, scenario)[:MAX_DECIDING]
     beside = [name for name in most_informative_pair(summaries, scenario) if name not in deciding][:1]
     seeds = common_seeds(records, scenario, [*deciding, *beside])
     if deciding and seeds:

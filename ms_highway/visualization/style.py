@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.envs.viewer import model_color
-from ms_highway.planning.human_models import is_model
+from ms_highway.planning.ladders import is_model
 
 SHADES = {
     "switching": ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"],

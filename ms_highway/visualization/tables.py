@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from ms_highway.envs.registry import priced_types
 from ms_highway.experiments.records import models_of
 from ms_highway.experiments.summary import CONFIDENCE
-from ms_highway.planning.human_models import PAPER_MODELS, cheapest_first
+from ms_highway.planning.ladders import PAPER_MODELS, cheapest_first
 from ms_highway.road.constants import MODELS
 
 NAME_WIDTH = 32  # characters, to which longer names are shortened in print

@@ -1,7 +1,8 @@
 """Put humans on a stock highway-env road: they plan for their own reward and drive by themselves.
 
 They keep within what tyres hold, 8 m/s^2 in all, never reverse, and slow down for bends. They know no right of way and
-hardly change lanes: roundabouts among cars that brake for nobody are not for them (`ms_highway.HumanVehicle`). Run::
+hardly change lanes: roundabouts among cars that brake for nobody are not for them (see `ms_highway.HumanVehicle`).
+Run::
 
     python notebooks/examples/humans_in_highway.py
 """

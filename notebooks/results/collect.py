@@ -41,7 +41,6 @@ PHYSICAL = {  # in the project's README
 REWARD, COLLISIONS = "reward per step (90 % interval)", "episodes with a collision"
 SHOWN_COLUMNS = [REWARD, "plan ms", COLLISIONS]
 WORTH = {scenario: ["naive", "tom", "tom@6+warm", "learned:10"] for scenario in ("merger", "give_way")}
-CROWD = {"dense_merge": ["naive", "tom", "nearest:2", "learned:1", "budget:20"]}
 LIMITED = {"stay_back": ["turn"], "merger": ["tom"], "give_way": ["tom", "switching:0.01"]}
 
 OUTCOMES = "{success:.0%}, {collisions} ({at_fault}) of {episodes}, "
@@ -102,7 +101,6 @@ def tables() -> dict[str, str]:
         "physical": rows_of(physical, PHYSICAL, SHOWN_COLUMNS),
         "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
         "worth": rows_of(overview(worth=""), WORTH, [REWARD, "reward less T", "plan ms"]),
-        "crowd": rows_of(overview(crowd=""), CROWD, [REWARD, COLLISIONS, "plan ms", "humans under tom"]),
         "limits": rows_of(limits, LIMITED, [name for name in limits if "collision" in name]),
         "regrets": regret_cells(kept_table("regrets", "frontier")),
         "road": outcomes(kept_roads(), OUTCOMES + "{reward_per_step:.3f}", ROAD_DRIVERS),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ms_highway.choice.belief import KEEPS, LEAST, updated_belief
+from ms_highway.choice.belief import MIN_PROBABILITY, STAY_PROBABILITY, updated_belief
 
 CERTAIN = np.eye(4)[0]
 PREDICTED = np.array([[0.0, 0.0], [0.0, -1.0], [0.0, -2.0], [0.0, -3.0]])
@@ -16,7 +16,7 @@ def test_who_brakes_as_a_model_predicts_follows_it_and_no_model_is_excluded():
     assert belief[2] > 0.6
     assert belief[2] == belief.max()
     belief = updated_belief(CERTAIN, PREDICTED, np.array([0.0, 30.0]), 0.1)
-    assert belief.min() == pytest.approx(LEAST, rel=0.01)
+    assert belief.min() == pytest.approx(MIN_PROBABILITY, rel=0.01)
     assert belief.sum() == pytest.approx(1.0)
 
 
@@ -25,4 +25,4 @@ def test_without_an_observed_control_humans_change_their_model_as_often_whatever
     belief = CERTAIN
     for _ in range(steps):
         belief = updated_belief(belief, PREDICTED, np.full(2, np.nan), 0.5 / steps)
-    assert belief[0] == pytest.approx(1 / 4 + 3 / 4 * KEEPS**5)
+    assert belief[0] == pytest.approx(1 / 4 + 3 / 4 * STAY_PROBABILITY**5)

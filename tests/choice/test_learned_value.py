@@ -16,7 +16,7 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.game.scenario import PAPER_UNIT, build_game
 from ms_highway.game.starts import draw_episode
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
+from ms_highway.planning.ladders import ladder
 from ms_highway.planning.plans import Plan
 
 describe_quickly = jax.jit(describe)

@@ -12,7 +12,7 @@ from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.numerics.second_derivatives import response
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
+from ms_highway.planning.ladders import ladder
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 

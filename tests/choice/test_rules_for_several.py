@@ -13,7 +13,7 @@ from ms_highway.choice.quadratic import Switching
 from ms_highway.choice.rule import Decision, Outcome, Rule, decide, first_memory
 from ms_highway.loop.driver import Driver
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
+from ms_highway.planning.ladders import ladder
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -77,6 +77,12 @@ def test_a_budget_is_spent_where_it_gains_most(game):
         (0.001, 0.0, [NAIVE] * 4),  # not even these fit
     ):
         assert chosen(Budget(gains, costs, seconds, 0.5, deciding), game) == rungs
+
+
+def test_time_that_is_left_in_a_budget_goes_to_the_nearest_humans(game):
+    costs = Costs(0.010, np.array([0.0, 0.002, 0.008]))
+    rule = Budget(KnownGains(np.zeros((4, 3), np.float32)), costs, 0.027, 1.0)  # two of 8 ms
+    assert chosen(rule, game) == [TOM, NAIVE, NAIVE, TOM]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from commands import run
 
 from ms_highway.cli.main import main
 from ms_highway.envs.registry import CONTROLLERS
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.ladders import MODELS
 
 NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
 

@@ -12,7 +12,7 @@ from ms_highway.cli import irl, options
 from ms_highway.cli.main import COMMANDS, main, parse
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.demonstration import DENSITIES
-from ms_highway.planning.human_models import PAPER_MODELS
+from ms_highway.planning.ladders import PAPER_MODELS
 
 HELP = """
 import sys

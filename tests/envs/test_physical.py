@@ -44,6 +44,19 @@ def test_in_stay_back_who_predicts_naively_collides_and_the_learned_choice_does_
 
 
 @pytest.mark.slow
+def test_in_dense_merge_naive_plans_fail_and_a_choice_that_thinks_little_succeeds():
+    steps = simulated(Comparison({"dense-merge-v1": ["naive", "tom", "nearest:2", "learned:1"]}, 20))
+    assert not steps["collision"].any()
+    last = steps[steps["step"] == steps["step"].max()].groupby("controller")["success"].mean()
+    assert last["naive"] <= 0.5
+    assert min(last["tom"], last["learned:1"]) >= 0.95
+    means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
+    gained = means["reward"] - means.loc["naive", "reward"]
+    assert gained["learned:1"] > max(0.95 * gained["tom"], gained["nearest:2"])
+    assert means.loc["learned:1", "counted_seconds"] < 0.45 * means.loc["tom", "counted_seconds"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kept"), [("merger-v1", 0.97), ("give-way-v1", 0.97)])
 def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision(name, kept):
     steps = simulated(Comparison({name: ["naive", "tom", "learned:1", "switching:0.1"]}, 12))

@@ -12,7 +12,7 @@ from jax import numpy as jnp
 
 from ms_highway import FunctionalEnv, PredictedHuman, register
 from ms_highway.envs import MergerV1Env, scenario_name
-from ms_highway.planning.human_models import MODELS
+from ms_highway.planning.ladders import MODELS
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}}
 DRIVING = {"action": {"type": "ContinuousAction"}}

@@ -7,8 +7,8 @@ import pytest
 
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.scenario import HUMANS, build_game
-from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
-from ms_highway.game.starts import CARELESS, CARELESS_FACTOR, SPACING, draw_episode
+from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, DENSE_MERGE_V1, MERGER
+from ms_highway.game.starts import CARELESS_FACTOR, draw_episode
 
 EPISODES = 60
 LEARNED = shipped("demonstrations").weights
@@ -20,9 +20,9 @@ def draws(scenario, humans):
 
 
 @pytest.mark.parametrize("humans", HUMANS)
-@pytest.mark.parametrize("scenario", [DENSE_MERGE, CROSSING_CROWD], ids=lambda scenario: scenario.name)
+@pytest.mark.parametrize("scenario", [DENSE_MERGE, DENSE_MERGE_V1, CROSSING_CROWD], ids=lambda scenario: scenario.name)
 def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_middle(scenario, humans):
-    shortest, longest = SPACING
+    shortest, longest = scenario.streams[0].spacing
     for starts, _ in draws(scenario, humans):
         assert starts.shape == (1 + humans, 4)
         assert abs(starts[0, :2]).max() < 0.1
@@ -44,7 +44,7 @@ def test_humans_of_streams_differ_in_how_readily_they_yield_and_in_nothing_else(
     np.testing.assert_array_equal(np.delete(weights, risk, 1), np.delete(expected, risk, 1))
     factors = weights[:, risk] / expected[:, risk]
     careless = np.isclose(factors, CARELESS_FACTOR)
-    assert careless.mean() == pytest.approx(CARELESS, abs=0.05)
+    assert careless.mean() == pytest.approx(DENSE_MERGE.careless, abs=0.05)
     assert np.log(factors[~careless]).mean() == pytest.approx(0.0, abs=0.1)
     assert np.log(factors[~careless]).std() == pytest.approx(0.7, abs=0.1)
 

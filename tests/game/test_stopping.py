@@ -11,7 +11,7 @@ from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import move, swap_roles
 from ms_highway.game.scenario import GRIP, build_game
 from ms_highway.game.scenarios import DENSE_MERGE, STAY_BACK
-from ms_highway.game.stopping import ASIDE, ROOM, stopping_cost
+from ms_highway.game.stopping import LATERAL_MARGIN, STOPPING_MARGIN, stopping_cost
 from ms_highway.planning.human_models import Naive
 from ms_highway.planning.several import plan_for
 
@@ -20,9 +20,9 @@ SCENE = replace(GAME.scene, obstacles=GAME.scene.obstacles[:1])
 (CONE,) = np.asarray(SCENE.obstacles, float)
 CAR, CAR_WIDTH = np.asarray(SCENE.car_size, float)
 LENGTH, TOUCH = (np.asarray(SCENE.car_size, float) + np.asarray(SCENE.obstacle_size, float)) / 2
-WIDTH = TOUCH + ASIDE * CAR_WIDTH  # m, at which an obstacle is out of the way
+WIDTH = TOUCH + LATERAL_MARGIN * CAR_WIDTH  # m, at which an obstacle is out of the way
 SPEED = 20.0
-STOP = CONE[0] - LENGTH - ROOM * CAR  # m, where a car stands with room
+STOP = CONE[0] - LENGTH - STOPPING_MARGIN * CAR  # m, where a car stands with room
 STEPS, HALF = 20, 9
 
 

@@ -34,6 +34,11 @@ def curve(name):
     return goal.roads.chain(goal.ahead(goal.roads.lanes["ser", "ses", 0], 200.0)).curve(0).curve
 
 
+def samples_of(own):
+    """Places of a curve's samples along it [m]."""
+    return own.start + own.spacing * np.arange(len(own.x))
+
+
 def places(own, number=500):
     """Places near a curve, some of them beyond its ends, and headings relative to it."""
     random = np.random.default_rng(0)
@@ -46,7 +51,7 @@ def apart(own, s, d):
     """Which places are nearest to where they were put: not those that another end or bend is nearer to."""
     x, y, _ = own.place(s, d)
     beside = np.hypot(x[:, None] - own.x, y[:, None] - own.y)
-    beside[np.abs(s[:, None] - own.s) < 15.0] = np.inf
+    beside[np.abs(s[:, None] - samples_of(own)) < 15.0] = np.inf
     return beside.min(axis=1) > np.abs(d) + np.maximum(np.maximum(own.start - s, s - own.end), 0.0) + 1.0
 
 
@@ -78,4 +83,4 @@ def test_through_points_of_a_circle_the_curvature_is_its_own():
     angle = np.arange(0.0, 2.0, 0.5 / 15)
     own = Curve.through(15 * np.sin(angle), 15 - 15 * np.cos(angle), spacing=0.5)
     np.testing.assert_allclose(own.curvature, 1 / 15, rtol=0.01)
-    np.testing.assert_allclose(own.heading, own.s / 15, atol=1e-3)
+    np.testing.assert_allclose(own.heading, samples_of(own) / 15, atol=1e-3)

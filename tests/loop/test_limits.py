@@ -11,7 +11,8 @@ from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.loop.driver import fixed
-from ms_highway.planning.human_models import MODELS, Naive, register
+from ms_highway.planning.human_models import Naive
+from ms_highway.planning.ladders import MODELS, register
 from ms_highway.planning.plans import Plan
 
 GRIP = 8.0  # m/s^2

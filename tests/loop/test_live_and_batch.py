@@ -23,7 +23,8 @@ from ms_highway.loop.fallback import STATUSES, WAY_OUT
 from ms_highway.loop.human_drivers import FunctionDriver, always_yields, never_yields
 from ms_highway.loop.records import Loop
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import Naive, PredictedHuman, TheoryOfMind, ladder
+from ms_highway.planning.human_models import Naive, PredictedHuman, TheoryOfMind
+from ms_highway.planning.ladders import ladder
 
 STEPS, SEEDS = 5, 2
 PAPERS = ladder(["naive", "turn", "tom"])

@@ -14,7 +14,7 @@ from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.loop.driver import Driver, fixed
 from ms_highway.loop.fallback import DECELERATION, braking_control
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.human_models import ladder
+from ms_highway.planning.ladders import ladder
 
 STARTS = 100
 LIMIT = np.array(PHYSICAL_LIMIT)

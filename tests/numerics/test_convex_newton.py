@@ -6,9 +6,9 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.numerics.convex_newton import (
-    LEAST_PART,
-    LEAST_SHARE,
-    STILL,
+    MIN_PART,
+    MIN_SHARE,
+    STEP_TOLERANCE,
     convex_newton_steps,
     share,
     until_still,
@@ -73,8 +73,8 @@ def test_starts_that_differ_little_end_in_plans_that_differ_little_also_where_th
         (1.0, 0.0, 1.0),
         (1.0, -1.0, 0.5),
         (1.0, -3.0, 0.25),
-        (1.0, -1e6, LEAST_SHARE),
-        (-1e-3, -1.0, LEAST_SHARE),
+        (1.0, -1e6, MIN_SHARE),
+        (-1e-3, -1.0, MIN_SHARE),
     ],
 )
 def test_the_share_of_a_step_is_that_of_a_parabola(slope, after, expected):
@@ -82,7 +82,7 @@ def test_the_share_of_a_step_is_that_of_a_parabola(slope, after, expected):
 
 
 def test_steps_into_what_is_not_finite_are_short_and_out_of_it_none_so_that_a_plan_fails_and_says_so():
-    assert share(jnp.float32(1.0), jnp.float32(jnp.nan)) == jnp.float32(LEAST_SHARE)
+    assert share(jnp.float32(1.0), jnp.float32(jnp.nan)) == jnp.float32(MIN_SHARE)
     lost = objective(lambda path: jnp.sum(path) * jnp.nan)
     assert np.isnan(convex_newton_steps(lost, jnp.zeros((6, 2)))).all()
 
@@ -93,11 +93,11 @@ def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_changes_ne
 
     starts = np.geomspace(0.01, 1.0, 4001, dtype=np.float32)
     ends = np.asarray(jax.jit(jax.vmap(rest))(starts))
-    assert ends.max() < 2 * STILL / 0.7
-    assert np.abs(np.diff(ends)).max() < 2 * LEAST_PART * STILL
+    assert ends.max() < 2 * STEP_TOLERANCE / 0.7
+    assert np.abs(np.diff(ends)).max() < 2 * MIN_PART * STEP_TOLERANCE
     np.testing.assert_array_equal(ends[::1000], [rest(start) for start in starts[::1000]])
     assert rest(1.0, most=jnp.int32(2)) == pytest.approx(0.09)
-    assert rest(0.5 * STILL) == pytest.approx(0.5 * STILL)  # not worth a step
+    assert rest(0.5 * STEP_TOLERANCE) == pytest.approx(0.5 * STEP_TOLERANCE)  # not worth a step
     assert np.isnan(rest(1.0, left=np.nan))
 
 

@@ -14,7 +14,8 @@ from ms_highway.game.game import swap_players, total_reward
 from ms_highway.game.scenarios import MERGER, MERGER_V1
 from ms_highway.numerics.second_derivatives import response
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
-from ms_highway.planning.human_models import MODELS, TheoryOfMind
+from ms_highway.planning.human_models import TheoryOfMind
+from ms_highway.planning.ladders import MODELS
 from ms_highway.runtime.compilation import jit_quickly
 
 

@@ -9,7 +9,7 @@ from ms_highway.game.game import constant_velocity, discomfort, move, move_all
 from ms_highway.game.scenario import build_game
 from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.manoeuvres import into_gaps
-from ms_highway.planning.plans import MARGIN, best_start, cold_start
+from ms_highway.planning.plans import RESTART_MARGIN, best_start, cold_start
 from ms_highway.runtime.compilation import jit_quickly
 
 SPEED = 20.0  # m/s
@@ -64,7 +64,7 @@ def test_a_plan_that_is_good_enough_is_kept_and_one_that_hits_somebody_is_left(g
     humans = constant_velocity(game, state[1:])
 
     first = start(state, kept, humans)
-    assert earned(game, state, first) > earned(game, state, kept) + MARGIN  # it changes lanes
+    assert earned(game, state, first) > earned(game, state, kept) + RESTART_MARGIN  # it changes lanes
     np.testing.assert_array_equal(start(state, first, humans), first)
 
     blocked = state.at[1].set(jnp.array([-30.0, 0.0, 0.0, 5.0]))

@@ -13,7 +13,7 @@ from ms_highway.benchmarks.road.episodes import Block, row, run_episode
 from ms_highway.benchmarks.road.recorded import RecordedStart
 from ms_highway.experiments.frontier import INDEX, KEPT_COLUMNS
 from ms_highway.experiments.records import columns
-from ms_highway.planning.human_models import PAPER_MODELS
+from ms_highway.planning.ladders import PAPER_MODELS
 
 KEPT = RESULTS.parent
 COLLECTED = SimpleNamespace(**runpy.run_path(str(KEPT / "collect.py")))

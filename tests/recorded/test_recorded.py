@@ -229,8 +229,8 @@ def test_a_collision_ends_the_episode_without_success(traffic, tmp_path):
 
 def test_lanes_of_two_directions_are_two_roads(tmp_path):
     env, _ = begun(written(tmp_path, lanelets=linked_lanes("opposite")), "learned")
-    numbers = sorted(set(straight_road(env.scenario).numbers.values()))
-    assert numbers[1] - numbers[0] > 1
+    left, right = sorted(set(straight_road(env.scenario).centres.values()))
+    assert right - left == pytest.approx(2 * WIDTH)
     *_, (*_, info) = steps(env)
     assert info["recorded"]["success"]
 

@@ -12,7 +12,7 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.road.best_responses import UNIT, Commuter, commuter_among
+from ms_highway.road.best_responses import ACCELERATION_UNIT, Commuter, commuter_among
 
 TIMES = np.asarray(PLANNING.times)
 
@@ -29,7 +29,7 @@ def keeping_velocity(scene):
 
 @jax.jit
 def answer(scene, robot, others):
-    return UNIT * commuter_among(scene, PLANNING, 0, robot, others).best_response()
+    return ACCELERATION_UNIT * commuter_among(scene, PLANNING, 0, robot, others).best_response()
 
 
 AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
@@ -53,7 +53,7 @@ def test_the_reward_is_the_commuters_on_a_straight_road():
     scene = Scene(jnp.zeros(1), 4.0, jnp.zeros((0, 2)), jnp.ones(2), jnp.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
 
     def earned(scaled):
-        a = scaled * UNIT
+        a = scaled * ACCELERATION_UNIT
         speed = 22 + jnp.cumsum(a) * 0.2
         s = jnp.cumsum(jnp.concatenate([jnp.full(1, 22.0), speed[:-1]]) + speed) * 0.1
         own = Motion(s, 0 * s, 0 * s + 1, 0 * s, speed)

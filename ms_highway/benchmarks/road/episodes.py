@@ -28,12 +28,12 @@ from ms_highway.road.stock import success
 from ms_highway.runtime import retired
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
-UNPHYSICAL = 10.0
+UNPHYSICAL_ACCELERATION = 10.0
 """Acceleration [m/s^2] that no tyres hold."""
 
-LONGEST = 60.0  # s, after which an episode ends in scenes that have no end of their own: a car may stand still
+MAX_DURATION = 60.0  # s, after which an episode ends in scenes that have no end of their own: a car may stand still
 FRAMES_PER_SECOND = 10  # of films, at most
-HIGHEST = 360  # px, of films: pages load them
+MAX_FILM_HEIGHT = 360  # px, of films: pages load them
 
 OTHERS: dict[str, type[Peer]] = {"idm": Idm, HUMAN: Human}
 """Wrappers of the drivers that are not this package's own, by name."""
@@ -131,7 +131,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     exported = Drive(inner) if block.exports else None
     watch = Watch(inner, *([then] if then else []), *([exported.see] if exported else []))
     rewards, roads, done = [], [], False
-    longest = max(LONGEST, inner.config.get("duration", 0.0))
+    longest = max(MAX_DURATION, inner.config.get("duration", 0.0))
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
         rewards.append(float(reward))
@@ -225,7 +225,7 @@ def film(block: Block, seed: int, path: Path) -> None:
     run_episode(block._replace(exports=None), seed, env, picture)
     env.close()
     height, width = pictures[0].shape[:2]
-    write(scaled(pictures, width * min(HIGHEST, height) // height), path, frequency / every)
+    write(scaled(pictures, width * min(MAX_FILM_HEIGHT, height) // height), path, frequency / every)
 
 
 def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
@@ -244,7 +244,7 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
     * ``sources``: shares of the decisions by what drove, where the driver says so;
     * ``rungs``: shares of the cars that each rung predicted;
     * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
-      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL`.
+      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL_ACCELERATION`.
     """
     of = pd.DataFrame(episodes)
     p50, p99 = np.quantile(np.concatenate(of["decisions"]), [0.5, 0.99])
@@ -268,7 +268,7 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
         "episodes": len(episodes),
         "seeds": [episodes[0]["seed"], len(episodes)],
         "traffic": block.traffic,
-        "label": "unphysical" if largest > UNPHYSICAL else "",
+        "label": "unphysical" if largest > UNPHYSICAL_ACCELERATION else "",
     }
     return {name: figure.item() if isinstance(figure, np.generic) else figure for name, figure in figures.items()}
 

@@ -19,7 +19,7 @@ from ms_highway.runtime.files import replacing
 
 WHEELBASE = 2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, whose size the ego has
 EPOCH = "2000-01-01"  # date of solutions of recordings without one
-SLOWEST = 0.5  # m/s, below which a motion does not determine the steering angle
+MIN_STEERING_SPEED = 0.5  # m/s, below which a motion does not determine the steering angle
 
 
 class Drive:
@@ -91,7 +91,7 @@ class Drive:
     def _steering(self) -> list[float]:
         """Return the steering angle of CommonRoad's vehicle at each state, from how the ego turned after it [rad]."""
         _, _, _, orientations, speeds = np.array(self._ego).T
-        turned = np.diff(np.unwrap(orientations)) / (TIME_STEP * np.maximum(speeds[:-1], SLOWEST))
+        turned = np.diff(np.unwrap(orientations)) / (TIME_STEP * np.maximum(speeds[:-1], MIN_STEERING_SPEED))
         angles = np.arctan(WHEELBASE * turned).tolist()
         return [*angles, *(angles[-1:] or [0.0])]
 

@@ -10,9 +10,9 @@ import numpy as np
 
 LOOK_BACK = 1.0  # s before a collision
 GAP = 0.5  # m between lanes where roads meet, at most
-REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
-OFFSET = 1.0  # m
-STANDING = 1.0  # m/s
+COLLISION_REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
+LANE_OFFSET = 1.0  # m
+STANDING_SPEED = 1.0  # m/s
 SAME_WAY = 0.7  # cosine of the angle between two headings, at least
 
 Lane: TypeAlias = tuple[str, str, int] | None
@@ -41,7 +41,7 @@ def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dic
         "frames": len(turning),
         "distance": np.sum(np.abs(speed[1:])) * time_step,
         "seconds": len(turning) * time_step,
-        "stood": np.sum(np.abs(speed[1:]) < STANDING) * time_step,
+        "stood": np.sum(np.abs(speed[1:]) < STANDING_SPEED) * time_step,
         "max_acceleration": np.max([turning, np.hypot(*acceleration)], initial=0.0),
         "max_acceleration_of_centre": np.max(np.hypot(*centre), initial=0.0),
         "squared_jerk": np.mean(np.sum(jerk**2, axis=0)) if jerk.size else 0.0,
@@ -90,11 +90,11 @@ class Watch:
         if ego.crashed:
             self.crashed = True
             others = [one for one in (*road.vehicles, *road.objects) if one is not ego and one.crashed]
-            near = [one for one in others if _gap(ego, one) < REACH]
+            near = [one for one in others if _gap(ego, one) < COLLISION_REACH]
             self.at_fault = is_at_fault(ego, min(near, key=lambda one: _gap(ego, one), default=None), self._lanes)
             return
         _, offset = ego.lane.local_coordinates(ego.position)
-        self._lanes.append(ego.lane_index if abs(offset) < OFFSET and ego.speed > STANDING else None)
+        self._lanes.append(ego.lane_index if abs(offset) < LANE_OFFSET and ego.speed > STANDING_SPEED else None)
         self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
 
 
@@ -120,7 +120,7 @@ def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
         ego: a vehicle of highway-env.
         other: the vehicle or object that it touches, None if that is not known.
         lanes: that the ego followed in the frames of the last second before the collision, None where it was more than
-            `OFFSET` from the centre of the closest one, or slower than `STANDING`.
+            `LANE_OFFSET` from the centre of the closest one, or slower than `STANDING_SPEED`.
     """
     if other is None or cos(ego.heading - other.heading) < SAME_WAY:
         return True

@@ -1,0 +1,137 @@
+"""Know human models by name, and make ladders of them.
+
+A model's name may have an effort: ``tom@8`` is theory of mind in 8 ascent steps, ``tom+warm`` starts from the rest of
+the last plan, and ``tom@8+warm`` does both.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from math import inf
+
+from ms_highway.game.planning_settings import MAX_ITERATIONS
+from ms_highway.planning.human_models import PACKAGE_TYPES, HumanModel, PredictedHuman
+
+NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")
+
+BEST = "best"
+"""Name of `BEST_LADDER` in configurations and commands."""
+
+BEST_LADDER = ("naive@4+warm", "tom@6+warm", "tom@12+warm")
+"""Ladder of the rungs that earn most for their time.
+
+Reward per step of each rung alone in Merger and Give Way, measured with 30 starts, the learned human and paper
+semantics: 4.67 and -0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52 and 5.77 at 60 %; tom earns 6.25 and 5.02,
+turn 1.51 and 0.09 at 46 %, naive 1.50 and 0.03 at 24 %. In Stay Back, where outcomes are chaotic, the upper two are not
+worth their time: 0.98, 0.14 and -2.99, where naive earns 0.60, turn 1.50, tom 1.65, and naive@10 most, 1.90.
+"""
+
+MODELS: dict[str, HumanModel] = {model.name: model() for model in PACKAGE_TYPES}
+"""Known models by name, cheapest first."""
+
+PACKAGE_MODELS = tuple(MODELS)
+"""Names of the package's models, cheapest first: the only enumeration, for pairs, several humans and roads."""
+
+PAPER_MODELS = ("naive", "turn", "tom")
+"""Names of the paper's models, cheapest first."""
+
+RESERVED = (*PACKAGE_MODELS, BEST)
+
+
+def register(model: HumanModel, before: str | None = None) -> None:
+    """Register a human model by its name, for configurations and commands of this process.
+
+    Args:
+        model: hashable; replaces a model of the same name.
+        before: name of the next more expensive model on ladders; by default, the new model is the most expensive.
+
+    Raises:
+        ValueError: if the name is one of the package's models or no word, or ``before`` names no other model; if the
+            model is no `HumanModel`, or not hashable.
+    """
+    if not isinstance(model, HumanModel) or getattr(type(model), "name", None) != model.name:
+        remedy = "make it a frozen dataclass derived from ms_highway.HumanModel, whose class has a name"
+        raise ValueError(f"{model!r} is no model; {remedy}")
+    predicts = type(model).predict is not HumanModel.predict
+    if not predicts if isinstance(model, PredictedHuman) else type(model).plan is HumanModel.plan:
+        remedy = "derive it from ms_highway.PredictedHuman and define `predict`, or define `plan`"
+        raise ValueError(f"human model {model.name!r} neither predicts nor plans; {remedy}")
+    try:
+        hash(model)
+    except TypeError as error:
+        raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
+    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in RESERVED:
+        raise ValueError(f"a model cannot be called {model.name!r}; choose one word other than {', '.join(RESERVED)}")
+    others = {name: other for name, other in MODELS.items() if name != model.name}
+    if before is not None and before not in others:
+        raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(others)}")
+    place = len(others) if before is None else list(others).index(before)
+    known = list(others.items())
+    MODELS.clear()  # and not replaced: others hold it
+    MODELS.update([*known[:place], (model.name, model), *known[place:]])
+
+
+def human_model(name: str) -> HumanModel:
+    """Return the model of a name, with its effort if the name has one, such as ``tom@8+warm``.
+
+    Raises:
+        ValueError: if it is no model's name.
+    """
+    parts = NAME.fullmatch(name) if isinstance(name, str) else None
+    steps = int(parts["steps"] or 0) if parts else 0
+    if parts is None or parts["model"] not in MODELS or steps > MAX_ITERATIONS:
+        raise ValueError(f"unknown human model {name!r}; the models are {model_names()}")
+    model = MODELS[parts["model"]]
+    return replace(model, steps=steps or None, warm=bool(parts["warm"]))
+
+
+def is_model(name: object) -> bool:
+    """Return whether a value is the name of a human model, with or without an effort."""
+    try:
+        return bool(human_model(name))  # type: ignore[arg-type]
+    except ValueError:
+        return False
+
+
+def model_names() -> str:
+    """Return the names of all models, for messages."""
+    return f"{', '.join(MODELS)}, also in 1 to {MAX_ITERATIONS} steps (tom@8) or from the last plan (tom@8+warm)"
+
+
+def known_models(used: Iterable[str] = ()) -> list[str]:
+    """Return the names of all known models and of the models in use, whose names may have an effort, cheapest first."""
+    return sorted({*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name)))
+
+
+def cheapest_first(used: Iterable[str]) -> list[str]:
+    """Return the names of the models in use, each once; those that are not registered count as the most expensive."""
+    used = {name for name in used if name}
+    known = [name for name in known_models(used) if name in used]
+    return known + sorted(used - {*known})
+
+
+def _rank(model: HumanModel) -> tuple[int, float, bool]:
+    """Return the place of a model among all: of its base, then of its number of steps, the planner's own last."""
+    return list(MODELS).index(type(model).name), model.steps or inf, model.warm
+
+
+def rung_names(names: Sequence[str]) -> list[str]:
+    """Return the names of a ladder's rungs, which ``best`` stands for as well."""
+    return list(BEST_LADDER if names == BEST or list(names) == [BEST] else names)
+
+
+def ladder(names: Sequence[str]) -> tuple[HumanModel, ...]:
+    """Return the models of these names, or of `BEST_LADDER` by its name, ``best``.
+
+    The order is that of the models, whatever their efforts, and of the numbers of steps of the same model, the
+    planner's own last: costs, which differ between machines, do not matter.
+
+    Raises:
+        ValueError: unless all are known, and each is named once, cheapest first; if there is none.
+    """
+    rungs = tuple(human_model(name) for name in rung_names(names))
+    ranks = [_rank(rung) for rung in rungs]
+    if not ranks or ranks != sorted(set(ranks)):
+        order = f"out of {list(MODELS)}, and of the same model fewer steps first"
+        raise ValueError(f"impossible ladder {list(names)}: name each model once, cheapest first, {order}")
+    return rungs
