@@ -8,10 +8,8 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.choice.learned_value import MIN_NOISE
 from ms_highway.choice.quadratic import Quadratic
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule
-from ms_highway.choice.situation import nearness
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -28,8 +26,7 @@ Measured in 40 episodes of Dense Merge: with a share of 1, a budget of 5 ms is l
 class Budget(Rule):
     """Maximise the summed gains of all humans, subject to ``deciding + base + sum_i each[rung_i] <= share seconds``.
 
-    Time that is left goes to the top rung for the nearest humans of whom networks cannot tell whether it gains. Where
-    even the first rungs do not fit, they are chosen all the same.
+    Where even the first rungs do not fit, they are chosen all the same.
 
     Attributes:
         gains: rule that estimates the gain of each rung, without a price; its own choice is not used.
@@ -56,8 +53,6 @@ class Budget(Rule):
         known = jnp.isfinite(decision.gains)
         values = jnp.where(known, jnp.asarray(decision.gains), -jnp.inf)
         values = values.at[:, 0].set(jnp.where(known[:, 0], values[:, 0], 0.0))
-        spare = MIN_NOISE * (1 - nearness(game, outcome.after) / game.number)
-        values = values.at[:, -1].set(jnp.where(jnp.abs(values[:, -1]) < MIN_NOISE, spare, values[:, -1]))
         capacity = self.share * self.seconds - self.deciding - self.costs.base
         rungs = best_rungs(values, self.costs.each, capacity)
         return decision._replace(memory=decision.memory._replace(rungs=rungs))

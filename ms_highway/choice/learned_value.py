@@ -40,7 +40,9 @@ class LearnedValue(Rule):
         centre, spread: of its inputs, by which they are standardised.
         ladder: human models, cheapest first (static).
         cautious: whether gains are what is compared to choose, net of the price and of a margin for doubt; or else what
-            is expected over the first rung, as budgets need it (static).
+            is expected over the first rung, as budgets need it. Where networks cannot tell whether the top rung gains,
+            less than `MIN_NOISE`, it then counts a little for the nearest humans, so that spare time goes to them
+            (static).
         together: whether a value is what a human adds to nearer ones, so that some of the nearest are chosen together;
             or else that of each human alone, as the values of Dense Merge and Crossing Crowd were learned (static).
     """
@@ -62,6 +64,9 @@ class LearnedValue(Rule):
         count = jnp.argmax(jnp.concatenate([jnp.zeros(1), jnp.cumsum(worth[jnp.argsort(rank)][:TOGETHER])]))
         thinks = rank < count if self.together else worth > 0
         rungs = jnp.where(thinks, 1 + values[:, 1:].argmax(axis=1), 0)
+        if not self.cautious:
+            top, little = gains[:, -1], MIN_NOISE * (1 - rank / game.number)
+            gains = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))
         return Decision(memory._replace(rungs=rungs.astype(jnp.int32)), gains, failed.any())
 
     def _values(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:

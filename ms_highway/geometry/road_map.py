@@ -52,7 +52,7 @@ def kept(function: Function) -> Function:
 
     @wraps(function)
     def remembered(owner: Any, *rest: Any) -> Any:
-        results, key = vars(owner).setdefault("_kept", {}), (function, *rest)
+        results, key = vars(owner).setdefault("_kept", {}), (function.__qualname__, *rest)
         if key not in results:
             results[key] = function(owner, *rest)
         return results[key]

@@ -68,7 +68,7 @@ def traffic_of(
     return {
         "paths": paths,
         "states": _padded([way.state for way in ways], np.zeros(4)),
-        "sizes": _padded([(way.car.PATH_LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
+        "sizes": _padded([(way.car.LENGTH, way.car.WIDTH) for way in ways], (5.0, 2.0)),
         "present": owners >= 0,
         "limits": _padded([way.limit for way in ways], LIMIT),
         "owners": owners,

@@ -8,9 +8,11 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.choice.budget import Budget, OneStepGains
+from ms_highway.choice.learned_value import LearnedValue
 from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import Switching
 from ms_highway.choice.rule import Decision, Outcome, Rule, decide, first_memory
+from ms_highway.choice.situation import description_names
 from ms_highway.loop.driver import Driver
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import ladder
@@ -81,8 +83,10 @@ def test_a_budget_is_spent_where_it_gains_most(game):
 
 def test_time_that_is_left_in_a_budget_goes_to_the_nearest_humans(game):
     costs = Costs(0.010, np.array([0.0, 0.002, 0.008]))
-    rule = Budget(KnownGains(np.zeros((4, 3), np.float32)), costs, 0.027, 1.0)  # two of 8 ms
-    assert chosen(rule, game) == [TOM, NAIVE, NAIVE, TOM]
+    inputs = len(description_names())
+    network = ((np.zeros((1, inputs, 4), np.float32), np.zeros((1, 4), np.float32)),)  # which expects no gains
+    gains = LearnedValue(costs, 0.0, network, np.zeros(inputs), np.ones(inputs), RUNGS, cautious=False)
+    assert chosen(Budget(gains, costs, 0.027, 1.0), game) == [TOM, NAIVE, NAIVE, TOM]  # two of 8 ms
 
 
 @pytest.mark.slow
