@@ -83,12 +83,12 @@ def scenario_name(name: str) -> str:
     """Return the name of a scenario that is given by its name or its id: ``merger`` for ``ms-highway/merger-v0``.
 
     Raises:
-        ValueError: for an unknown scenario.
+        ValueError: for an unknown scenario, and for an id without a version.
     """
     bare = name.rpartition("/")[2]
-    for known in (name, bare, bare.removesuffix("-v0").replace("-", "_")):
-        if known in ENVIRONMENTS:
-            return known
+    known = bare.removesuffix("-v0").replace("-", "_") if bare.endswith("-v0") else bare
+    if known in ENVIRONMENTS and (bare == name or VERSIONED.fullmatch(bare)):
+        return known
     raise ValueError(f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
 
 

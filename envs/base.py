@@ -56,12 +56,12 @@ class InteractionEnv(GameEnv):
       0.3}}``, drawn when the episode starts; or a short name of them, such as ``"tom"`` or ``"learned:1"``, see
       `ms_highway.envs.registry.controller_config`. Any of them with ``"belief": True`` infers from what a human does
       which model predicts it (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
-    * ``ladder``: human models to choose from, cheapest first, also ``tom@8+warm``, or ``"best"``, see
-      `ms_highway.planning.human_models`.
-    * ``costs``: T(M), the time that planning under model M counts [s]: ``"published"``, the paper's; ``"shipped"``,
-      what plans take on one core; ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in
-      proportion). Among several humans, one is predicted by M, all others by the first rung: T is additive. With
-      ``"shipped"``, budgets choose by measured times: the same seed may be another episode, see ``info["clocked"]``.
+    * ``ladder``: names of human models, cheapest first, or ``"best"`` (`ms_highway.planning.ladders`).
+    * ``costs``: T(M), the time that planning under model M counts [s]: ``"published"``, the paper's (default with one
+      human); ``"shipped"``, what plans take on one core (default with several, and in physical scenarios);
+      ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in proportion). Among several
+      humans, one is predicted by M, all others by the first rung: T is additive. With ``"shipped"``, budgets choose by
+      measured times: the same seed may be another episode, see ``info["clocked"]``.
     * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within what tyres hold; or
       ``"released"``, the paper's released code; see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from

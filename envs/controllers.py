@@ -5,7 +5,7 @@
 
 import re
 from math import nan
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -34,6 +34,9 @@ Shares = Annotated[
 ]
 
 
+Ladder: TypeAlias = tuple[HumanModel, ...]
+
+
 class Start(NamedTuple):
     """What a rule is built from when an episode starts.
 
@@ -46,7 +49,7 @@ class Start(NamedTuple):
         random: what is drawn from.
     """
 
-    ladder: tuple[HumanModel, ...]
+    ladder: Ladder
     costs: Costs
     semantics: Semantics
     humans: int
@@ -81,8 +84,8 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
         """Time of a cycle [s], None without one."""
         return None
 
-    def learned(self, semantics: Semantics, humans: int) -> Values | None:
-        """Return the learned values by which it chooses; None without any."""
+    def learned(self, semantics: Semantics, humans: int, ladder: Ladder) -> Values | None:
+        """Return the learned values by which it chooses from a ladder; None without any."""
         return None
 
     def names(self) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from ms_highway.envs.controllers import (
     ControllerSettings,
     DriverSettings,
     FixedSettings,
+    Ladder,
     PeriodSettings,
     RandomSettings,
     ScheduleSettings,
@@ -74,18 +75,25 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     def __post_init__(self) -> None:
         load_values(self.values or SHIPPED_VALUES)
 
-    def learned(self, semantics: Semantics, humans: int) -> Values:
+    def learned(self, semantics: Semantics, humans: int, ladder: Ladder) -> Values:
         """See `ControllerSettings.learned`."""
-        return _learned(self.values, semantics, humans)
+        return _learned(self.values, semantics, humans, ladder)
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        return self.learned(start.semantics, start.humans).rule(start.ladder, start.costs, self.price)
+        learned = self.learned(start.semantics, start.humans, start.ladder)
+        return learned.rule(start.ladder, start.costs, self.price)
 
 
-def _learned(values: str | None, semantics: Semantics, humans: int) -> Values:
-    """Return the values of a file, or those that the package has for a number of humans and semantics."""
-    return load_values(values or SHIPPED_VALUES, shipped_kind(semantics, humans))
+def _learned(values: str | None, semantics: Semantics, humans: int, ladder: Ladder) -> Values:
+    """Return the values of a file, or those that the package has for a number of humans and semantics.
+
+    Among several humans, those of physical semantics know fewer models; the others serve longer ladders.
+    """
+    found = load_values(values or SHIPPED_VALUES, shipped_kind(semantics, humans))
+    if not values and humans > 1 and not {model.name for model in ladder} <= {*found.ladder}:
+        return load_values(SHIPPED_VALUES, "several")
+    return found
 
 
 class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
@@ -108,13 +116,13 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
         """See `ControllerSettings`."""
         return self.milliseconds * 1e-3
 
-    def learned(self, semantics: Semantics, humans: int) -> Values | None:
+    def learned(self, semantics: Semantics, humans: int, ladder: Ladder) -> Values | None:
         """See `ControllerSettings.learned`."""
-        return None if self.values == ONE_STEP else _learned(self.values, semantics, humans)
+        return None if self.values == ONE_STEP else _learned(self.values, semantics, humans, ladder)
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        learned = self.learned(start.semantics, start.humans)
+        learned = self.learned(start.semantics, start.humans, start.ladder)
         if learned is None:
             gains: Any = OneStepGains(Quadratic(start.costs, 0.0, start.ladder))
         else:

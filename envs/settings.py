@@ -117,7 +117,7 @@ class Settings(Struct, frozen=True):
 
     def warn_of_other_values(self, scenario: Scenario) -> None:
         """Warn of learned values from another scenario, semantics, solver or horizon than they are to choose in."""
-        values = self.controller.learned(self.semantics, self.humans)
+        values = self.controller.learned(self.semantics, self.humans, self.models)
         if values is None:
             return
         told = values.provenance

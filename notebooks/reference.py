@@ -28,7 +28,7 @@ INFO = {
     "choice_failed": "whether no model could be chosen, so that the last ones stayed",
     "timing": "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]",
     "clocked": "whether measured times had a say in the choice, so that the same seed may be another episode",
-    "gains": "net gain that the controller expects of each other model than the last one [reward]; the largest of "
+    "gains": "net gain that the controller expects of each model over the one in use [reward]; the largest of "
     "several humans; empty where nothing is estimated",
     "counted_seconds": "T of the step's plan [s]",
     "human_status": "a status for each human; None for cars that do not plan",

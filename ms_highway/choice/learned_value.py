@@ -13,7 +13,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, unestimated
 from ms_highway.choice.situation import describe, nearness
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import Costs
@@ -58,6 +58,8 @@ class LearnedValue(Rule):
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
         """Choose in the state after the last step; where no value is known, the first rung."""
+        if len(self.ladder) == 1:
+            return unestimated(memory, memory.rungs)
         values, gains, failed = jax.vmap(self._values)(describe(game, outcome.after), jnp.asarray(memory.rungs))
         rank = nearness(game, outcome.after)
         worth = values[:, 1:].max(axis=1) - values[:, 0]

@@ -26,8 +26,9 @@ COMMANDS = {each.name: each for each in ALL}
 CACHE = "do not keep compiled planners in the user's cache directory, nor use those kept there"
 IMPORT = (
     "a Python module, also of the current directory, to be imported first: one that adds scenarios "
-    "(ms_highway.add_scenario), human models (ms_highway.register), decision rules (ms_highway.add_rule) or features "
-    "of rewards (ms_highway.add_feature)"
+    "(ms_highway.add_scenario), human models (ms_highway.register), drivers and planners (ms_highway.add_driver), "
+    "agents (ms_highway.add_agent), decision rules (ms_highway.add_rule) or features of rewards "
+    "(ms_highway.add_feature)"
 )
 
 

@@ -12,6 +12,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
+from itertools import islice
 
 import distributed
 import jax
@@ -26,6 +27,7 @@ from ms_highway.runtime.forks import jax_has_begun
 from ms_highway.runtime.jax_settings import keep_compilations
 
 PATIENCE = 10  # s, in which a scheduler has to answer
+AHEAD = 2  # parts that are submitted per thread of a worker: more would wait in memory
 
 
 class Setup(distributed.WorkerPlugin):
@@ -101,17 +103,22 @@ def _compute_there(comparison: Comparison, number: int, part: Sequence[EpisodeKe
 def _compute(
     client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]]
 ) -> Iterator[tuple[int, Tables]]:
-    """Submit all parts; yield each with its rows as it comes back.
+    """Submit parts, some for each thread of a worker at a time; yield each with its rows as it comes back.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
     """
     compute = partial(_compute_there, comparison)
-    submitted = client.map(compute, list(parts), list(parts.values()), pure=False)
-    running = distributed.as_completed(submitted, loop=client.loop)
-    del submitted  # or else all rows would wait in memory
+    waiting, running = iter(parts.items()), distributed.as_completed([], loop=client.loop)
+
+    def submit(count: int) -> None:
+        for number, keys in islice(waiting, count):
+            running.add(client.submit(compute, number, keys, pure=False))
+
+    submit(AHEAD * max(sum(client.nthreads().values()), 1))
     try:
         for done in running:
+            submit(1)
             yield done.result()
     except (distributed.KilledWorker, CancelledError) as error:
         reason = " ".join(str(error).split())

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import TypeAlias
 
-from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.registry import robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.experiments.records import columns
@@ -23,7 +23,7 @@ class Comparison:
     """What is compared, in scenarios with one human or several.
 
     Attributes:
-        controllers: short names of the controllers of each scenario, by scenario.
+        controllers: short names of the controllers of each scenario, by its name or id.
         seeds: number of episodes of each controller.
         first_seed: of the first episode, from which all others count on.
         config: what differs from the environments' default configuration, by key.
@@ -41,7 +41,9 @@ class Comparison:
             ValueError: for an unknown scenario or controller, an impossible configuration, or a controller that does
                 not fit it.
         """
-        for scenario, controllers in self.controllers.items():
+        named = {scenario_name(scenario): controllers for scenario, controllers in self.controllers.items()}
+        object.__setattr__(self, "controllers", named)
+        for scenario, controllers in named.items():
             for controller in controllers:
                 self.environment_config(scenario, controller)
 
@@ -57,8 +59,7 @@ class Comparison:
         Raises:
             ValueError: as a comparison of it.
         """
-        environment_id(scenario)
-        return ENVIRONMENTS[scenario].checked_config({**self.config, **robot_config(controller)})
+        return ENVIRONMENTS[scenario_name(scenario)].checked_config({**self.config, **robot_config(controller)})
 
     def common_config(self) -> dict:
         """Return what all environments have in common and results are resumed under: `USUAL` and what was given."""
@@ -88,6 +89,5 @@ def paper_controllers(scenario: str) -> list[str]:
     Raises:
         ValueError: for an unknown scenario.
     """
-    environment_id(scenario)
-    choice = ENVIRONMENTS[scenario].scenario
+    choice = ENVIRONMENTS[scenario_name(scenario)].scenario
     return [*rung_names(choice.ladder), *(f"switching:{price:g}" for price in choice.prices)]

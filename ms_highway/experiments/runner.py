@@ -34,6 +34,7 @@ from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_proc
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
 LIVE_FILES, BATCHED_FILES = (STEPS_FILE, f"{PARTS}/[!.]*.csv"), ("episodes/part-*.parquet",)
+REMEDY = "remove it, to have it computed again"
 MIN_EPISODES = 60  # episodes that are worth the seconds in which further processes start
 
 Compute: TypeAlias = Callable[[Comparison, Mapping[int, Sequence[EpisodeKey]]], Iterator[tuple[int, Tables]]]
@@ -110,6 +111,7 @@ def run_batched(
     settings = {**comparison.common_config(), **asked, "part": part, "steps": steps}
     results, places = ResultsDirectory(directory), {key: place for place, key in enumerate(comparison.episodes())}
     results.take_up(settings)
+    check_parts(directory, list(places), part)
     episodes = read_episodes(directory)
     results.write_settings(settings)
     kinds = ("steps", "episodes") if steps else ("episodes",)  # these last: when they are there, the part is done
@@ -192,7 +194,7 @@ def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
     Raises:
         ValueError: for a file that cannot be read.
     """
-    records = _read(directory, LIVE_FILES, NEEDED, "choose another directory")
+    records = _read(directory, LIVE_FILES, NEEDED)
     if records.empty:
         return records
     asked = settings.get("asked", {})
@@ -207,13 +209,32 @@ def read_episodes(directory: Path) -> pd.DataFrame:
     Raises:
         ValueError: for a part that cannot be read.
     """
-    return _read(directory, BATCHED_FILES, [], "remove it, to have it computed again")
+    return _read(directory, BATCHED_FILES, [])
 
 
-def _read(directory: Path, patterns: Iterable[str], needed: Sequence[str], remedy: str) -> pd.DataFrame:
+def check_parts(directory: Path, keys: Sequence[EpisodeKey], part: int) -> None:
+    """Check that the parts of simulated episodes in a directory are those of a comparison.
+
+    Args:
+        directory: of the results.
+        keys: all episodes, in order.
+        part: number of episodes in a part.
+
+    Raises:
+        ValueError: for a part that holds other episodes than its number says.
+    """
+    for file in sorted(directory.glob(*BATCHED_FILES)):
+        with reading(file, REMEDY):
+            first = part * int(file.stem.removeprefix("part-"))
+            own = pd.read_parquet(file, columns=KEYS).itertuples(index=False, name=None)
+            if not keys[first:] or [*own] != [*keys[first : first + part]]:
+                raise ValueError("it holds other episodes than its number says")
+
+
+def _read(directory: Path, patterns: Iterable[str], needed: Sequence[str]) -> pd.DataFrame:
     tables = [pd.DataFrame(columns=KEYS)]
     for file in (file for pattern in patterns for file in sorted(directory.glob(pattern))):
-        with reading(file, remedy):
+        with reading(file, "choose another directory" if file.parent == directory else REMEDY):
             tables.append(pd.read_parquet(file) if file.suffix == ".parquet" else pd.read_csv(file))
             check_table(tables[-1], needed)
     return pd.concat(tables[1:] or tables)

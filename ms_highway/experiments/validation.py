@@ -95,6 +95,8 @@ def read_episodes(file: Path) -> tuple[Scenario, dict[str, Array]]:
         for name, array in episodes.items():
             if not (np.abs(array) < LARGEST).all():
                 raise ValueError(f"{name} holds numbers that are not finite")
+        if len({episodes[name].shape[:2] for name in ("states", "robot_controls", "rewards", "models")}) > 1:
+            raise ValueError("its arrays are of different numbers of episodes or steps")
         if not np.isin(episodes["models"], episodes["ladder"]).all() or max(episodes["ladder"]) >= len(PAPER_MODELS):
             raise ValueError(f"its models are no places in {', '.join(PAPER_MODELS)}")
         return SCENARIOS[file.stem.partition("__")[0]], episodes

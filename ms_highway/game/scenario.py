@@ -143,6 +143,12 @@ class Scenario:
         ):
             found = f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to {MAX_LANE_DISTANCE:g} m apart"
             raise ValueError(f"{place} has {found}, and {remedy}")
+        if not 0 <= self.careless <= 1:
+            raise ValueError(f"{place} has careless {self.careless}; give a share from 0 to 1")
+        for stream in self.streams:
+            if not CAR_SIZE[0] < min(stream.spacing) or stream.spacing[0] > stream.spacing[1]:
+                wanted = f"the shortest, more than {CAR_SIZE[0]:g} m, then the longest"
+                raise ValueError(f"{place} has a stream of spacing {stream.spacing}; give {wanted}")
         for kind, points in (("a car", self.cars), ("a cone", self.cones)):
             for point in points:
                 if not np.isfinite(point).all() or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE:

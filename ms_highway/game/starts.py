@@ -15,9 +15,7 @@ HEADING_NOISE = 1e-3  # rad, standard deviation
 START_SPEED_NOISE = 1e-3 * PAPER_UNIT  # m/s, standard deviation without streams
 MERGING_NOISE = 0.01 * PAPER_UNIT  # m, further standard deviation of the merging car's x
 
-SPACING_BETA = (
-    20.0  # of Beta(1, SPACING_BETA), the share of a spacing between shortest and longest: 0.3 m more than that
-)
+SPACING_BETA = 20.0  # of Beta(1, 20): spacings are 0.3 m above the shortest on average
 SPEED_NOISE = 0.3  # m/s, standard deviation of the speed of a human in a stream
 CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
 CARELESS_FACTOR = 0.05  # of the humans that hardly yield

@@ -16,7 +16,7 @@ FITTED = f"use fitted_idm or model; {ON_PAGE}"
 OPTIONS = {
     "bench --peer": "the comparison with CasADi is on the results page",
     "bench --crowd": "give --set humans=N",
-    "bench --seed": "it is called --first-seed, as elsewhere",
+    "bench --seed": "it is called --first-seed, as in compare",
     "bench road --figure": "plot the file of --json or --log",
     "bench road --jobs": "leave it out: there is a process for each core",
     "bench road --bound": SAME_STARTS,

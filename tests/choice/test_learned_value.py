@@ -12,7 +12,7 @@ from ms_highway.choice.learned_value import LearnedValue
 from ms_highway.choice.rule import Outcome, decide, first_memory
 from ms_highway.choice.situation import describe, description_names
 from ms_highway.choice.values import load_values, save_values
-from ms_highway.envs import SCENARIOS
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 from ms_highway.game.scenario import PAPER_UNIT, build_game
 from ms_highway.game.starts import draw_episode
 from ms_highway.planning.compiled_plans import Costs
@@ -120,6 +120,18 @@ def test_dearer_planning_chooses_cheaper_models(decided, price, rung):
     decision = decided(over_naive((0.5, 1.0), price))
     np.testing.assert_allclose(decision.gains, [np.array([0.0, 0.5, 1.0]) - price * SECONDS] * 2, atol=1e-6)
     assert decision.memory.rungs.tolist() == [rung] * 2
+
+
+def test_a_ladder_of_one_rung_leaves_nothing_to_choose(decided):
+    for cautious in (True, False):
+        rule = replace(SHIPPED.rule(LADDER[:1], Costs(0.0, SECONDS[:1]), 10.0), cautious=cautious)
+        assert decided(rule).memory.rungs.tolist() == [0, 0]
+
+
+def test_shipped_values_among_several_humans_are_those_that_know_the_ladder():
+    controller = ENVIRONMENTS["dense-merge-v1"]().settings.controller
+    assert controller.learned("physical", 8, ladder(("naive", "tom"))).ladder == ("naive", "tom")
+    assert controller.learned("physical", 8, LADDER).ladder == ("naive", "turn", "tom")
 
 
 def test_doubts_and_failed_estimates_choose_the_cheapest_rung(decided):

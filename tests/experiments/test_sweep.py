@@ -109,3 +109,12 @@ def test_a_part_that_was_damaged_is_named(swept, tmp_path, refused):
     part = tmp_path / "out" / "episodes" / "part-000002.parquet"
     part.write_bytes(part.read_bytes()[:100])
     assert re.search("part-000002.parquet cannot be read .*remove it", refused(f"{SWEEP} out"))
+
+
+def test_a_part_with_the_episodes_of_another_is_named(swept, tmp_path, refused):
+    shutil.copytree(swept, tmp_path / "out")
+    first, third = (tmp_path / "out" / "episodes" / f"part-{number:06d}.parquet" for number in (0, 2))
+    shutil.copy(first, third)
+    assert "part-000002.parquet cannot be read (it holds other episodes than its number says)" in refused(
+        f"{SWEEP} out"
+    )
