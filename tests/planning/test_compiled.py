@@ -23,7 +23,7 @@ from ms_highway.game.scenario import build_game
 from ms_highway.game.starts import draw_starts
 from ms_highway.game.scenarios import STAY_BACK
 from ms_highway.planning.compiled_plans import CompiledPlans
-from ms_highway.planning.human_models import ladder
+from ms_highway.planning.ladders import ladder
 state = draw_starts(STAY_BACK, np.random.default_rng(0)).astype(np.float32)
 function, *arguments = CompiledPlans(build_game(STAY_BACK), ladder(["naive"])).call(state, [0])
 plan = function.lower(*arguments).compile()
