@@ -53,7 +53,8 @@ def test_in_dense_merge_naive_plans_fail_and_a_choice_that_thinks_little_succeed
     means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
     gained = means["reward"] - means.loc["naive", "reward"]
     assert gained["learned:1"] > max(0.95 * gained["tom"], gained["nearest:2"])
-    assert means.loc["learned:1", "counted_seconds"] < 0.45 * means.loc["tom", "counted_seconds"]
+    counted = means["counted_seconds"] - means.loc["naive", "counted_seconds"]
+    assert counted["learned:1"] < 0.2 * counted["tom"]  # of what theory of mind about all takes more than naive plans
 
 
 @pytest.mark.slow
