@@ -13,8 +13,8 @@ import gymnasium
 from gymnasium.envs.registration import EnvCreator
 
 from ms_highway.envs.base import InteractionEnv
+from ms_highway.envs.configuration import check_name
 from ms_highway.envs.demonstration import DemonstrationEnv
-from ms_highway.envs.registry import check_name
 from ms_highway.envs.scenes import (
     CrossingCrowdEnv,
     DenseMergeEnv,

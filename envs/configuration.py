@@ -94,6 +94,18 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
             raise ValueError(f"unknown key {key!r} in {place}; {hint}")
 
 
+def check_name(what: str, name: object, taken: Iterable[str]) -> None:
+    """Refuse a name that is no word in lower case, or that something else has.
+
+    Raises:
+        ValueError: naming the remedy.
+    """
+    taken = list(dict.fromkeys(taken))
+    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in taken:
+        remedy = f"choose one word in lower case other than {', '.join(taken)}"
+        raise ValueError(f"{what} cannot be called {name!r}; {remedy}")
+
+
 def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind:
     """Return a struct of the values of a configuration; NumPy's numbers and arrays count as Python's.
 

@@ -1,6 +1,6 @@
 """Define the controllers that choose models online; know all by type and by short name; add rules of one's own."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar
@@ -14,7 +14,7 @@ from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANC
 from ms_highway.choice.rule import NEVER, shipped_kind
 from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
-from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
+from ms_highway.envs.configuration import Config, NotNegative, Positive, check_name, read, refuse_unknown
 from ms_highway.envs.controllers import (
     KEYBOARD,
     PLACE,
@@ -161,18 +161,6 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {
 OURS, RESERVED = tuple(CONTROLLERS), (*HUMAN_DRIVERS, KEYBOARD, "usual", "mixed")
 
 
-def check_name(what: str, name: object, taken: Iterable[str]) -> None:
-    """Make sure that what is added has a name of its own: one word in lower case.
-
-    Raises:
-        ValueError: naming the remedy.
-    """
-    taken = list(dict.fromkeys(taken))
-    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in taken:
-        remedy = f"choose one word in lower case other than {', '.join(taken)}"
-        raise ValueError(f"{what} cannot be called {name!r}; {remedy}")
-
-
 def add_rule(settings: type[ControllerSettings]) -> None:
     """Make a decision rule of one's own known by its name, to configurations and commands of this process.
 
@@ -221,11 +209,11 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
 
 
 def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
-    """Make known by a name what a human really does; `ms_highway.register` adds what the robot believes that it does.
+    """Add a driver of the real humans by a name; `ms_highway.register` adds a model by which the robot predicts them.
 
     It drives every human of an environment with ``config={"human_driver": name}``, in commands with
     ``--set human_driver=NAME``; added again, it takes the place of the one of that name. A function also drives the
-    robot, as the controller ``name``: it is then told the game of the robot, where the humans come next.
+    robot, as the controller ``name``: its arguments are then the game of the robot, and the state with the humans next.
 
     Args:
         name: one word in lower case.

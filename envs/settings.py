@@ -120,19 +120,19 @@ class Settings(Struct, frozen=True):
         values = self.controller.learned(self.semantics, self.humans, self.models)
         if values is None:
             return
-        told = values.provenance
-        scenarios = told.get("scenarios", [scenario.name])
-        learned = {name: told[name] for name in ("semantics", "solver") if name in told}
-        learned["horizon"] = told.get("planning_horizon", scenario.planning.horizon)
+        known = values.provenance
+        scenarios = known.get("scenarios", [scenario.name])
+        learned = {name: known[name] for name in ("semantics", "solver") if name in known}
+        learned["horizon"] = known.get("planning_horizon", scenario.planning.horizon)
         other = {name: value for name, value in learned.items() if getattr(self, name) not in np.ravel(value)}
         if scenario.name in scenarios and not other:
             return
-        known = ", ".join([*scenarios, *(f"{name} {value}" for name, value in other.items())])
+        there = ", ".join([*scenarios, *(f"{name} {value}" for name, value in other.items())])
         here = ", ".join([scenario.name, *(f"{name} {getattr(self, name)}" for name in other)])
         changes = "".join(f" --set {name}={getattr(self, name)}" for name in other)
         command = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"
         remedy = f"learn them with {command}, and say learned:LAMBDA:values.npz"
-        warn(f"the values of computation were learned in {known}, not in {here}; {remedy}", stacklevel=2)
+        warn(f"the values of computation were learned in {there}, not in {here}; {remedy}", stacklevel=2)
 
     @property
     def planning(self) -> PlanningSettings:

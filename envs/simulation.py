@@ -115,7 +115,7 @@ class FunctionalEnv:
         observation_space, action_space: its spaces.
         loop, costs: what its episodes share.
         steps: length of an episode that nothing ends early.
-        agent_drives: whether the agent says the robot's controls.
+        agent_drives: whether the actions are the robot's controls.
 
     Args:
         scenario: its name or id, such as ``merger-v1``, or the class of an environment.
@@ -131,11 +131,8 @@ class FunctionalEnv:
         if isinstance(scenario, str):
             scenario = ENVIRONMENTS[scenario_name(scenario)]
         self.environment = env = scenario(config)
-        self.observation_space, self.action_space, self.steps = (
-            env.observation_space,
-            env.action_space,
-            env.episode_steps,
-        )
+        self.observation_space, self.action_space = env.observation_space, env.action_space
+        self.steps = env.episode_steps
         settings, controller, kind = env.settings, env.settings.controller, env.action_type
         self.agent_drives = isinstance(kind, ContinuousAction)
         if not ((type(kind) is ContinuousAction and kind.size == 2) or isinstance(kind, Autopilot)):
@@ -192,7 +189,7 @@ class FunctionalEnv:
         return state, observation, reward, terminated, truncated, info
 
     def given(self, schedules: Any, steps: Any, now: State, actions: Any) -> Given:
-        """Return what is given for a step of n environments.
+        """Return the models of the humans, or the robot's controls, for a step of n environments.
 
         Args:
             schedules: of the episodes.

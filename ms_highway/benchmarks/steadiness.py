@@ -1,4 +1,4 @@
-"""Measure how steady driving is: how far a little noise changes where the robot drives, and what it earns.
+"""Measure steadiness: by how much small noise changes the path and the reward of the robot.
 
 Noise is normal, of a standard deviation s in x and y [m] and in the speed [m/s], and of s over the speed limit in the
 heading [rad], so that the velocity changes alike along the road and across it. It is in the start of the robot and of
@@ -33,12 +33,12 @@ def steadiness(
     devices: int | None = None,
     modules: Sequence[str] = (),
 ) -> Iterator[tuple[str, dict]]:
-    """Yield what `changes` measures of every controller, in a process that imports these modules first."""
-    told = {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen}
+    """Yield the name of every controller and its `changes`, measured in a process that imports these modules first."""
+    settings = {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen}
     with own_process(high_throughput, modules) as process:
         for name in comparison.controllers[scenario]:
             found = process.submit(changes, comparison, scenario, name, noises, seen, devices).result()
-            yield name, {**told, "noise": found}
+            yield name, {**settings, "noise": found}
 
 
 def changes(

@@ -72,10 +72,10 @@ class LearnedValue(Rule):
         return Decision(memory._replace(rungs=rungs.astype(jnp.int32)), gains, failed.any())
 
     def _values(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:
-        """Return the value of each rung for a human, what is compared, and whether it could not be estimated.
+        """Return the values of the rungs for a human, their gains for the `Decision`, and whether they are unknown.
 
-        What a rung gains over the first one counts less `DOUBT_MARGIN` standard deviations among the networks: in
-        doubt, the first rung predicts.
+        The value of a rung is its gain over the first one, less its price and `DOUBT_MARGIN` standard deviations among
+        the networks: in doubt, the first rung predicts.
         """
         means, _ = outputs(self.network, (described - self.centre) / self.spread)
         gains, doubts = (jnp.pad(part(means, axis=0), (1, 0)) for part in (jnp.mean, jnp.std))

@@ -44,7 +44,7 @@ def say(text: str) -> None:
 
 
 def tell(message: str) -> None:
-    """Print to standard error what is being done."""
+    """Print a message about progress to standard error."""
     print(message, file=sys.stderr, flush=True)
 
 

@@ -17,7 +17,7 @@ MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
 
 COUNTED = "counted_seconds"
 NEEDED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
-"""Columns of steps that are driven live, none of which may be empty."""
+"""Columns of live steps that must be filled in every row."""
 
 TEXTS = ("scenario", "controller", "model", "status")
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
@@ -90,7 +90,7 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
 
 
 def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
-    """Check that a table of steps or episodes has finite numbers in all columns but `TEXTS`, and what is needed.
+    """Check that a table of steps or episodes holds the needed columns, and finite numbers except in `TEXTS`.
 
     Args:
         table: the table.

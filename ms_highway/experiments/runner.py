@@ -111,8 +111,13 @@ def run_batched(
     settings = {**comparison.common_config(), **asked, "part": part, "steps": steps}
     results, places = ResultsDirectory(directory), {key: place for place, key in enumerate(comparison.episodes())}
     results.take_up(settings)
-    check_parts(directory, list(places), part)
-    episodes = read_episodes(directory)
+    keys = list(places)
+
+    def expected(file: Path) -> list[EpisodeKey]:
+        first = part * int(file.stem.removeprefix("part-"))
+        return keys[first : first + part]
+
+    episodes = _read(directory, BATCHED_FILES, [], expected)
     results.write_settings(settings)
     kinds = ("steps", "episodes") if steps else ("episodes",)  # these last: when they are there, the part is done
 
@@ -212,31 +217,22 @@ def read_episodes(directory: Path) -> pd.DataFrame:
     return _read(directory, BATCHED_FILES, [])
 
 
-def check_parts(directory: Path, keys: Sequence[EpisodeKey], part: int) -> None:
-    """Check that the parts of simulated episodes in a directory are those of a comparison.
-
-    Args:
-        directory: of the results.
-        keys: all episodes, in order.
-        part: number of episodes in a part.
-
-    Raises:
-        ValueError: for a part that holds other episodes than its number says.
-    """
-    for file in sorted(directory.glob(*BATCHED_FILES)):
-        with reading(file, REMEDY):
-            first = part * int(file.stem.removeprefix("part-"))
-            own = pd.read_parquet(file, columns=KEYS).itertuples(index=False, name=None)
-            if not keys[first:] or [*own] != [*keys[first : first + part]]:
-                raise ValueError("it holds other episodes than its number says")
-
-
-def _read(directory: Path, patterns: Iterable[str], needed: Sequence[str]) -> pd.DataFrame:
+def _read(
+    directory: Path,
+    patterns: Iterable[str],
+    needed: Sequence[str],
+    expected: Callable[[Path], list[EpisodeKey]] | None = None,
+) -> pd.DataFrame:
+    """Return the rows of all files; check their columns and, where they are expected, their episodes."""
     tables = [pd.DataFrame(columns=KEYS)]
     for file in (file for pattern in patterns for file in sorted(directory.glob(pattern))):
         with reading(file, "choose another directory" if file.parent == directory else REMEDY):
             tables.append(pd.read_parquet(file) if file.suffix == ".parquet" else pd.read_csv(file))
             check_table(tables[-1], needed)
+            if expected:
+                wanted, own = expected(file), [*tables[-1][KEYS].itertuples(index=False, name=None)]
+                if not wanted or own != wanted:
+                    raise ValueError("it holds other episodes than its number says")
     return pd.concat(tables[1:] or tables)
 
 

@@ -1,4 +1,4 @@
-"""Summarise records: a row per scenario and controller, with intervals; say in sentences what they show."""
+"""Summarise records in a row per scenario and controller, with intervals, and in sentences."""
 
 import numpy as np
 import pandas as pd

@@ -16,7 +16,7 @@ CAR_SHARPNESS = 1.5
 OBSTACLE_SHARPNESS = 4.0
 OBSTACLE_SHARE = 0.5  # weight of an obstacle's risk relative to a car's
 SMOOTH_MARGIN = 0.6  # D - 1 below which the smooth indicator rises
-SMOOTH_FACTOR = 0.3  # of the cube of what is missing to it
+SMOOTH_FACTOR = 0.3  # of the cube of the distance below that margin
 
 
 class Bodies(NamedTuple):

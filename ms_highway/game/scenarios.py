@@ -133,7 +133,7 @@ DENSE_MERGE_V1 = _physical(
     caution=1.0,
     careless=0.0,
 )
-"""All humans yield to who asks, and the robot is careful: it does not push into a gap that it does not expect to open.
+"""All humans yield to a car that merges. The robot is careful: it enters only gaps that it expects to open.
 
 Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
 nearly all.

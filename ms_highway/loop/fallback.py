@@ -79,7 +79,7 @@ def no_rest(horizon: int, humans: int) -> Rest:
 
 
 def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Followed:
-    """Return what drives in a step but for braking, see `or_brake`.
+    """Choose which plan drives in a step; where none is left, `or_brake` brakes.
 
     Args:
         plan: of this step, scaled.
@@ -103,7 +103,7 @@ def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Follow
 
 
 def or_brake(game: Game, car: Car, followed: Followed) -> Followed:
-    """Return what drives: a car brakes in its lane where nothing is left to follow."""
+    """Let a car brake in its lane where no plan is left to follow."""
     now, braking = followed.now, braking_control(game, car) / game.planner.control_scale
     robot = braking.__array_namespace__().where(now.steps == 0, braking, now.plan.robot)
     return followed._replace(now=now._replace(plan=now.plan._replace(robot=robot)))

@@ -21,7 +21,7 @@ from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, Tra
 Point = TypeVar("Point", bound=PyTree)
 
 STEPS, JOINT_STEPS = 8, 4
-"""Usual numbers of steps of a plan at most, see `until_still`: alone, and with others who respond to each of them.
+"""Default limits on the number of steps of a plan, see `until_still`: alone, and where others respond to each step.
 
 Steps to which others respond climb no single reward, and more of them are less steady. Measured in Dense Merge under
 theory of mind: starts 10 um apart are within 0.73 mm of each other two seconds later with four such steps, within

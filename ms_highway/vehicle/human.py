@@ -26,7 +26,7 @@ from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import WATCHED_TIMES, RoadView, look
 
 CALM = 1.5  # m/s^2, of braking that is left to the learned reward
-STOPPED = 2.0  # m, gap behind who stands
+STOPPED = 2.0  # m, gap behind a standing vehicle
 STOPPING = 5.0  # 1/s, of the speed that braking takes at most, so that no step ends backwards
 YIELDING = 5.0  # m/s^2, of braking where a road makes a car yield
 
@@ -132,7 +132,7 @@ class CommuterVehicle(IDMVehicle):
         Args:
             ego_vehicle: the vehicle; nobody, and obstacles, do not accelerate.
             front_vehicle: whoever is ahead of it.
-            rear_vehicle: is not heeded.
+            rear_vehicle: ignored.
         """
         if not isinstance(ego_vehicle, Vehicle):
             return 0.0
