@@ -49,7 +49,7 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         state: all cars now.
         control: scaled, about to be executed.
     """
-    others = coast(game.dynamics, state[1:], ESCAPE_STEPS)
+    others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE_STEPS))
     clearance = jax.vmap(lambda way: _clearance(game, way, others))
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
     _, ways = manoeuvres(game, after, ESCAPE_STEPS - 1, ACCELERATIONS)
@@ -60,6 +60,14 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     best = jnp.argmax(jnp.where(clear == clear.max(), earned, -jnp.inf))
     steps = np.minimum(np.arange(game.planner.horizon), ESCAPE_STEPS - 1)
     return Escape(controls[best][steps], clear.max() > kept)
+
+
+def _within_road(game: Game, others: Motion) -> Motion:
+    """Stop the sideways motion of cars at the edge of the road, unless they are beyond it already."""
+    scene, first = game.scene, others.y[..., :1]
+    lanes, room = jnp.asarray(scene.lanes), (scene.lane_width - jnp.asarray(scene.car_size)[1]) / 2
+    low, high = jnp.minimum(lanes.min() - room, first), jnp.maximum(lanes.max() + room, first)
+    return others._replace(y=jnp.clip(others.y, low, high))
 
 
 def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Index:

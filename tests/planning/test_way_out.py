@@ -68,6 +68,18 @@ def test_a_robot_that_would_collide_brakes_in_time_where_the_lane_beside_is_take
     assert replaced > 0
 
 
+def test_a_robot_does_not_count_on_a_human_that_swerves_to_leave_the_road(game, moved, escape):
+    """The human beside the robot makes room for it, but only up to the edge of the road."""
+    edge = float(game.scene.lanes.min()) - 0.5
+    state = beside(game, [-3.0, 30.0, 40.0]).at[:2, 2].set(-0.2).at[0, 1].set(-0.5).at[0, 3].set(23.0)
+    cuts_in = keep_velocity(game.dynamics, state[0]) / game.planner.control_scale
+    for _ in range(STEPS):
+        found = escape(state, cuts_in)
+        state, collides = moved(state, found.controls[0] if found.replaces else cuts_in)
+        assert not collides
+        state = state.at[1, 2].set(jnp.where(state[1, 1] < edge, 0.0, state[1, 2]))
+
+
 def test_a_control_that_leaves_a_way_out_stays(game, escape):
     state, control = beside(game, [-60.0, 60.0, 70.0]), jnp.array([0.1, 0.12], jnp.float32)
     assert not escape(state, control).replaces
