@@ -13,7 +13,6 @@ from functools import partial
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
 from msgspec import structs
 
 from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers
@@ -28,6 +27,7 @@ from ms_highway.planning.learned_driving import (
     FREE_GAP,
     STEPS_PER_SECOND,
     Surroundings,
+    TraitLogarithms,
     leader_of,
     moved,
     seen_states,
@@ -51,8 +51,6 @@ PREDICTORS = {
     "fitted_idm": "IDM, fitted",
 }
 """Names and labels of all predictors, the learned one first."""
-
-Traits = Float[jax.Array, "cars 3"]  # their logarithms, as deviations from those of the medians
 
 
 @pytree
@@ -224,7 +222,7 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
 
 
 def roll_out(
-    drivers: Drivers, snapshot: Snapshots, traits: Traits, side: CarNumbers, around: CarStates | None = None
+    drivers: Drivers, snapshot: Snapshots, traits: TraitLogarithms, side: CarNumbers, around: CarStates | None = None
 ) -> CarStates:
     """Let all cars of one snapshot drive for 5 s; return their states after each step [50, cars, 4].
 
