@@ -32,7 +32,7 @@ WAVE = np.stack([0.001 * np.sin(TIME), 4 + np.sin(TIME / 2)], axis=-1)  # a gent
 
 def test_controls_drive_the_car_along_its_track_wherever_it_is():
     states = driven((5.0, 1.0, 0.02, 20.0), WAVE)
-    track, far = tracked(states), tracked(states + [400.0, 17.0, 0, 0])
+    track, far = tracked(states), tracked(states + np.array([400.0, 17.0, 0, 0]))
     np.testing.assert_allclose(driven(track.states[0], track.controls), track.states, atol=1e-9)
     np.testing.assert_allclose(far.controls, track.controls, atol=1e-6)
     assert error(track, states) < 0.1
