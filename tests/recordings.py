@@ -23,17 +23,8 @@ def straight(start, end, points=30):
     return np.linspace(start, end, points)[:, None] * [np.cos(TURN), np.sin(TURN)]
 
 
-def two_lanes():
-    """Two lanes; the left one, lanelets 1 and 2, is listed last, and none knows who is beside it."""
-    return (
-        lanelet(3, -3.5, straight(0, 200))
-        + lanelet(2, 0.0, straight(100, 200), '<predecessor ref="1"/>')
-        + lanelet(1, 0.0, straight(0, 100), '<successor ref="2"/>')
-    )
-
-
-def linked_lanes(way="same", points=30):
-    """Two lanes of two lanelets each, 1 and 2 to the left of 3 and 4, that know each other, and which way they go."""
+def two_lanes(way="same", points=30):
+    """Two lanes of two lanelets each, 1 and 2 to the left of 3 and 4, linked in the same or the opposite direction."""
     lanes = ((1, 0.0, "Right", 3, 0), (2, 0.0, "Right", 4, 1), (3, -3.5, "Left", 1, 0), (4, -3.5, "Left", 2, 1))
     joints = '<successor ref="{}"/>', '<predecessor ref="{}"/>'
     return "".join(
@@ -48,7 +39,7 @@ def linked_lanes(way="same", points=30):
 
 
 def place(along, right):
-    """A point of the map at a place along the road, that far to the right of the left lane's centre."""
+    """A point of the map: a distance along the road, and a distance to the right of the left lane's centre."""
     cosine, sine = np.cos(TURN), np.sin(TURN)
     return along * cosine + right * sine, along * sine - right * cosine
 
@@ -65,7 +56,7 @@ RECTANGLE = "<rectangle><length>4.5</length><width>1.8</width></rectangle>"
 
 
 def moving(number, states, kind="car", shape=RECTANGLE):
-    """An obstacle that is in some states: step, x, y, orientation and speed."""
+    """An obstacle with recorded states: step, x, y, orientation and speed."""
     first, *rest = states
     trajectory = f"<trajectory>{''.join(state('state', *one) for one in rest)}</trajectory>" if rest else ""
     return (
@@ -75,35 +66,34 @@ def moving(number, states, kind="car", shape=RECTANGLE):
 
 
 def car(number, start, right, samples=STEPS, first=0, shape=RECTANGLE):
-    """A car that keeps its velocity along the road from a step on."""
-    steps = range(samples)
-    states = [(first + step, *place(start + SPEED * 0.1 * step, right), TURN) for step in steps]
+    """A car that keeps its velocity along the road, recorded from a step on."""
+    states = [(first + step, *place(start + SPEED * 0.1 * step, right), TURN) for step in range(samples)]
     return moving(number, states, shape=shape)
 
 
-def pedestrian(number, along, samples=STEPS, kind="pedestrian"):
-    """A pedestrian that crosses the road from the right at 1.5 m/s."""
+def pedestrian(number, along, samples=STEPS):
+    """A pedestrian who crosses the road from the right at 1.5 m/s."""
     states = [(step, *place(along, 5.0 - 0.15 * step), TURN + np.pi / 2, 1.5) for step in range(samples)]
-    return moving(number, states, kind, "<circle><radius>0.3</radius></circle>")
+    return moving(number, states, "pedestrian", "<circle><radius>0.3</radius></circle>")
 
 
-def standing(number, shape, x, y, orientation=TURN):
-    """An obstacle that stands."""
-    there = f"<type>parkedVehicle</type><shape>{shape}</shape>{state('initialState', 0, x, y, orientation)}"
+def standing(number, shape, x, y):
+    """A static obstacle."""
+    there = f"<type>parkedVehicle</type><shape>{shape}</shape>{state('initialState', 0, x, y, TURN)}"
     return f'<staticObstacle id="{number}">{there}</staticObstacle>'
 
 
-def sign(number, values):
-    """A traffic sign with a maximum speed, of the United States."""
-    value = "".join(f"<additionalValue>{value}</additionalValue>" for value in values)
+def sign(number, limit):
+    """A speed limit sign of the United States."""
+    value = f"<additionalValue>{limit}</additionalValue>"
     element = f"<trafficSignElement><trafficSignID>R2-1</trafficSignID>{value}</trafficSignElement>"
     return f'<trafficSign id="{number}">{element}</trafficSign>'
 
 
 def problem(
-    start=20.0, right=0.0, speed=SPEED, *, goal=50.0, goal_right=0.0, times=(10, 40), speeds=None, headings=None, time=0
+    start=20.0, right=0.0, speed=SPEED, *, goal=50.0, goal_right=0.0, times=(10, 40), speeds=None, headings=None
 ):
-    """A planning problem: from a place to a region 20 m long and 3 m wide around another, in intervals of the rest."""
+    """A planning problem: from a place to a region 20 m long and 3 m wide around another, within intervals."""
 
     def between(name, values):
         low, high = values
@@ -112,7 +102,7 @@ def problem(
     x, y = place(goal, goal_right)
     more = "<yawRate><exact>0</exact></yawRate><slipAngle><exact>0</exact></slipAngle>"
     return (
-        f'<planningProblem id="7">{state("initialState", time, *place(start, right), TURN, speed, more)}<goalState>'
+        f'<planningProblem id="7">{state("initialState", 0, *place(start, right), TURN, speed, more)}<goalState>'
         f"<position><rectangle><length>20</length><width>3</width><orientation>{TURN}</orientation>"
         f"<center><x>{x}</x><y>{y}</y></center></rectangle></position>"
         f"{between('orientation', headings) if headings else ''}{between('time', times)}"
@@ -120,12 +110,12 @@ def problem(
     )
 
 
-def scenario(*, lanelets=None, cars=None, problems="", time_step=0.1, number=1):
+def scenario(*, lanelets="", cars="", problems="", number=1):
+    """A scenario, by default with two lanes and two cars."""
     return (
         f'<?xml version="1.0"?><commonRoad commonRoadVersion="2020a" benchmarkID="USA_Test-1_{number}_T-1" '
-        f'timeStepSize="{time_step}" author="a" affiliation="b" source="c" date="2020-01-01">'
+        'timeStepSize="0.1" author="a" affiliation="b" source="c" date="2020-01-01">'
         "<location><geoNameId>1</geoNameId><gpsLatitude>1</gpsLatitude><gpsLongitude>1</gpsLongitude></location>"
         "<scenarioTags><highway/></scenarioTags>"
-        f"{two_lanes() if lanelets is None else lanelets}"
-        f"{car(100, 20, 0) + car(101, 40, 3.0) if cars is None else cars}{problems}</commonRoad>"
+        f"{lanelets or two_lanes()}{cars or car(100, 20, 0) + car(101, 40, 3.0)}{problems}</commonRoad>"
     )

@@ -12,27 +12,25 @@ from ms_highway.recorded.scenario import SPEED_LIMIT, Points, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.runtime.arrays import Vector
 
-LANE_SPREAD = 0.5  # m, median deviation from the median offset, above which lanes are not parallel
+LANE_SPREAD = 0.5  # m, median deviation from the median offset between two lanes, above which they are not parallel
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
     """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
-    Every moving vehicle is a driver, except those seen only once or moving against the road. Road users outside
-    lanes, such as pedestrians, are neighbours. Files of one recording, such as ``USA_US101-10_4_T-1`` and
-    ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in the first file that has it, and a
-    neighbour in the others.
+    Every vehicle that drives in lanes is a driver, unless it was seen only once or drives against the road; all other
+    road users are only neighbours. Files cut from one recording, such as ``USA_US101-10_4_T-1`` and
+    ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in the first file that has it, and
+    only a neighbour in the others.
 
     Args:
         directory: of the files.
         first: number of files to read; None for all.
 
     Raises:
-        ValueError: if there is no file, or one is no scenario with lanes of one direction, drivers and the time step
-            0.1 s.
+        ValueError: if there is no file, or a file is not a scenario with lanes, drivers and the time step 0.1 s.
     """
-    counted = set[tuple]()
-    recordings = []
+    counted, recordings = set[tuple](), []
     for path in scenario_files(directory)[:first]:
         scenario = read_scenario(path)
         try:
@@ -43,7 +41,7 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 
 
 def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
-    """Convert a scenario to a recording; add its drivers to those already counted."""
+    """Convert a scenario to a recording; add its drivers to those that earlier files have counted."""
     road, tracks = straight_road(scenario), scenario.tracks
     curve, lanes = _parallel_lanes(road.lines)
     states, drivers = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan), []
@@ -53,8 +51,8 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
         along, aside, heading = curve.project(x, y, road.axes.headings(orientation))
         states[times.astype(int), car] = np.stack([along, aside, heading, speed], axis=-1)
         identity = (scenario.group, track.number, *track.samples[0, 1:3].round(2))
-        along_the_road = np.abs(np.median(heading)) < np.pi / 2
-        if track.drives and len(times) > 1 and along_the_road and identity not in counted:
+        with_the_road = np.abs(np.median(heading)) < np.pi / 2
+        if track.drives and len(times) > 1 and with_the_road and identity not in counted:
             drivers.append(car)
             counted.add(identity)
     cars = np.array(drivers, dtype=int), np.array([track.size for track in tracks])
@@ -63,9 +61,9 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
 
 
 def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:
-    """Return the curve of the leftmost of most lines that are parallel, and how far each is to its right [m].
+    """Return the curve of the leftmost lane of the road, and the distance of each lane to its right [m], ascending.
 
-    A ramp has no lanes parallel to it but itself.
+    The road is the largest set of parallel lines: a ramp is parallel only to itself.
     """
     curves = [next(fits(line)) for line in lines]
     offsets = np.array([[_offset(curve, line) for line in lines] for curve in curves])
@@ -76,9 +74,10 @@ def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:
 
 
 def _offset(curve: Curve, line: Points) -> float:
-    """Return how far to the right of a curve a line is [m]; NaN if it has another direction, or is not parallel.
+    """Return the median distance of a line to the right of a curve [m]; NaN if it is not parallel, or goes back.
 
-    Lanes may end. In recording 10 of US-101, a ramp comes from 40 m away: nobody drives at its median offset, 23 m.
+    A line may be much shorter than the curve. A ramp that approaches is not parallel: in recording 10 of US-101, it
+    comes from 40 m away, and nobody drives at its median offset of 23 m.
     """
     along, aside = curve.locate(line)
     middle = float(np.median(aside))

@@ -17,7 +17,7 @@ from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
 from ms_highway.envs.demonstration import DENSITIES, KEYBOARD_ACTION, demonstration_game
 from ms_highway.envs.viewer import check_display
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.irl import DRIVERS, TEMPERATURE, Driver
+from ms_highway.irl import DRIVERS, TEMPERATURE
 from ms_highway.irl.demonstrator import DRIVER_WEIGHTS, maxent, seen_from
 from ms_highway.irl.recording import Recording
 from ms_highway.runtime.extras import needing
@@ -31,7 +31,7 @@ BROKEN = OSError, ValueError, LookupError, TypeError, AssertionError  # of Minar
 
 
 def record(
-    driver: Driver,
+    driver: str,
     episodes: int,
     dataset: str,
     densities: Sequence[str] = tuple(DENSITIES),
@@ -40,7 +40,7 @@ def record(
 ) -> Iterator[int]:
     """Record the episodes that a data set lacks; each is on disk before the next begins.
 
-    Episode k has the seed ``seed + k`` and the densities in turn. Yields the number of recorded episodes, at the
+    Episode k has the seed ``seed + k``, and the densities take turns. Yields the number of recorded episodes, at the
     start and after every episode.
 
     Args:
@@ -49,20 +49,18 @@ def record(
         dataset: its Minari id, such as ``ms-highway/maxent-v0``.
         densities: of the traffic, see `ms_highway.envs.demonstration.DENSITIES`.
         seed: of the first episode.
-        temperature: of the driver ``maxent``, in reward; a person has none.
+        temperature: of the driver ``maxent``, in units of the reward.
 
     Raises:
-        ValueError: for arguments out of range, or if the data set was recorded with other settings.
+        ValueError: for an unknown driver, an impossible temperature, or a data set that was recorded with other
+            settings.
         ImportError: without the packages of the extra ``demonstrations``.
         OSError: if the driver is ``keyboard`` and there is no display.
         KeyboardInterrupt: if the person closes the window; the current episode is discarded.
     """
-    if driver not in DRIVERS or not set(densities) <= set(DENSITIES) or not densities:
-        known = f"{', '.join(DRIVERS)}, and of the densities {', '.join(DENSITIES)}"
-        raise ValueError(f"driver {driver!r} or densities {list(densities)} are unknown; choose of {known}")
-    if episodes < 1 or seed < 0 or not 0 < temperature < np.inf:
-        asked = f"{episodes} episodes, the seed {seed} and the temperature {temperature}"
-        raise ValueError(f"{asked} are asked for; there must be an episode, no negative seed, and some temperature")
+    if driver not in DRIVERS or not 0 < temperature < np.inf:
+        remedy = f"give one of the drivers {', '.join(DRIVERS)}, and a positive finite temperature"
+        raise ValueError(f"the driver is {driver!r} and the temperature is {temperature}; {remedy}")
     settings: dict[str, Any] = {"driver": driver, "densities": list(densities), "first_seed": seed}
     if driver == "maxent":
         weights = {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()}
@@ -74,27 +72,28 @@ def record(
     if data.exists():
         with _opened(data) as (stored, made):
             if differences := {key: made.get(key) for key, value in settings.items() if made.get(key) != value}:
-                raise ValueError(f"it holds recordings of other settings, {differences}")
+                raise ValueError(f"it was recorded with other settings, {differences}")
             done = int(stored.total_episodes)
-    person: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     if driver == "keyboard":
         check_display()
         config = {"action": KEYBOARD_ACTION, "manual_control": True, "real_time_rendering": True}
-        person = {"render_mode": "human", "config": config}
+        options = {"render_mode": "human", "config": config}
     yield done
     if done >= episodes:
         return
-    with closing(gym.make(DEMONSTRATION_ID, **person)) as env:
+    with closing(gym.make(DEMONSTRATION_ID, **options)) as env:
         for number in range(done, episodes):
-            options = {"config": {"density": densities[number % len(densities)]}}
-            _store(_episode_of(env, driver, seed + number, options, temperature), env, data, dataset, settings)
+            episode = _drive(env, driver, seed + number, densities[number % len(densities)], temperature)
+            _store(episode, env, data, dataset, settings)
             yield number + 1
 
 
-def _episode_of(env: gym.Env, driver: Driver, seed: int, options: dict[str, Any], temperature: float) -> Any:
-    """Return an episode, as Minari's ``EpisodeBuffer``."""
+def _drive(env: gym.Env, driver: str, seed: int, density: str, temperature: float) -> Any:
+    """Let a driver drive an episode; return it as Minari's ``EpisodeBuffer``."""
     from minari.data_collector import EpisodeBuffer
 
+    options = {"config": {"density": density}}
     first, steps = env.reset(seed=seed, options=options)[0], []
     for action in actions(driver, env.unwrapped, seed, temperature):  # type: ignore[arg-type]
         steps.append((action, *env.step(action)))
@@ -104,30 +103,30 @@ def _episode_of(env: gym.Env, driver: Driver, seed: int, options: dict[str, Any]
     return EpisodeBuffer(None, seed, options, [first, *observations], taken, *outcomes)
 
 
-def actions(driver: Driver, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
+def actions(driver: str, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
     """Yield a driver's actions in an episode that has just begun.
 
     Args:
         driver: one of `DRIVERS`.
-        env: the environment, to be stepped with every action before the next is taken.
+        env: the environment; the caller steps it with every action before it takes the next one.
         seed: of the driver's random numbers.
         temperature: of the driver ``maxent``.
     """
     if driver == "keyboard":
-        while not env.done:  # closing the window ends it
+        while not env.done:  # until the person closes the window
             yield env.action_type.last_action.astype(np.float32)
         raise KeyboardInterrupt
     game = demonstration_game(DRIVER_WEIGHTS)
     horizon, scale = game.planner.horizon, np.asarray(game.planner.control_scale, dtype=float)
-    for place in count():
+    for number in count():
         car, others = seen_from(env.car_states[0], env.routes[:, env.steps + 1 : env.steps + 1 + horizon])
-        controls = maxent(game, car, others, jax.random.fold_in(jax.random.key(seed), place), temperature)
+        controls = maxent(game, car, others, jax.random.fold_in(jax.random.key(seed), number), temperature)
         for control in np.asarray(controls, dtype=float) * scale:
             yield env.action_for(control)
 
 
 def load_demonstrations(dataset: str) -> list[Recording]:
-    """Read the episodes of a recorded data set; car 0 is the driver, and each episode a group.
+    """Read the episodes of a recorded data set; car 0 is the driver, and every episode is a group.
 
     Raises:
         ValueError: if there is no such data set, or it is damaged or of another version; the message names the problem
@@ -146,8 +145,7 @@ def load_demonstrations(dataset: str) -> list[Recording]:
 def _episode(name: str, observations: np.ndarray) -> Recording:
     """Return an episode's observations [times, cars, presence and state] as a recording."""
     tracks = np.asarray(observations, dtype=float)
-    if not np.isfinite(tracks).all():  # cars would seem to be out of sight
-        step, car, _ = np.argwhere(~np.isfinite(tracks))[0]
+    for step, car, _ in np.argwhere(~np.isfinite(tracks)):  # or else cars would seem to be out of sight
         raise ValueError(f"{name} is not finite at step {step}, car {car}")
     game = demonstration_game()
     states, sizes = np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan), [game.scene.car_size] * tracks.shape[1]
@@ -159,7 +157,7 @@ def _data_directory(dataset: str) -> Path:
     """Return the directory of a data set's files.
 
     Raises:
-        ValueError: if the name is not that of a data set.
+        ValueError: if the name cannot be the name of a data set.
         ImportError: without the packages of the extra ``demonstrations``.
     """
     with needing("demonstrations"):
@@ -180,10 +178,10 @@ def _data_directory(dataset: str) -> Path:
 
 @contextmanager
 def _opened(data: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield an existing data set and how it was made; what fails with it names it.
+    """Yield an existing data set and the settings with which it was recorded.
 
     Raises:
-        ValueError: in place of all of `BROKEN`.
+        ValueError: in place of any of `BROKEN` in the block, naming the data set.
     """
     import minari
 
@@ -196,15 +194,15 @@ def _opened(data: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 def _store(episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[str, Any]) -> None:
-    """Add an episode of an environment, Minari's ``EpisodeBuffer``, to a data set.
+    """Add an episode, Minari's ``EpisodeBuffer``, to a data set.
 
-    HDF5 files are unreadable if a process is stopped while it writes them; so episodes are added to a copy, which then
-    takes the place of the original.
+    An HDF5 file is unreadable if its process is stopped while it writes. The episode is therefore added to a copy,
+    which then replaces the original.
     """
     import minari
 
     with naming(data), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about authors who are not named
+        warnings.simplefilter("ignore")  # as no author is named
         if data.exists():
             copy = data.with_name(".part")
             shutil.rmtree(copy, ignore_errors=True)

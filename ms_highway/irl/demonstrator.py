@@ -1,7 +1,7 @@
-"""The simulated demonstrator, which knows the other cars' future motion and draws its controls by a known reward.
+"""The simulated demonstrator: it knows the other cars' future motion and draws its controls by a known reward.
 
-It plans a segment of the planner's horizon, executes all of it, and plans the next. A segment earns R_H, the sum of the
-reward over its steps less the discomfort of its controls, see `segment`.
+It plans a segment as long as the planner's horizon, executes all of it, and plans the next one. The return R_H of a
+segment is the sum of the reward over its steps, less the discomfort of its controls.
 """
 
 from functools import partial
@@ -27,8 +27,8 @@ DRIVER_WEIGHTS = {
 """Weights of the demonstrated reward: the paper's, without the indicator of a collision, which is not differentiable,
 and with comfort, without which some controls would have no effect on the reward."""
 
-FLOOR = 0.05  # of the eigenvalues of Hessians: half of comfort's curvature
-DRAWS = 20  # proposals that a sample is chosen from
+FLOOR = 0.05  # least size of the eigenvalues of Hessians: half of the curvature of comfort
+DRAWS = 20  # proposals from which one control is resampled
 UNLIKELY = -1e30  # log density of the optimum itself: it is drawn only if no proposal is possible
 
 
@@ -38,19 +38,19 @@ def seen_from(car: States, routes: States) -> tuple[States, Motion]:
     Float32 resolves these better than positions far along the road.
 
     Args:
-        car: the driver's state.
-        routes: of the others after each step [others, steps, 4].
+        car: state of the driver.
+        routes: states of the others after each step [others, steps, 4].
     """
     ahead = np.array([car[0], 0.0, 0.0, 0.0])
     return jnp.asarray(car - ahead, dtype=jnp.float32), observe((routes - ahead).astype(np.float32))
 
 
-def segment(game: Game, car: States, others: Motion) -> Objective:
-    """Return what a segment earns.
+def segment_return(game: Game, car: States, others: Motion) -> Objective:
+    """Return R_H of a segment as an objective of the driver's controls.
 
     Args:
-        game: whose reward and motion; car 0 is driven.
-        car: its state.
+        game: gives the reward and the dynamics of the driver, its car 0.
+        car: state of the driver.
         others: motion of the others after each step, arrays [others, steps].
     """
 
@@ -63,23 +63,24 @@ def segment(game: Game, car: States, others: Motion) -> Objective:
 
 @jax.jit
 def optimal(game: Game, car: States, others: Motion) -> Optimum:
-    """Find the local optimum of a `segment` that is uphill from keeping the velocity, see `find_optimum`."""
-    return find_optimum(segment(game, car, others), constant_velocity(game, car), FLOOR)
+    """Find the local optimum of R_H that is uphill from keeping the velocity; takes what `segment_return` takes."""
+    return find_optimum(segment_return(game, car, others), constant_velocity(game, car), FLOOR)
 
 
 @jax.jit
 def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature: Scalar) -> Controls:
-    """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum, within the limits.
+    """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum u*, within the limits.
 
-    Draws some proposals from the Laplace approximation ``N(u*, temperature (-H)^-1)``, the eigenvalues l of H set to
-    ``-max(|l|, 0.05)``, and resamples one of them by importance; the optimum, if none is within the limits.
+    Draws 20 proposals from the Laplace approximation ``N(u*, temperature (-H)^-1)``, in which each eigenvalue l of H is
+    replaced by ``-max(|l|, 0.05)``, and resamples one of them by importance. Where no proposal is within the limits, it
+    returns the optimum.
 
     Args:
-        game: whose reward and motion; car 0 is driven.
-        car: its state.
-        others: motion of the others after each step, arrays [others, steps].
+        game: see `segment_return`.
+        car: see `segment_return`.
+        others: see `segment_return`.
         key: of the random numbers.
-        temperature: in reward.
+        temperature: in units of the reward.
     """
     best = optimal(game, car, others)
     values, vectors = jnp.linalg.eigh(best.hessian)
@@ -87,8 +88,8 @@ def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature:
     proposing, accepting = jax.random.split(key)
     normal = jax.random.normal(proposing, (DRAWS, len(values))).at[0].set(0.0)
     proposals = best.controls + (normal @ spread.T).reshape(DRAWS, *best.controls.shape)
-    earned = jax.vmap(segment(game, car, others).earned)(proposals)
+    returns = jax.vmap(segment_return(game, car, others).earned)(proposals)
     inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
-    excess = earned / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
+    excess = returns / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
     excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(UNLIKELY)
     return proposals[jax.random.categorical(accepting, excess)]

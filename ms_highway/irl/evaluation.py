@@ -16,7 +16,9 @@ from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.snapshots import AT, HORIZONS, Paths, Snapshots, cut_snapshots
 from ms_highway.runtime.progress import Progress, silent
 
-MISS = 2.0  # m
+MISS = 2.0
+"""Distance from which a prediction counts as a miss [m]."""
+
 LEVELS = (50, 90, 99)
 """Percentages of probability in the predicted regions whose calibration is measured."""
 
@@ -27,22 +29,23 @@ SLOW = 5.0  # m/s
 LEADER = 50.0  # m ahead, from centre to centre
 
 ByHorizon = dict[str, float]
+Situations = dict[str, dict[str, dict[str, ByHorizon]]]
 
 
 class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
     """How well drivers were predicted: plain numbers, by horizon in seconds.
 
     Attributes:
-        predictors: what `metrics` returns, by predictor.
-        situations: mean ``distance`` [m] and ``log_p`` of each predictor, by driving regime, see `driving_regimes`; and
-            ``windows``, the number of drivers.
+        predictors: `metrics` of each predictor, by name.
+        situations: mean ``distance`` [m] and mean ``log_p``, by driving regime (see `driving_regimes`) and predictor;
+            ``windows`` stands beside the predictors and is the number of predictions.
         windows: number of predictions.
         tracks: number of drivers.
-        folds: weights of the drivers of each fold of a cross-validation.
+        folds: weights that were learned in each fold of a cross-validation.
     """
 
     predictors: dict[str, dict[str, ByHorizon]]
-    situations: dict[str, dict[str, dict[str, ByHorizon]]]
+    situations: Situations
     windows: int
     tracks: int
     folds: Sequence[dict[str, Any]] = ()
@@ -54,7 +57,7 @@ class Errors(NamedTuple):
     Attributes:
         distance: from the expected to the recorded position [m].
         log_p: log density of the recorded position [1/m^2].
-        level: probability of the region of highest density that just reaches it.
+        level: see `density_level`.
     """
 
     distance: Steps
@@ -70,13 +73,13 @@ def prediction_errors(mixture: Mixture, recorded: Paths) -> Errors:
 
 
 def metrics(errors: Errors) -> dict[str, ByHorizon]:
-    """Return the metrics of a predictor by horizon in seconds, over the drivers that are seen until then.
+    """Return the metrics of a predictor by name and horizon in seconds, over the drivers that are seen until then.
 
     Returns:
-        ``fde``: mean distance at the horizon [m]; ``ade``: mean distance up to it [m]; ``rmse``: root mean square of
-        the distance at it [m]; ``miss``: share of drivers whose distance at it exceeds 2 m; ``log_p``: mean log density
-        of the recorded positions [1/m^2]; ``inside 50`` and so on: share of drivers in the region of highest density
-        that holds 50 % of the probability.
+        ``fde``, the mean distance at the horizon [m]; ``ade``, the mean distance up to the horizon [m]; ``rmse``, the
+        root mean square of the distance at the horizon [m]; ``miss``, the share of drivers who are more than 2 m off at
+        the horizon; ``log_p``, the mean log density of the recorded positions [1/m^2]; ``inside 50`` and so on, the
+        share of drivers in the region of highest density that holds 50 % of the probability.
     """
     rows: dict[str, ByHorizon] = {}
     for horizon, at in zip(map(str, HORIZONS), AT, strict=True):
@@ -104,16 +107,16 @@ def evaluate(
     parts: int = 4,
     progress: Progress = silent,
 ) -> Evaluation:
-    """Evaluate learned drivers on recordings; or cross-validate: predict each fold by what the other folds teach.
+    """Evaluate learned drivers on recordings; or cross-validate: learn from the other folds to predict each fold.
 
     Args:
-        recordings: all recordings; for a cross-validation, they are split by group, and so by driver.
+        recordings: all recordings; a cross-validation splits them by group, and so by driver.
         learned: the drivers; None for a cross-validation.
-        parts: the number of folds of a cross-validation.
+        parts: number of folds of a cross-validation.
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if a peer is missing, a cross-validation has one fold only, or no driver was seen for long enough.
+        ValueError: if a peer is missing, a cross-validation has only one fold, or no driver was seen for long enough.
     """
     snapshots = cut_snapshots(recordings)
     held_out = folds(snapshots.group, 1 if learned else parts)
@@ -122,58 +125,55 @@ def evaluate(
             "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
         )
     results, weights = [], []
-    for number, names in enumerate(held_out, 1):
-        chosen = np.isin(snapshots.group, names)
-        progress(f"fold {number} of {len(held_out)}, with {snapshots.predicted[chosen].sum()} drivers to predict")
-        drivers = learned or learn_drivers(snapshots.only(~chosen), intervals=False)
-        weights += [] if learned else [{"drivers": drivers.weights}]
+    for number, chosen in enumerate(held_out, 1):
         some = snapshots.of(chosen)
+        progress(f"fold {number} of {len(held_out)}, with {some.predicted.sum()} drivers to predict")
+        drivers = learned or learn_drivers(snapshots.only(~chosen), intervals=False)
+        weights.append({"drivers": drivers.weights})
         errors = {name: prediction_errors(predict_with(name, some, drivers), some.recorded) for name in PREDICTORS}
         results.append((errors, driving_regimes(some)))
-    whole, regimes = jax.tree.map(lambda *rows: np.concatenate(rows), *results)  # in the order of the alphabet
-    errors = {name: whole[name] for name in PREDICTORS}
+    joined, regimes = jax.tree.map(lambda *rows: np.concatenate(rows), *results)
+    errors = {name: joined[name] for name in PREDICTORS}  # jax.tree sorts names by the alphabet
     return Evaluation(
         predictors={name: metrics(each) for name, each in errors.items()},
         situations=metrics_by_regime(errors, {name: regimes[name] for name in results[0][1]}),
         windows=len(snapshots.which),
         tracks=len(np.unique(snapshots.drivers(snapshots.track))),
-        folds=tuple(weights),
+        folds=() if learned else weights,
     )
 
 
 def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     """Return which predicted drivers are in each regime, by name; a driver may be in several, or in none.
 
-    A *lane change* is 1.5 m to the side within 3 s; *braking* and *accelerating* are more than 1 m/s^2 on average over
-    that time; *slow* is below 5 m/s at the start; *no leader* is none within 50 m in the own lane at the start;
-    *following* is a leader and none of the other regimes. Drivers who are seen for less than 3 s are in none.
+    *lane change*: moves 1.5 m to the side within 3 s. *braking*, *accelerating*: by more than 1 m/s^2 on average over
+    3 s. *slow*: below 5 m/s at the start. *no leader*: nobody within 50 m ahead in the own lane at the start.
+    *following*: none of the other regimes. Drivers who are seen for less than 3 s are in none.
     """
     start, later = snapshots.drivers(snapshots.now), snapshots.drivers(snapshots.future[:, 10 * REGIME - 1])
     others, reach = snapshots.now[snapshots.which], snapshots.lane_width[snapshots.which] / 2
     near = (others[..., 0] - start[:, :1] < LEADER)[:, None]
     _, led = leaders(start[:, :1], start[:, 1:2], others, near, reach[:, None, None])
-    change = (later[:, 3] - start[:, 3]) / REGIME
+    acceleration = (later[:, 3] - start[:, 3]) / REGIME
     found = {
         "lane change": np.abs(later[:, 1] - start[:, 1]) > LANE_CHANGE,
-        "braking": change < -HARD,
-        "accelerating": change > HARD,
+        "braking": acceleration < -HARD,
+        "accelerating": acceleration > HARD,
         "slow": start[:, 3] < SLOW,
         "no leader": ~led[:, 0],
     }
     found["following"] = ~np.any(list(found.values()), axis=0)
-    return {name: chosen & np.isfinite(change) for name, chosen in found.items()}
+    return {name: chosen & np.isfinite(acceleration) for name, chosen in found.items()}
 
 
-def metrics_by_regime(
-    errors: dict[str, Errors], regimes: dict[str, Flags]
-) -> dict[str, dict[str, dict[str, ByHorizon]]]:
-    """Return the means of each predictor by what is measured, regime and horizon; see `Evaluation.situations`."""
-    rows: dict[str, dict[str, dict[str, ByHorizon]]] = {"distance": {}, "log_p": {}}
+def metrics_by_regime(errors: dict[str, Errors], regimes: dict[str, Flags]) -> Situations:
+    """Return the mean distance and log density by regime, predictor and horizon, see `Evaluation.situations`."""
+    rows: Situations = {"distance": {}, "log_p": {}}
     for regime, chosen in regimes.items():
         if chosen.any():
-            some = {name: Errors(*(part[chosen] for part in each)) for name, each in errors.items()}
-            seen = np.isfinite(some["model"].distance[:, AT]).sum(axis=0).astype(float).tolist()
+            found = {name: metrics(Errors(*(part[chosen] for part in each))) for name, each in errors.items()}
+            seen = np.isfinite(errors["model"].distance[chosen][:, AT]).sum(axis=0).astype(float).tolist()
+            windows = dict(zip(map(str, HORIZONS), seen, strict=True))
             for kind, metric in (("distance", "fde"), ("log_p", "log_p")):
-                rows[kind][regime] = {"windows": dict(zip(map(str, HORIZONS), seen, strict=True))}
-                rows[kind][regime] |= {name: metrics(each)[metric] for name, each in some.items()}
+                rows[kind][regime] = {"windows": windows, **{name: each[metric] for name, each in found.items()}}
     return rows

@@ -1,4 +1,4 @@
-"""Forecast the cars of one moment of traffic, without recordings: modes, means and covariances, second by second."""
+"""Predict where the cars of one moment of traffic will be, without a recording: modes, means and covariances."""
 
 from typing import Any, NamedTuple
 
@@ -15,21 +15,22 @@ from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import STEPS, snapshots_at
 from ms_highway.planning.learned_driving import PAST_STEPS
 
-ROOM = 16  # cars: arrays grow by so many, so that few numbers of cars compile anew
-WITHIN = -2 * np.log1p(-0.5)  # square of the distance in deviations from a normal mean within which half of all are
+ROOM = 16  # cars are padded to a multiple of this, so that functions are compiled for few numbers of cars
+WITHIN = 2 * np.log(2)  # squared radius, in standard deviations, that holds half of a bivariate normal distribution
 
 
 class Forecast(NamedTuple):
-    """Where cars may be; in mode 0, a car stays in its lane, in modes 1 and 2, it changes to the left or to the right.
+    """Where cars may be. In mode 0 a car stays in its lane, in mode 1 it changes to the left, in mode 2 to the right.
 
-    Predicted distributions are Student's t, whose tails are heavier than normal and whose variance may be infinite. The
-    covariance of a mode is that of the normal distribution with the same region of 50 % probability.
+    The predicted distributions are Student's t: their tails are heavier than normal, and their variance may be
+    infinite. The covariance of a mode is therefore that of the normal distribution whose region of 50 % probability is
+    the same.
 
     Attributes:
-        times: of what follows [s].
+        times: of the predicted positions [s].
         weights: probability of each mode of each car.
         means: x and y in each mode [m].
-        covariances: around these [m^2].
+        covariances: around the means of the modes [m^2].
         mean: x and y over all modes [m].
         covariance: over all modes, of the mixture of normal distributions [m^2].
     """
@@ -55,20 +56,21 @@ def predict(
 ) -> Forecast:
     """Predict all cars of a moment on a straight road, together, every 0.1 s.
 
-    All in SI units: x along the road, y to the right. The first call for each predictor and 16 cars more compiles.
+    All numbers are in SI units, with x along the road and y to the right. The first call for each predictor compiles
+    functions, and so does the first call for each further 16 cars.
 
     Args:
-        states: x, y, heading and speed of every car now [cars, 4]; or [times, cars, 4], now and up to 3 s before, every
-            0.1 s, the present last, NaN where a car was not seen: the past shows what drivers want.
+        states: x, y, heading and speed of every car now [cars, 4]; or [times, cars, 4], every 0.1 s from up to 3 s
+            before until now, NaN where a car was not seen. The past shows what drivers want.
         lanes: lateral position of each lane's centre [m].
-        speed_limit: of the road, which drivers' desired speeds follow [m/s].
-        seconds: how far ahead, from 0.1 to 5 s.
+        speed_limit: of the road, to which drivers' desired speeds are proportional [m/s].
+        seconds: how far ahead to predict, from 0.1 to 5 s.
         predictor: of `ms_highway.irl.prediction.PREDICTORS`: ``"model"``, the learned drivers; ``"idm"``, highway-env's
             Intelligent Driver Model; ``"fitted_idm"``, that model fitted to the same drivers; ``"constant_velocity"``.
         sizes: length and width of all cars, or of each [cars, 2] [m].
         lane_width: of a lane [m].
-        learned: drivers, or the reward that has them, and how far off every predictor is; by default those of US-101
-            that come with the package.
+        learned: the learned drivers, or a reward with such drivers; they also hold the spread of every predictor. By
+            default, the drivers of US-101 that come with the package.
 
     Raises:
         ValueError: for arrays of other shapes, cars that are not seen now, an unknown predictor or a number out of
@@ -76,12 +78,8 @@ def predict(
     """
     past, centres, bodies = (np.array(values, dtype=float) for values in (states, lanes, sizes))
     past = past[None] if past.ndim == 2 else past
-    if (
-        past.ndim != 3
-        or past.shape[2] != 4
-        or len(past) > PAST_STEPS + 1
-        or not (past.size and np.isfinite(past[-1]).all())
-    ):
+    shaped = past.ndim == 3 and past.shape[2] == 4 and len(past) <= PAST_STEPS + 1
+    if not (shaped and past.size and np.isfinite(past[-1]).all()):
         message = f"finite numbers [cars, 4], or up to {PAST_STEPS + 1} times of them, finite at the last"
         raise ValueError(f"states are of shape {np.shape(states)}, or not all seen now; give {message}")
     cars, steps = past.shape[1], round(seconds / TIME_STEP)
@@ -104,9 +102,10 @@ def predict(
     modes, spread = predict_with(predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers)
     weights, means = np.asarray(modes.probability)[:cars], np.asarray(modes.path)[:cars, :, :steps]
     freedom, scales = np.asarray(spread.freedom(steps)), np.asarray(spread.scales(means.shape[1], steps))
-    wider = freedom * np.expm1(WITHIN / freedom) / WITHIN  # of Student's region that holds half
+    wider = freedom * np.expm1(WITHIN / freedom) / WITHIN  # squared radius of Student's region, relative to WITHIN
     covariances = (wider[:, None] * scales**2)[..., None] * np.eye(2)
     mean = expected_path(modes)[:cars, :steps]
-    off = means - mean[:, None]
-    covariance = np.einsum("cm,cmtij->ctij", weights, covariances + off[..., :, None] * off[..., None, :])
+    deviations = means - mean[:, None]
+    outer = deviations[..., :, None] * deviations[..., None, :]
+    covariance = np.einsum("cm,cmtij->ctij", weights, covariances + outer)
     return Forecast(TIME_STEP * np.arange(1, steps + 1), weights, means, covariances, mean, covariance)

@@ -1,4 +1,4 @@
-"""Learn a reward from recordings: cut them into segments, fit all of these, cross-validate, count features."""
+"""Learn a reward from recordings: cut them into segments, fit the weights, cross-validate, compare feature counts."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,19 +25,19 @@ from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.progress import Progress, silent
 
 COMFORT_GIVEN = 0.1
-"""Comfort weight that sets the scale of all others; small against the curvature of the published weights."""
+"""Given comfort weight, which sets the scale of all others; small against the curvature of the published weights."""
 
 SIMULATED = RewardModel(
     SIMULATED_WEIGHTS, {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)}
 )
-"""Learned from simulated demonstrations: the weights that every driver in the paper has.
+"""The model for simulated demonstrations: it learns the weights that every driver in the paper has.
 
-The weight of leaving the road is given: drivers on the road carry no information about it, and those who slide along
-its edge none that derivatives contain, see `ms_highway.irl.segments.regular`.
+The weight of leaving the road is given. Drivers on the road carry no information about it; drivers who slide along its
+edge carry none in the derivatives, see `ms_highway.irl.segments.regular`.
 """
 
 REAL = RewardModel(REAL_WEIGHTS, {"comfort_acceleration": COMFORT_GIVEN}, tails=True)
-"""Learned from real drivers: also weights of interaction with traffic, and of steering relative to accelerating."""
+"""The model for real drivers: it also learns weights of interaction with traffic, and of comfort in steering."""
 
 
 def learn_reward(
@@ -49,7 +49,7 @@ def learn_reward(
     *,
     progress: Progress = silent,
 ) -> LearnedReward:
-    """Learn a reward from all drivers of the recordings; of measured ones, also what `learn_drivers` learns.
+    """Learn a reward from all drivers of the recordings; from measured recordings, also learn drivers seconds ahead.
 
     Args:
         recordings: the recordings to learn from.
@@ -60,7 +60,7 @@ def learn_reward(
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if no segment is regular, the weights diverge, or a fit does not converge.
+        ValueError: if no segment is regular, the weights diverge, a fit does not converge, or `learn_drivers` fails.
     """
     progress("cutting segments")
     segments = cut_segments(recordings, horizon)
@@ -69,14 +69,12 @@ def learn_reward(
     progress("fitting")
     real = recordings[0].measured
     found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
-    held_out, parts = [], folds(segments.group, validations)
-    for number, names in enumerate(parts if len(parts) > 1 else [], 1):
-        chosen = np.isin(segments.group, names)
+    held_out, parts = list[float](), folds(segments.group, validations)
+    for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):
         progress(f"cross-validating, {number} of {len(parts)}")
         rest = fit_weights(derivatives.of(~chosen), model, found)
-        held_out.append(segment_log_likelihoods(derivatives.of(chosen), rest))
-    if real:
-        drivers = learn_drivers(cut_snapshots(recordings), progress=progress)
+        held_out += segment_log_likelihoods(derivatives.of(chosen), rest).tolist()
+    drivers = learn_drivers(cut_snapshots(recordings), progress=progress) if real else None
     progress("counting features")
     counts = {"human": derivatives.features.mean(axis=0), "model": expected_features(segments, found)}
     return LearnedReward(
@@ -88,10 +86,7 @@ def learn_reward(
         converged=True,
         iterations=found.iterations,
         windows=len(segments),
-        log_likelihood={
-            "train": found.log_likelihood,
-            "held_out": float(np.concatenate(held_out).mean()) if held_out else None,
-        },
+        log_likelihood={"train": found.log_likelihood, "held_out": float(np.mean(held_out)) if held_out else None},
         feature_counts={who: dict(zip(model.names, sums.tolist(), strict=True)) for who, sums in counts.items()},
         provenance={
             "data": source,
@@ -100,23 +95,23 @@ def learn_reward(
             "versions": {package: version(package) for package in ("ms-highway", "jax", "numpy", "scipy")},
         },
         tails=found.tails,
-        drivers=drivers if real else None,
+        drivers=drivers,
     )
 
 
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def best_controls(game: Game, segment: Segments) -> Controls:
-    """Return the unscaled controls of a local optimum of a `driver_game` in segments, see `optimal`."""
+    """Return the unscaled controls of a local optimum in each segment under the weights of a `driver_game`."""
     best = optimal(with_segment(game, segment), segment.start, observe(segment.others))
     return best.controls * game.planner.control_scale
 
 
 def expected_features(segments: Segments, found: Fit) -> Vector:
-    """Return the features' expected sums over a segment under the fit's distribution of controls, mean over segments.
+    """Return the expected sums of the features over a segment under the fit's distribution of controls.
 
-    To second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, the eigenvalues
-    of -H bounded as in the fit.
+    They are means over the segments, to second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with
+    ``S = T (-H)^-1``, where the eigenvalues of -H are bounded as in the fit.
     """
     sharp = {name: weight / found.temperature for name, weight in found.weights.items()}
     best = in_batches(partial(best_controls, driver_game(segments, sharp)), segments)

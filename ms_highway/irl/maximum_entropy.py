@@ -1,21 +1,21 @@
 """Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
 
-A driver is modelled as drawing the controls u of a segment, in the planner's scaled units, from
+The model: a driver draws the d controls u of a segment, in the planner's scaled units, from
 
     p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
 
-with the features along the segment, comfort among them, and the other cars moving as recorded. Laplace's
-approximation of the integral around what the driver did gives, with the gradient g and the Hessian H of R / T there
-(Levine and Koltun 2012, Eq. 4),
+where phi sums the features along the segment, comfort among them, while the other cars move as recorded. Let g and H
+be the gradient and the Hessian of R / T at the recorded controls. Laplace's approximation of the integral around these
+controls gives (Levine and Koltun 2012, Eq. 4)
 
     log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
 
 The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
 theta: the features' derivatives are computed once, and a fit then takes seconds.
 
-Real drivers are mostly near an optimum, and now and then far from it. Their temperature varies from segment to segment,
-T times an inverse-gamma variable of ``nu / 2`` and ``nu / 2``, which makes p a multivariate Student t distribution with
-nu degrees of freedom, its *tails*::
+Real drivers are mostly near an optimum, and now and then far from it. Their temperature therefore varies from segment
+to segment: it is T times an inverse-gamma variable with both parameters ``nu / 2``. This makes p a multivariate
+Student t distribution with nu degrees of freedom, called its *tails*::
 
     log p(u) = -(nu + d) / 2 log(1 - g^T H^-1 g / nu) + log det(-H) / 2
                + log Gamma((nu + d) / 2) - log Gamma(nu / 2) - (d / 2) log(nu pi)
@@ -23,7 +23,7 @@ nu degrees of freedom, its *tails*::
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -34,9 +34,8 @@ from jaxtyping import Float
 from scipy import optimize
 
 from ms_highway.game.game import Game
-from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
-from ms_highway.irl.recording import Flags, Numbers
+from ms_highway.irl.recording import Numbers, Rows
 from ms_highway.irl.segments import Segments, driver_game, summed_features
 from ms_highway.numerics.estimation import Parameters, grouped_covariance, slope_differences
 from ms_highway.numerics.second_derivatives import floored
@@ -44,14 +43,16 @@ from ms_highway.runtime.arrays import Scalar, Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
-PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, two of it are a factor of 3000
+PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, as two of them are a factor of 3000
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
-TOLERANCE = 1e-3  # of the slope of the objective per segment, in a fit that has converged
+TOLERANCE = 1e-3  # largest slope of the loss, in any logarithm, of a fit that has converged
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
 
 
-class FeatureDerivatives(NamedTuple):
-    """The features' derivatives in the d scaled controls of n segments, at the recorded controls.
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class FeatureDerivatives(Rows):
+    """The features of n segments and their derivatives in the d scaled controls, at the recorded controls.
 
     Attributes:
         features: phi, summed along each segment.
@@ -63,14 +64,10 @@ class FeatureDerivatives(NamedTuple):
     gradients: Float[Any, "n names d"]
     hessians: Float[Any, "n names d d"]
 
-    def of(self, chosen: Flags) -> "FeatureDerivatives":
-        """Return the derivatives in the chosen segments."""
-        return FeatureDerivatives(*(part[chosen] for part in self))
-
 
 @dataclass(frozen=True)
 class Fit:
-    """Weights and temperature that were fitted.
+    """The result of a fit.
 
     Attributes:
         model: the weights that were learned and those given.
@@ -102,10 +99,11 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
     """
     game = driver_game(segments, {}, names)
     columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
-    parts = in_batches(lambda batch: [part[:, columns] for part in _differentiate(game, batch)], segments)
-    derivatives = FeatureDerivatives(*(part.astype(np.float64) for part in parts))
-    sums = [part.reshape(len(segments), -1).sum(axis=1) for part in derivatives]
-    for segment in np.flatnonzero(~np.isfinite(sum(sums))):
+    found = in_batches(partial(_differentiate, game), segments)
+    derivatives = jax.tree.map(lambda part: part[:, columns].astype(float), found)
+    sums = sum(part.sum(axis=tuple(range(1, part.ndim))) for part in jax.tree.leaves(derivatives))
+    if not np.isfinite(sums).all():
+        segment = np.isfinite(sums).argmin()
         start = segments.start[segment]
         raise ValueError(f"the features of segment {segment} have no finite derivatives; it starts at {start}")
     return derivatives
@@ -116,11 +114,11 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
 def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
     """Return the derivatives of all features and of `COMFORT`, so that one compilation serves any choice of them."""
 
-    def along(controls: jax.Array) -> jax.Array:
+    def features(controls: jax.Array) -> jax.Array:
         return summed_features(game, segment, controls.reshape(-1, 2))
 
-    controls, slope = (segment.controls / game.planner.control_scale).ravel(), jax.jacrev(along)
-    return FeatureDerivatives(along(controls), slope(controls), jax.jacfwd(slope)(controls))
+    controls, gradients = (segment.controls / game.planner.control_scale).ravel(), jax.jacrev(features)
+    return FeatureDerivatives(features(controls), gradients(controls), jax.jacfwd(gradients)(controls))
 
 
 @jax.jit
@@ -141,28 +139,27 @@ def log_likelihoods(
         tails: nu, None for a normal distribution.
     """
 
-    def segment(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
-        slope, bend = pair
-        lowest, d = floor / temperature, len(slope)
-        high = jnp.isfinite(jnp.linalg.cholesky(bend - lowest * jnp.eye(d))).all()  # then nothing is floored
-        root = jnp.linalg.cholesky(jax.lax.cond(high, lambda bend: bend, lambda bend: floored(bend, lowest), bend))
-        off, sharp = slope @ cho_solve((root, True), slope), jnp.sum(jnp.log(jnp.diagonal(root)))
+    def log_p(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
+        gradient, curvature = pair  # g and -H
+        lowest, d = floor / temperature, len(gradient)
+        high = jnp.isfinite(jnp.linalg.cholesky(curvature - lowest * jnp.eye(d))).all()  # then nothing is floored
+        root = jnp.linalg.cholesky(jax.lax.cond(high, lambda same: same, lambda low: floored(low, lowest), curvature))
+        distance, sharpness = gradient @ cho_solve((root, True), gradient), jnp.sum(jnp.log(jnp.diagonal(root)))
         if tails is None:
-            return -off / 2 + sharp - d / 2 * jnp.log(2 * jnp.pi)
+            return -distance / 2 + sharpness - d / 2 * jnp.log(2 * jnp.pi)
         normalised = gammaln((tails + d) / 2) - gammaln(tails / 2) - d / 2 * jnp.log(tails * jnp.pi)
-        return normalised + sharp - (tails + d) / 2 * jnp.log1p(off / tails)
+        return normalised + sharpness - (tails + d) / 2 * jnp.log1p(distance / tails)
 
-    slope = jnp.einsum("f,nfd->nd", theta, derivatives.gradients) / temperature
-    bend = -jnp.einsum("f,nfde->nde", theta, derivatives.hessians) / temperature
-    return jax.lax.map(segment, (slope, bend))
+    gradients = jnp.einsum("f,nfd->nd", theta, derivatives.gradients) / temperature
+    curvatures = -jnp.einsum("f,nfde->nde", theta, derivatives.hessians) / temperature
+    return jax.lax.map(log_p, (gradients, curvatures))
 
 
-def segment_log_likelihoods(derivatives: FeatureDerivatives, found: Fit | LearnedReward) -> Vector:
-    """Return `log_likelihoods` of the scaled controls in every segment under a reward, in double precision."""
+def segment_log_likelihoods(derivatives: FeatureDerivatives, found: Fit) -> Vector:
+    """Return `log_likelihoods` of the scaled controls in every segment under a fit, in double precision."""
     with double_precision():
-        theta = jnp.array([found.weights[name] for name in found.model.names])
-        data = FeatureDerivatives(*map(jnp.asarray, derivatives))
-        return np.asarray(log_likelihoods(data, theta, found.temperature, found.model.floor, found.tails))
+        theta = np.array([found.weights[name] for name in found.model.names])
+        return np.asarray(log_likelihoods(derivatives, theta, found.temperature, found.model.floor, found.tails))
 
 
 def fit_weights(
@@ -177,7 +174,7 @@ def fit_weights(
     deviation 4. Where the segments carry no information about a weight, its prior remains, and the covariance shows it.
 
     Args:
-        derivatives: of the features `RewardModel.names`, in their order.
+        derivatives: of the features ``model.names``, in their order.
         model: the weights to learn and those given.
         near: a fit to start from.
         drivers: number of each segment's driver, for the covariance; by default, all segments are independent.
@@ -185,39 +182,39 @@ def fit_weights(
     Raises:
         ValueError: if the weights diverge, or the fit does not converge.
     """
-    number, learned = len(derivatives.features), len(model.learned)
-    remedy = "learn fewer weights, or from more driving"
+    learned, remedy = len(model.learned), "learn fewer weights, or from more driving"
     with double_precision():
-        given = jnp.array([float(value) for value in model.given.values()])
-        data = FeatureDerivatives(*map(jnp.asarray, derivatives)), model.floor, model.signs(), given
+        given = np.array([*model.given.values()], dtype=float)
+        data = jax.device_put(derivatives), model.floor, model.signs(), given
 
         def loss(logarithms: Parameters) -> tuple[float, np.ndarray]:
             (value, _), slope = _loss(logarithms, *data)
             return float(value), np.asarray(slope)
 
-        def bend(logarithms: Parameters) -> np.ndarray:
+        def curvature(logarithms: Parameters) -> np.ndarray:
             hessian = slope_differences(lambda near: loss(near)[1], logarithms, DIFFERENCE)
             if not np.isfinite(hessian).all():
                 raise ValueError(f"the weights diverge, at {model.weights(logarithms)}; {remedy}")
             return hessian
 
         first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
-        found = optimize.minimize(loss, first, jac=True, hess=bend, method="trust-exact", options=TRUST_REGION)
-        top, weights, hessian = np.asarray(found.x), model.weights(found.x), bend(found.x)
-        if np.abs(loss(top)[1]).max() >= TOLERANCE:
+        found = optimize.minimize(loss, first, jac=True, hess=curvature, method="trust-exact", options=TRUST_REGION)
+        best, weights, hessian = found.x, model.weights(found.x), curvature(found.x)
+        (_, likelihoods), slope = _loss(best, *data)
+        if np.abs(slope).max() >= TOLERANCE:
             raise ValueError(f"the fit has not converged after {found.nit} iterations, at {weights}; {remedy}")
-        covariance = np.linalg.pinv(number * (hessian + hessian.T) / 2, hermitian=True)
+        covariance = np.linalg.pinv(len(derivatives) * (hessian + hessian.T) / 2, hermitian=True)
         if drivers is not None:
-            covariance = grouped_covariance(covariance, np.asarray(_segment_scores(top, *data)), drivers)
-        likely = float(_loss(top, *data)[0][1].mean())
-    temperature, *tails = np.exp(top[learned:]).tolist()
-    return Fit(model, top, covariance, int(found.nit), likely, weights, temperature, *(tails or [None]))
+            covariance = grouped_covariance(covariance, np.asarray(_segment_scores(best, *data)), drivers)
+        log_likelihood = float(likelihoods.mean())
+    temperature, *tails = np.exp(best[learned:]).tolist()
+    return Fit(model, best, covariance, int(found.nit), log_likelihood, weights, temperature, *(tails or [None]))
 
 
 def _segment_likelihoods(
     logarithms: Parameters, derivatives: FeatureDerivatives, floor: float, signs: Parameters, given: Parameters
 ) -> Vector:
-    """Return log p of every segment under logarithms of the learned weights' sizes, the temperature and perhaps nu."""
+    """Return log p of every segment; the logarithms are those of `Fit`."""
     sizes, learned = jnp.exp(logarithms), len(signs)
     temperature, *tails = sizes[learned:]
     return log_likelihoods(derivatives, jnp.concatenate([signs * sizes[:learned], given]), temperature, floor, *tails)

@@ -14,16 +14,14 @@ from ms_highway.runtime.arrays import Scalar
 from ms_highway.runtime.structures import plain
 
 DRAWS = 256
-"""Draws from a predicted distribution, by which `density_level` is estimated."""
+"""Number of draws from a predicted distribution by which `density_level` is estimated."""
 
-LEAST, FARTHEST = 1e-30, 1e9  # of a chi-square, and m, of a draw: tails may be heavier than numbers hold
+LEAST, FARTHEST = 1e-30, 1e9  # of a chi-square, and of a draw [m]: heavy tails exceed floating-point numbers
 
 SIDES = np.array([0, -1, 1])
-"""Lanes to the right by which a driver changes in each mode of the learned drivers."""
+"""Number of lanes to the right by which a driver changes in each mode of the learned drivers."""
 
-EVERY = 5
-"""Steps between those at which distributions are fitted."""
-
+EVERY = 5  # steps between those at which distributions are fitted
 FIRST = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.0, 0.0)  # parameters that a fit starts from, the tails' last
 PRIOR = 2.0  # standard deviation of the parameters around these
 
@@ -31,7 +29,7 @@ Steps = Float[Any, "n 50"]  # a value after each step
 
 
 class Modes(NamedTuple):
-    """Paths that each of n drivers may take; in mode 0, it stays in its lane.
+    """Paths that each of n drivers may take; in mode 0, the driver stays in its lane.
 
     Attributes:
         probability: of each mode.
@@ -46,8 +44,8 @@ class Mixture(NamedTuple):
     """The predicted distribution of drivers' positions.
 
     Attributes:
-        modes: of every driver.
-        spread: of the distributions around the paths of the modes.
+        modes: paths of every driver, and their probabilities.
+        spread: of the positions around the path of each mode.
     """
 
     modes: Modes
@@ -55,7 +53,7 @@ class Mixture(NamedTuple):
 
 
 def expected_path(modes: Modes) -> Paths:
-    """Return the mean of the modes' paths, the single path that errors are measured by."""
+    """Return the mean of the modes' paths, the single path from which errors are measured."""
     return np.einsum("nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path))
 
 
@@ -63,20 +61,18 @@ def expected_path(modes: Modes) -> Paths:
 def log_density(mixture: Mixture, positions: Paths) -> Steps:
     """Return the log density of positions after each step [1/m^2]; NaN where a position is NaN."""
     modes, spread = mixture
-    scales = spread.scales(*modes.path.shape[1:3])
-    off = (positions[:, None] - modes.path) / scales
-    freedom = spread.freedom(modes.path.shape[2])
-    each = -(freedom / 2 + 1) * jnp.log1p(jnp.sum(off**2, axis=-1) / freedom)
-    each = each - jnp.log(2 * jnp.pi) - jnp.sum(jnp.log(scales), axis=-1)
-    chances = jnp.log(jnp.maximum(modes.probability, 1e-9))
-    return jax.scipy.special.logsumexp(each + chances[..., None], axis=1)
+    scales, freedom = spread.scales(*modes.path.shape[1:3]), spread.freedom(modes.path.shape[2])
+    deviations = (positions[:, None] - modes.path) / scales
+    densities = -(freedom / 2 + 1) * jnp.log1p(jnp.sum(deviations**2, axis=-1) / freedom)
+    densities = densities - jnp.log(2 * jnp.pi) - jnp.sum(jnp.log(scales), axis=-1)
+    probabilities = jnp.log(jnp.maximum(modes.probability, 1e-9))
+    return jax.scipy.special.logsumexp(densities + probabilities[..., None], axis=1)
 
 
 def density_level(mixture: Mixture, positions: Paths) -> Steps:
-    """Return the probability of the region of highest density that has each position on its edge, by `DRAWS` draws.
+    """Estimate the probability of the region of highest density that has each position on its edge, by `DRAWS` draws.
 
-    Over cases that are predicted with the right spread, it is uniformly distributed: half of the drivers are in the
-    50 % region.
+    If the predicted spread is right, levels are distributed uniformly: half of the drivers are in the 50 % region.
     """
     (probability, paths), spread = mixture
     random, path = np.random.default_rng(0), np.asarray(paths)
@@ -96,8 +92,7 @@ def density_level(mixture: Mixture, positions: Paths) -> Steps:
 def fit_spread(modes: Modes, positions: Paths) -> Spread:
     """Fit the spread that makes recorded positions most likely, every half second."""
     known = np.isfinite(positions).all(axis=-1)[:, EVERY - 1 :: EVERY]
-    found = minimum(_negative_log_density, np.array(FIRST), modes, np.nan_to_num(positions), known)
-    return plain(_spread_of(found))
+    return plain(_spread_of(minimum(_loss, np.array(FIRST), modes, np.nan_to_num(positions), known)))
 
 
 def _spread_of(parameters: Parameters) -> Spread:
@@ -107,10 +102,9 @@ def _spread_of(parameters: Parameters) -> Spread:
 
 @jax.jit
 @jax.value_and_grad
-def _negative_log_density(parameters: Parameters, modes: Modes, positions: Paths, known: Steps) -> Scalar:
+def _loss(parameters: Parameters, modes: Modes, positions: Paths, known: Steps) -> Scalar:
     """Return minus the mean log density of the known positions, with a weak prior."""
-    spread = _spread_of(parameters)
-    each = log_density(Mixture(modes, spread), positions)[:, EVERY - 1 :: EVERY]
-    weak = jnp.sum((parameters - jnp.array(FIRST)) ** 2) / (2 * PRIOR**2)
-    seen = jnp.maximum(known.sum(axis=0), 1)  # every horizon counts alike, though fewer are seen for long
-    return weak / known.sum() - jnp.mean(jnp.where(known, each, 0.0).sum(axis=0) / seen)
+    densities = log_density(Mixture(modes, _spread_of(parameters)), positions)[:, EVERY - 1 :: EVERY]
+    prior = jnp.sum((parameters - jnp.array(FIRST)) ** 2) / (2 * PRIOR**2)
+    seen = jnp.maximum(known.sum(axis=0), 1)  # every horizon has the same weight, though fewer are seen for long
+    return prior / known.sum() - jnp.mean(jnp.where(known, densities, 0.0).sum(axis=0) / seen)

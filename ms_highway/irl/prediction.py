@@ -1,11 +1,11 @@
-"""Predict recorded drivers by name: by what was learned of them, or by the literature's predictors, their peers.
+"""Predict recorded drivers: by learned drivers, or by their peers, predictors of the literature.
 
-Learned drivers show their traits in the past. Nothing of the future is known: all cars of a snapshot drive on together,
-each for the reward of its own traits, in closed loop at 10 Hz. What a driver does in each lane that it may want is then
-predicted among the others as they drive there.
+Learned drivers have traits, which their past shows. All cars of a snapshot first drive on together, in closed loop at
+10 Hz, each for the reward of its own traits. Each driver's modes, to keep its lane or to change to the left or right,
+are then predicted among the others as they drove there. Predictors use nothing of the future.
 
-The peers keep their velocity, or drive by the Intelligent Driver Model (IDM), all cars together, and steer to the
-centre of the lane that they are in at first, as highway-env's do.
+The peers are constant velocity and the Intelligent Driver Model (IDM). By IDM, all cars of a snapshot drive on together
+and steer to the centre of their first lane, as highway-env's vehicles do.
 """
 
 from functools import partial
@@ -13,7 +13,6 @@ from functools import partial
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
 from msgspec import structs
 
 from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers
@@ -28,6 +27,7 @@ from ms_highway.planning.learned_driving import (
     FREE_GAP,
     STEPS_PER_SECOND,
     Surroundings,
+    TraitLogarithms,
     leader_of,
     moved,
     seen_states,
@@ -38,9 +38,9 @@ from ms_highway.runtime.arrays import Scalar
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.structures import Finite, Structure, pytree, read
 
-NEARNESS = 30.0  # m, by which a leader's speed counts less when lanes are compared
-AXLES = 2.5  # m, half the length from which highway-env steers
-SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # of the largest slip angle, the sine
+NEARNESS = 30.0  # m, gap at which the speed of a leader counts 1 / e as much when lanes are compared
+AXLES = 2.5  # m, half of a car's length, with which highway-env turns slip angles into yaw rates
+SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # sine of the largest slip angle
 SINE = np.sin(np.pi / 4)  # of the largest heading
 EVALUATIONS = 50  # of the error of IDM, in a fit
 
@@ -52,22 +52,20 @@ PREDICTORS = {
 }
 """Names and labels of all predictors, the learned one first."""
 
-Traits = Float[jax.Array, "cars 3"]  # logarithms, as deviations from those of the medians
-
 
 @pytree
 class IdmParameters(Structure):
-    """Parameters of the Intelligent Driver Model, and of the lane keeping beside it.
+    """Parameters of the Intelligent Driver Model, and of its lane keeping.
 
     Attributes:
-        speed: desired [m/s], or that at the start for who drives faster; 0: that at the start for all.
+        speed: least desired speed [m/s]; cars that are faster at the start keep that speed as their desired one.
         headway: desired time headway [s].
-        gap: desired at standstill, from bumper to bumper or from centre to centre, see `lengths` [m].
+        gap: desired gap at standstill [m], see `lengths`.
         acceleration: from standstill on a free road [m/s^2].
         braking: comfortable deceleration [m/s^2].
         settling: time constant with which the offset from the lane's centre decays [s].
         steering: time constant with which the heading follows [s].
-        lengths: share of the cars' lengths that is subtracted from the distance of their centres: 1 or 0.
+        lengths: 1 if gaps are from bumper to bumper, 0 if they are from centre to centre.
         margin: how far beyond the lane's edge the centre of a leader may be [m].
     """
 
@@ -83,7 +81,7 @@ class IdmParameters(Structure):
 
 
 HIGHWAY_ENV_IDM = IdmParameters(0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0)
-"""As in IDMVehicle of highway-env, whose target is its first speed."""
+"""Parameters of highway-env's IDMVehicle, whose desired speed is the one at the start."""
 
 FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
 """Parameters that a fit starts from."""
@@ -95,7 +93,7 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
     Args:
         name: of the predictor.
         snapshots: to predict from.
-        learned: the drivers, and parameters and spread of the peers.
+        learned: the learned drivers, with the parameters and the spread of their peers.
 
     Raises:
         ValueError: for an unknown name, no drivers, or drivers without this peer.
@@ -115,12 +113,10 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
 def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) -> Modes:
     """Predict the drivers of snapshots by a peer: the path of each is its only mode.
 
-    They keep their speed and heading, or all cars of a snapshot drive by IDM in their present lanes.
-
     Args:
         name: of the peer.
         snapshots: to predict from.
-        parameters: of IDM, by name; highway-env's without any.
+        parameters: of IDM, by name; where there are none, highway-env's.
     """
     if name == "constant_velocity":
         now = snapshots.drivers(snapshots.now)[:, None]
@@ -132,7 +128,7 @@ def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) 
 
 
 def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
-    """Fit the parameters and the spread of every peer, by name, to be kept with learned drivers."""
+    """Fit the parameters and the spread of every peer, by name."""
     peers = {}
     for name in [*PREDICTORS][1:]:
         parameters = structs.asdict(fit_idm(snapshots)) if name == "fitted_idm" else {}
@@ -142,10 +138,9 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
 
 
 def fit_idm(snapshots: Snapshots) -> IdmParameters:
-    """Fit the parameters that predict best, in closed loop, all cars of a snapshot together.
+    """Fit the parameters of IDM that predict best, in closed loop, all cars of a snapshot together.
 
-    Minimises ``sqrt(1 + (error / scale)^2)`` of the positions along and across the road after 1, 2, 3 and 5 s, by
-    L-BFGS over the logarithms of the parameters. This is the only use of the snapshots' future.
+    Minimises the mean of `robust_errors` by L-BFGS over the logarithms of the parameters.
     """
     first, data = np.log(jax.tree.leaves(FIRST_IDM)[:7]), jax.device_put(snapshots)
     return IdmParameters(*np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist())
@@ -154,11 +149,26 @@ def fit_idm(snapshots: Snapshots) -> IdmParameters:
 @jit_quickly
 @jax.value_and_grad
 def _mean_idm_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
-    """Return the robust error, averaged over all known positions."""
-    recorded, paths = snapshots.future[:, AT, :, :2], _idm_of_all(IdmParameters(*jnp.exp(logarithms)), snapshots)
-    known = jnp.isfinite(recorded).all(axis=-1) & snapshots.predicted[:, None]
-    off = jnp.where(known[..., None], paths[:, AT] - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]
-    return jnp.sum(jnp.sqrt(1 + off**2) - 1) / jnp.sum(known)
+    paths = _idm_of_all(IdmParameters(*jnp.exp(logarithms)), snapshots)
+    errors, known = robust_errors(paths, snapshots.future, snapshots.predicted[:, None])
+    return jnp.sum(errors) / jnp.sum(known)
+
+
+def robust_errors(paths: CarStates, future: CarStates, chosen: CarFlags) -> tuple[CarStates, CarFlags]:
+    """Return ``sqrt(1 + (error / scale)^2) - 1`` along and across the road after 1, 2, 3 and 5 s, for fits.
+
+    Args:
+        paths: predicted positions after each step [*n, 50, cars, 2].
+        future: recorded states after each step, see `Snapshots`.
+        chosen: cars whose errors count [*n, 1, cars].
+
+    Returns:
+        The errors [*n, 4, cars, 2], 0 where they do not count; and whether they count [*n, 4, cars].
+    """
+    recorded = future[..., AT, :, :2]
+    known = jnp.isfinite(recorded).all(axis=-1) & chosen
+    errors = jnp.where(known[..., None], paths[..., AT, :, :] - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]
+    return jnp.sqrt(1 + errors**2) - 1, known
 
 
 @partial(jax.vmap, in_axes=(None, 0))
@@ -172,23 +182,17 @@ def _idm_of_all(parameters: IdmParameters, snapshot: Snapshots) -> CarStates:
     def go(state: CarStates, _: None) -> tuple[CarStates, CarStates]:
         x, y, heading, speed = state.T
         leader = leader_of(around, state, state, lane)
-        acceleration = idm_acceleration(
-            speed,
-            desired,
-            jnp.where(leader.there, leader.gap, jnp.inf),
-            leader.speed,
-            parameters.headway,
-            parameters.gap,
-            parameters.acceleration,
-            parameters.braking,
-        )
+        gap = jnp.where(leader.there, leader.gap, jnp.inf)
+        own = parameters.headway, parameters.gap, parameters.acceleration, parameters.braking
+        acceleration = idm_acceleration(speed, desired, gap, leader.speed, *own)
         moving = jnp.maximum(speed, 0.01)
         aim = jnp.arcsin(jnp.clip((lane - y) / (parameters.settling * moving), -SINE, SINE))
         slip = jnp.arcsin(jnp.clip(AXLES / moving * ((aim - heading) / parameters.steering), -SLIP, SLIP))
         distance = TIME_STEP * speed
         x, y = x + distance * jnp.cos(heading + slip), y + distance * jnp.sin(heading + slip)
         faster = jnp.maximum(speed + TIME_STEP * acceleration, 0.0)
-        return jnp.stack([x, y, heading + distance * jnp.sin(slip) / AXLES, faster], axis=-1), jnp.stack([x, y], -1)
+        after = jnp.stack([x, y, heading + distance * jnp.sin(slip) / AXLES, faster], axis=-1)
+        return after, after[:, :2]
 
     return jax.lax.scan(go, start, None, length=STEPS)[1]
 
@@ -197,8 +201,8 @@ _idm_paths = jit_quickly(_idm_of_all)
 
 
 def predict_drivers(snapshots: Snapshots, drivers: Drivers) -> Modes:
-    """Predict the drivers of snapshots by what was learned: they keep their lane, or change to the left or right."""
-    modes = in_batches(lambda some: _modes_of_all(drivers, some), snapshots)
+    """Predict the drivers of snapshots by learned drivers: they keep their lane, or change to the left or right."""
+    modes = in_batches(partial(_modes_of_all, drivers), snapshots)
     return Modes(*map(snapshots.drivers, modes))
 
 
@@ -209,29 +213,30 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     traits, (advantages, exist) = shown_traits(drivers, snapshot, snapshot.past), lane_advantages(snapshot)
     odds = jnp.asarray(drivers.intention.biases) + advantages @ jnp.asarray(drivers.intention.weights)
     odds = jnp.where(exist, odds, -jnp.inf)
-    chance = jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
+    probability = jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
     sides, now = jnp.asarray(SIDES), seen_states(snapshot.past[-1])
-    after = roll_out(drivers, snapshot, traits, sides[chance.argmax(axis=-1)])
+    after = roll_out(drivers, snapshot, traits, sides[probability.argmax(axis=-1)])
     around = jnp.concatenate([now[None], after[:-1]])
-    paths = jax.vmap(lambda side: roll_out(drivers, snapshot, traits, jnp.full(len(chance), side), around))(sides)
-    return Modes(chance, jnp.moveaxis(paths, 2, 0)[..., :2])
+    paths = jax.vmap(lambda side: roll_out(drivers, snapshot, traits, jnp.full(len(now), side), around))(sides)
+    return Modes(probability, jnp.moveaxis(paths, 2, 0)[..., :2])
 
 
 def roll_out(
-    drivers: Drivers, snapshot: Snapshots, traits: Traits, side: CarNumbers, around: CarStates | None = None
+    drivers: Drivers, snapshot: Snapshots, traits: TraitLogarithms, side: CarNumbers, around: CarStates | None = None
 ) -> CarStates:
     """Let all cars of one snapshot drive for 5 s; return their states after each step [50, cars, 4].
 
     Args:
-        drivers: what was learned.
+        drivers: the learned drivers.
         snapshot: the start.
         traits: see `shown_traits`.
-        side: lanes to the right by which each changes lanes, -1, 0 or 1; who changes follows the leader there.
-        around: states before each step [50, cars, 4] of the others that each car meets; by default, all drive together.
+        side: number of lanes to the right by which each car changes, -1, 0 or 1; it follows the leader in that lane.
+        around: states of the others before each step [50, cars, 4], among which each car drives alone; by default, all
+            cars drive together.
     """
     wanted = _lane_centre(snapshot, side)
 
-    @jax.checkpoint  # whose memory gradients of 5 s would exhaust
+    @jax.checkpoint  # or else gradients over 5 s would exhaust the memory
     def go(now: CarStates, others: CarStates | None) -> tuple[CarStates, CarStates]:
         after, _ = moved(drivers, snapshot, traits, side, wanted, now, others)
         return after, after
@@ -252,8 +257,8 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     drifted = jnp.where(jnp.isfinite(drifted), drifted, drift)
     own = leader_of(snapshot, states, states, centre)
 
-    def hurry(leader: Leader) -> Cars:
-        """Return the speed of leaders relative to the followers, weighed by their nearness [m/s]."""
+    def relative_speed(leader: Leader) -> Cars:
+        """Return the speed of leaders relative to their followers, weighed by their nearness [m/s]."""
         near = jnp.where(leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / NEARNESS), 0.0)
         return near * (leader.speed - speed)
 
@@ -262,13 +267,14 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
         other = leader_of(snapshot, states, states, beside)
         room = jnp.clip(other.gap, 0.0, FREE_GAP) - jnp.clip(own.gap, 0.0, FREE_GAP)
         sideways = [right * (y - centre) / snapshot.lane_width, right * drift, right * drifted]
-        return jnp.stack([*sideways, hurry(other) - hurry(own), room / 10, speed / 10], axis=-1), beside != centre
+        faster = relative_speed(other) - relative_speed(own)
+        return jnp.stack([*sideways, faster, room / 10, speed / 10], axis=-1), beside != centre
 
     found, exist = zip(*map(advantages, (-1, 1)), strict=True)
     return jnp.stack(found, axis=1), jnp.stack(exist, axis=1)
 
 
 def _lane_centre(snapshot: Snapshots, side: int | CarNumbers) -> Cars:
-    """Return the centre of the lane that is so many lanes to the right of each car's, or at the edge of the road."""
+    """Return the centre of the lane that many lanes to the right of each car's lane, at most of the outermost one."""
     lane = lane_numbers(snapshot.lanes, seen_states(snapshot.past[-1])[:, 1])
     return snapshot.lanes[jnp.clip(lane + side, 0, len(snapshot.lanes) - 1)]

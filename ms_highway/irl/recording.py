@@ -1,7 +1,7 @@
 """Recorded driving, simulated or real: the states of all cars in lane coordinates, and smooth tracks of drivers.
 
-In lane coordinates, x runs along the road, y to the right of its leftmost lane's centre, and headings are relative to
-its direction, so that recorded roads are straight like those of `ms_highway.game.scene`.
+In lane coordinates, x runs along the road, y is the distance to the right of the leftmost lane's centre, and headings
+are relative to the road's direction. Recorded roads are then straight, like those of `ms_highway.game.scene`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,36 +29,36 @@ CarFlags = Bool[Any, "*n cars"]
 CarNumbers = Int[Any, "*n cars"]
 CarStates = Float[Any, "*n cars 4"]
 
-LANES = 6  # at least, so that one compilation serves most roads
+MIN_LANES = 6  # to which lanes are padded, so that one compilation serves most roads
 
-# Standard deviations. Errors of position and jerks together decide how smooth tracks are: here, oscillations faster
-# than (JERK dt / POSITION)^(1/3) / dt, a third of a hertz, count as noise. The other three are wide, and only decide
-# what positions leave open, such as the steering of a standing car.
+# Standard deviations. Errors of position and jerks together decide how smooth tracks are: oscillations faster than
+# (JERK dt / POSITION)^(1/3) / dt, here a third of a hertz, count as noise. The other three are wide: they only decide
+# what positions do not determine, such as the steering of a standing car.
 POSITION = 0.2  # m, error of recorded positions
 JERK = 2.0  # m/s^3, along the road
 LATERAL_JERK = 0.5  # m/s^3, across it
 ACCELERATION = 4.0  # m/s^2, along the road
-HEADING = 0.2  # rad, at first
+HEADING = 0.2  # rad, at the start
 CURVATURE = 0.02  # 1/m
 
-CURVATURE_LIMIT = 0.2  # 1/m, of a front wheel turned by 45 degrees
-ROUNDS = 2  # of fitting speeds, then headings, each with the other as last known; on a highway one is nearly enough
+CURVATURE_LIMIT = 0.2  # 1/m, with the front wheels turned by 45 degrees
+ROUNDS = 2  # in each, speeds are fitted for the last headings, then headings for these speeds; one is nearly enough
 
 
 @dataclass(frozen=True)
 class Recording:
-    """All cars on one stretch of road, sampled every 0.1 s; lengths in metres, y points to the right.
+    """All cars on one stretch of road, sampled every 0.1 s, in lane coordinates.
 
     Attributes:
         name: of the source, for messages.
-        group: recordings of one group may share drivers, so that no split divides them.
+        group: name of the recordings that may share drivers; a split into folds keeps them together.
         states: ``(x, y, heading, speed)`` of every car at every time [times, cars, 4]; NaN where a car was not seen.
         drivers: indices of the cars to learn from and to predict.
-        sizes: length and width of every car [cars, 2].
-        lanes: lateral position of each lane's centre, ascending.
-        lane_width: width of a lane.
+        sizes: length and width of every car [cars, 2, m].
+        lanes: lateral position of each lane's centre, ascending [m].
+        lane_width: width of a lane [m].
         speed_limit: of the road [m/s].
-        measured: whether states were measured, with noise; otherwise simulated.
+        measured: whether states were measured, with noise; otherwise they were simulated.
     """
 
     name: str
@@ -72,17 +72,15 @@ class Recording:
     measured: bool = True
 
     def __post_init__(self) -> None:
-        """Check that states have three axes, and that every driver was seen at two consecutive times or more.
+        """Check that every driver was seen without a gap, at two times or more.
 
         Raises:
-            ValueError: naming the recording and the problem.
+            ValueError: naming the recording and the car.
         """
-        if np.ndim(self.states) != 3 or np.shape(self.states)[2] != 4:
-            raise ValueError(f"{self.name}: states have shape {np.shape(self.states)}; they must be [times, cars, 4]")
         for car in self.drivers:
             times = np.flatnonzero(self.seen[:, car])
             if len(times) < 2 or np.ptp(times) >= len(times):
-                steps = f"{len(times)} steps, not at two or more on end; leave it out of the drivers"
+                steps = f"{len(times)} steps, not at two or more without a gap; leave it out of the drivers"
                 raise ValueError(f"{self.name}: car {car} is finite at {steps}")
 
     @cached_property
@@ -97,7 +95,7 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, 
     Yields every recording; the number of its group, in order of appearance; the number of its first driver among the
     drivers of all recordings; and its lanes, of which the last is repeated, which changes no feature.
     """
-    most = max((LANES, *(len(item.lanes) for item in recordings)))
+    most = max((MIN_LANES, *(len(item.lanes) for item in recordings)))
     groups: dict[str, int] = {}
     tracks = 0
     for item in recordings:
@@ -106,19 +104,17 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, 
         tracks += len(item.drivers)
 
 
-def folds(groups: Numbers, number: int) -> list[Numbers]:
-    """Split group numbers into folds, so that each group is held out once."""
+def folds(groups: Numbers, number: int) -> list[Flags]:
+    """Return which rows each fold holds out, given their group numbers; every group is held out once."""
     names = np.unique(groups)
-    return np.array_split(names, min(number, len(names)))
+    return [np.isin(groups, held_out) for held_out in np.array_split(names, min(number, len(names)))]
 
 
 class Rows:
-    """Rows that are cut from recordings: arrays with a leading axis [n]; each is from the recordings of a group."""
-
-    group: Numbers
+    """Base of pytrees whose arrays have a leading axis [n] of rows."""
 
     def __len__(self) -> int:
-        return len(self.group)
+        return len(jax.tree.leaves(self)[0])
 
     def of(self, chosen: Flags) -> Self:
         """Return the chosen rows."""
@@ -126,14 +122,14 @@ class Rows:
 
 
 def straight_on(states: States, distance: Float[Any, "*times"]) -> States:
-    """Return the states of cars after they have gone some distance at constant speed and heading, by NumPy or JAX."""
+    """Return the states of cars after they have gone a distance [m] at constant speed and heading; NumPy or JAX."""
     xp, heading = states.__array_namespace__(), states[..., 2]
     still = xp.zeros_like(heading)
     return states + distance[..., None] * xp.stack([xp.cos(heading), xp.sin(heading), still, still], axis=-1)
 
 
 class Track(NamedTuple):
-    """A track: one step of its dynamics with each control leads from each state to the next.
+    """States and the controls that lead from each state to the next, by `ms_highway.game.dynamics.step`.
 
     Attributes:
         states: ``(x, y, heading, speed)``, one more than the controls.
@@ -145,7 +141,7 @@ class Track(NamedTuple):
 
 
 def track_of(recording: Recording, car: int) -> Track:
-    """Return a car's track: `smoothed` if it was measured, the recorded states if it was simulated."""
+    """Return the track of a car while it was seen: `smoothed` if it was measured, as recorded if it was simulated."""
     states = recording.states[recording.seen[:, car], car]
     if recording.measured:
         return smoothed(states[:, :2])
@@ -155,9 +151,9 @@ def track_of(recording: Recording, car: int) -> Track:
 def smoothed(recorded: Points) -> Track:
     """Return the most likely track of a car, given its recorded positions and priors of accelerations and jerks.
 
-    Recorded speeds and headings, themselves derived from noisy positions, are not used. With a step's distance
-    ``d = (v + v_next) dt / 2``, two linear least-squares problems are solved in turn, for the initial x and speed v
-    and accelerations a; and for the initial y and heading h and curvatures c::
+    Recorded speeds and headings are not used: they were derived from noisy positions. With the distance of a step
+    ``d = (v + v_next) dt / 2``, two linear least-squares problems are solved in turn: one for the initial x, the
+    initial speed v and the accelerations a; one for the initial y, the initial heading h and the curvatures c::
 
         x = x_0 + sum of d cos(h)    v = v_0 + sum of a dt
         y = y_0 + sum of d sin(h)    h = h_0 + sum of v c dt
@@ -169,35 +165,45 @@ def smoothed(recorded: Points) -> Track:
     change, cosine = np.diff(each, axis=0), np.ones(len(each))
     sine_per_heading = cosine
     for _ in range(ROUNDS):
-        speeds = _running(each * dt)
+        speeds = _cumulative(each * dt)
         distances = (speeds[:-1] + speeds[1:]) * dt / 2
-        along = _running(cosine[:, None] * distances)
+        along = _cumulative(cosine[:, None] * distances)
         x, *motion = _least_squares(along, recorded[:, 0], change / (JERK * dt), each / ACCELERATION)
         speed = np.maximum(speeds @ motion, 0)
 
-        headings = _running(np.diag(speed[:-1] * dt))
+        headings = _cumulative(np.diag(speed[:-1] * dt))
         distance = (speed[:-1] + speed[1:]) * dt / 2
-        across = _running((distance * sine_per_heading)[:, None] * headings[:-1])
+        across = _cumulative((distance * sine_per_heading)[:, None] * headings[:-1])
         jerks = change * speed[1:-1, None] ** 2 / (LATERAL_JERK * dt)
         first = np.eye(1, len(each) + 1) / HEADING
         y, *turning = _least_squares(across, recorded[:, 1], jerks, each / CURVATURE, first)
         heading = headings @ [turning[0], *np.clip(turning[1:], -CURVATURE_LIMIT, CURVATURE_LIMIT)]
         cosine, sine_per_heading = np.cos(heading[:-1]), np.sinc(heading[:-1] / np.pi)
 
-    likeliest = np.stack([np.full_like(speed, x), np.full_like(speed, y), heading, speed], axis=-1)
+    likeliest = np.stack(np.broadcast_arrays(x, y, heading, speed), axis=-1)
     controls = recover_control(PAPER_DYNAMICS, likeliest[:-1], likeliest[1:])
     states = accumulate(controls, partial(step, PAPER_DYNAMICS), initial=likeliest[0])
     return Track(np.stack(list(states)), controls)
 
 
-def _running(increments: np.ndarray) -> np.ndarray:
-    """Return the matrix that maps a quantity's initial value and the unknowns in its increments to all its values."""
+def _cumulative(increments: np.ndarray) -> np.ndarray:
+    """Return the matrix from a quantity's initial value and the unknowns of its increments to all its values.
+
+    Args:
+        increments: matrix from the unknowns to the increments.
+    """
     sums = np.pad(np.cumsum(increments, axis=0), ((1, 0), (0, 0)))
     return np.column_stack([np.ones(len(sums)), sums])
 
 
 def _least_squares(positions: np.ndarray, recorded: np.ndarray, *penalties: np.ndarray) -> np.ndarray:
-    """Return the unknowns that fit the positions best, with penalties of the last of them in standard deviations."""
+    """Return the unknowns that fit recorded positions best, with penalties.
+
+    Args:
+        positions: matrix from the unknowns to the positions.
+        recorded: positions [m].
+        penalties: matrices from the last of the unknowns to errors in standard deviations.
+    """
     likely = np.vstack([np.pad(part, ((0, 0), (positions.shape[1] - part.shape[1], 0))) for part in penalties])
     errors = np.pad(recorded / POSITION, (0, len(likely)))
     return np.linalg.lstsq(np.vstack([positions / POSITION, likely]), errors)[0]

@@ -1,6 +1,6 @@
-"""Cut recordings into segments of half a second, each a driver's controls and its neighbours, and compute its features.
+"""Cut recordings into segments, each with a driver's controls and its neighbours, and compute their features.
 
-Maximum entropy learns from segments, see `ms_highway.irl.maximum_entropy`.
+Maximum entropy learns from segments of half a second, see `ms_highway.irl.maximum_entropy`.
 """
 
 import itertools
@@ -14,7 +14,6 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.envs.demonstration import demonstration_game
 from ms_highway.game.dynamics import Motion, keep_velocity, observe
 from ms_highway.game.features import motion_features
 from ms_highway.game.game import Game, move
@@ -37,8 +36,8 @@ from ms_highway.irl.recording import (
 from ms_highway.runtime.arrays import Trajectory, Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 
-KINK = 0.05  # sine of the heading below which noise may turn the car to either side
-SATURATED = 0.8  # of the limits of plans
+KINK = 0.05  # sine of the heading, below which noise may turn the car to either side
+SATURATED = 0.8  # share of the limits of plans, from which controls count as saturated
 
 
 @jax.tree_util.register_dataclass
@@ -47,14 +46,14 @@ class Segments(Rows):
     """n segments of K steps: arrays of NumPy or JAX in SI units with a leading axis [n]; one segment has no such axis.
 
     Attributes:
-        scenes: the road and the driver's own size; every array has the leading axis.
+        scenes: the road and the driver's own size.
         speed_limit: of the road [m/s].
         start: state of the driver before the first step.
         controls: of the driver, unscaled.
-        others: states after each step of the six cars that were its neighbours at the start (see
-            `ms_highway.game.neighbours`).
+        others: states after each step of the six cars that were its neighbours at the start, see
+            `ms_highway.game.neighbours`.
         driver: number of the driver among those of all recordings; segments of a driver are adjacent.
-        group: number of the recording's group, to split by.
+        group: number of the recording's group, by which segments are split into folds.
     """
 
     scenes: Scene
@@ -67,7 +66,7 @@ class Segments(Rows):
 
 
 def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
-    """Cut the drivers' tracks into consecutive segments without overlap; return the `regular` ones.
+    """Cut the drivers' tracks into consecutive segments without overlap; return those that are `regular`.
 
     Args:
         recordings: the recordings to cut.
@@ -76,12 +75,12 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     Raises:
         ValueError: if no segment is regular.
     """
-    rows, empty = [], demonstration_game().scene
+    rows = []
     for recording, group, first_track, lanes in numbered(recordings):
         states = _extrapolated(recording.states)
         for number, driver in enumerate(recording.drivers, first_track):
-            road = {"lanes": lanes, "lane_width": recording.lane_width, "target_lane": lanes[0]}
-            scene = replace(empty, **road, car_size=recording.sizes[driver])
+            size = recording.sizes[driver]
+            scene = Scene(lanes, recording.lane_width, car_size=size, target_lane=lanes[0])
             track, entry = track_of(recording, driver), recording.seen[:, driver].argmax()
             for first in range(0, len(track.controls) - steps + 1, steps):
                 start, now = track.states[first], entry + first
@@ -95,13 +94,13 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     if segments is None or not (chosen := regular(segments)).any():
         raise ValueError(
             f"nothing can be learned from the {len(recordings)} recordings: no driver was seen for {steps + 1} samples "
-            "on end, or all are at the limits of control or at the edge of the road"
+            "without a gap, or all are at the limits of control or at the edge of the road"
         )
     return segments.of(chosen)
 
 
 def _extrapolated(states: CarStates) -> CarStates:
-    """Return the states, with motion at constant velocity after a car was last seen."""
+    """Return the states, in which each car goes on at constant velocity after it was last seen."""
     states = states.copy()
     for before, after in itertools.pairwise(states):
         kept = straight_on(before, before[:, 3] * TIME_STEP)
@@ -110,11 +109,11 @@ def _extrapolated(states: CarStates) -> CarStates:
 
 
 def regular(segments: Segments) -> Flags:
-    """Return the segments in which the gradient at the driver's controls identifies the reward.
+    """Return whether each segment's gradient at the driver's controls identifies the reward.
 
-    Excluded are controls near their limit, where the limit and not the reward decides; and cars that are off the road
-    and point along it: there ``off_road`` has a kink, where another corner becomes the outermost, and a car that slides
-    along the edge stays at the kink whatever the weight is.
+    It does not where controls are near their limit: the limit and not the reward decides them. Nor does it where a car
+    is off the road and points along it: ``off_road`` has a kink there, as another corner becomes the outermost, and a
+    car that slides along the edge stays at the kink whatever the weight is.
     """
     at_kink = in_batches(partial(_at_kink, driver_game(segments, {})), segments)
     saturated = (np.abs(segments.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
@@ -124,16 +123,16 @@ def regular(segments: Segments) -> Flags:
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def _at_kink(game: Game, segment: Segments) -> jax.Array:
-    """Return whether the driver is off the road, and points along it, after any step."""
+    """Return whether the driver is off the road and points along it after any step."""
     path = move(game, segment.start, segment.controls / game.planner.control_scale)
     off_road = path_features(game, segment, path)[:, FEATURES.index("off_road")] > 0
     return jnp.any(off_road & (jnp.abs(Motion(*path).sine) < KINK))
 
 
 def driver_game(segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
-    """Return a game whose robot is a recorded driver with these weights; `with_segment` sets its scene.
+    """Return a game whose robot is a recorded driver with these weights by name; `with_segment` sets its scene.
 
-    It computes `FEATURES`, and users' own features that have a weight or are among the names.
+    It computes `FEATURES`, and those user-defined features that have a weight or are among the names.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], segments.scenes)
     computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
@@ -157,9 +156,9 @@ def path_features(game: Game, segment: Segments, path: Trajectory) -> Float[jax.
 
 
 def summed_features(game: Game, segment: Segments, controls: Controls) -> Float[jax.Array, "features"]:
-    """Return the game's features and those of comfort, summed over a segment's steps under scaled controls.
+    """Return the features of the game and of comfort, summed over a segment's steps under scaled controls.
 
-    Comfort's are ``-sum deviation^2 / 2``, of the deviation from the controls that keep the velocity.
+    The features of comfort are ``-sum d^2 / 2``, with d the deviation from the controls that keep the velocity.
     """
     start = jnp.asarray(segment.start)
     features = path_features(game, segment, move(game, start, controls)).sum(axis=0)

@@ -1,7 +1,7 @@
 """Read CommonRoad scenarios of format 2020a, such as those of the US-101 highway.
 
-This package parses the XML elements itself. Versions of commonroad-io drop different parts of shapes, replace missing
-numbers by zeros, and raise errors that do not name the element.
+This module parses the XML elements itself: commonroad-io drops parts of shapes (which ones depends on its version),
+replaces missing numbers by zeros, and raises errors that do not name the element.
 """
 
 import gzip
@@ -17,6 +17,7 @@ import numpy as np
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import (
+    FULL_TURN,
     GoalRegion,
     Lanelet,
     Points,
@@ -26,22 +27,22 @@ from ms_highway.recorded.scenario import (
 )
 from ms_highway.runtime.files import reading
 
-COMPRESSED, INITIAL = ".xml.gz", "initialState/"
-ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # buildings, the last, are ignored
+COMPRESSED = ".xml.gz"
+ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # the last are buildings and ignored
 
-DRIVERS = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
-"""Types of obstacles that drive in lanes; all others only go as they were recorded."""
+DRIVING_TYPES = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
+"""Types of obstacles that drive in lanes; all others are replayed."""
 
 NO_LANES = {"bicycleLane", "border", "crosswalk", "restricted_area", "sidewalk"}
 """Types of lanelets on which cars do not drive."""
 
 SPEED_SIGNS = {"274", "3.24", "B14", "B31", "C43", "R15", "R2-1", "r301", "Ρ-32"}  # noqa: RUF001
-"""Ids of the signs of a maximum speed in all countries; that of Greece begins with a Greek letter."""
+"""Ids of the speed limit signs of all countries; the Greek one begins with a Greek letter."""
 
 MAX_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
 MAX_STEPS, MAX_SPEED, MAX_RADIANS, MAX_COORDINATE = 1e5, 200.0, 1e3, 1e8  # of a time, m/s, of an angle, m
 SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
-ANGLES = 2 * np.pi / 64 * np.arange(64)  # rad, of the corners of the polygon that a circle is read as
+ANGLES = 2 * np.pi / 64 * np.arange(64)  # rad, of the corners of the polygon that replaces a circle
 
 Read = TypeVar("Read")
 
@@ -64,7 +65,7 @@ def read_scenario(path: Path) -> TrafficRecording:
     """Read a CommonRoad scenario whose vehicles were recorded every 0.1 s.
 
     Raises:
-        ValueError: naming the file and the element, if it is damaged, or holds something else.
+        ValueError: naming the file and the element, if the file is damaged or holds something else.
     """
     with reading(path, "fetch it again, mend it or leave it out", " as a CommonRoad scenario"):
         return _recording(fromstring(read_xml(path)), path.name)
@@ -74,8 +75,8 @@ def read_xml(path: Path) -> bytes:
     """Return the XML of a file, unpacked.
 
     Raises:
-        ValueError: if it is larger than any scenario.
-        OSError: if it cannot be read.
+        ValueError: if the XML is larger than `MAX_BYTES`.
+        OSError: if the file cannot be read.
     """
     opened = gzip.open if path.name.endswith(COMPRESSED) else open
     with opened(path, "rb") as file:
@@ -101,7 +102,7 @@ def _recording(root: Element, source: str) -> TrafficRecording:
     problems = tuple(_each(root, "planningProblem", partial(_problem, areas=areas)).values())
     tracks = tuple(_each(root, "dynamicObstacle", _track).values())
     if not any(len(track.samples) > 1 for track in tracks):
-        raise ValueError("there is no dynamic obstacle with two samples, and so no driving")
+        raise ValueError("there is no driving: no dynamic obstacle has two samples")
     last = max([track.last for track in tracks] + [problem.last for problem in problems])
     return TrafficRecording(
         name=name,
@@ -114,26 +115,30 @@ def _recording(root: Element, source: str) -> TrafficRecording:
 
 
 def _each(root: Element, tag: str, read: Callable[[int, Element], Read]) -> dict[int, Read]:
-    """Read all elements with a tag, by their ids; an error names the element."""
+    """Return what ``read`` makes of each element with a tag, by the elements' ids; errors name the element."""
     found: dict[int, Read] = {}
     for element in root.iterfind(tag):
         try:
-            identity = int(element.get("id", ""))
-            if identity in found:
-                raise ValueError("it has the id of another one")
-            found[identity] = read(identity, element)
+            number = int(element.get("id", ""))
+            if number in found:
+                raise ValueError("another one has the same id")
+            found[number] = read(number, element)
         except ValueError as error:
             raise ValueError(f"{tag} {element.get('id', '')[:40]}: {error}") from error
     return found
 
 
 def _references(element: Element, tag: str) -> tuple[int, ...]:
-    """Return the ids that the elements with a tag refer to."""
+    """Return the ids to which the elements with a tag refer."""
     return tuple(int(one.get("ref", "")) for one in element.iterfind(tag))
 
 
 def _number(element: Element, path: str, most: float = MAX_COORDINATE, default: float | None = None) -> float:
-    """Return the number at a path of tags below an element, from ``-most`` to ``most``, or else the default."""
+    """Return the number at a path of tags below an element, or the default where there is none.
+
+    Raises:
+        ValueError: for a number that is not from ``-most`` to ``most``.
+    """
     text = element.findtext(path)
     if text is None and default is not None:
         return default
@@ -150,8 +155,8 @@ def _points(element: Element, path: str) -> Points:
     return np.array([[_number(point, axis) for axis in "xy"] for point in element.iterfind(path)]).reshape(-1, 2)
 
 
-def _speed_limits(identity: int, element: Element) -> list[float]:
-    """Return the speed limits that a traffic sign shows."""
+def _speed_limits(_: int, element: Element) -> list[float]:
+    """Return the speed limits that a traffic sign shows [m/s]."""
     shown = element.iterfind("trafficSignElement")
     limits = [_number(one, "additionalValue") for one in shown if one.findtext("trafficSignID") in SPEED_SIGNS]
     if not all(1 <= limit <= MAX_SPEED for limit in limits):
@@ -159,7 +164,7 @@ def _speed_limits(identity: int, element: Element) -> list[float]:
     return limits
 
 
-def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) -> tuple[Lanelet, bool]:
+def _lanelet(number: int, element: Element, limits: dict[int, list[float]]) -> tuple[Lanelet, bool]:
     """Return a lanelet, and whether cars drive on it."""
     left, right = _points(element, "leftBound/point"), _points(element, "rightBound/point")
     if len(left) != len(right) or len(left) < 2 or not np.ptp(left + right, axis=0).any():
@@ -167,95 +172,93 @@ def _lanelet(identity: int, element: Element, limits: dict[int, list[float]]) ->
         raise ValueError(f"{counts}; they need the same number, two or more, around a middle line")
     signs = _references(element, "trafficSignRef")
     if missing := set(signs) - limits.keys():
-        raise ValueError(f"there is no trafficSign {min(missing)}, which it refers to")
+        raise ValueError(f"there is no trafficSign {min(missing)}, to which it refers")
     sides = (element.find(f"{side}[@drivingDir='same']") for side in ("adjacentLeft", "adjacentRight"))
-    beside = [None if side is None else int(side.get("ref", "")) for side in sides]
-    lanelet = Lanelet(
-        number=identity,
-        left=left,
-        right=right,
-        before=_references(element, "predecessor"),
-        after=_references(element, "successor"),
-        beside=(beside[0], beside[1]),
-        limit=min(chain(*(limits[sign] for sign in signs)), default=None),
-    )
+    beside_left, beside_right = (None if side is None else int(side.get("ref", "")) for side in sides)
+    before, after = _references(element, "predecessor"), _references(element, "successor")
+    limit = min(chain(*(limits[sign] for sign in signs)), default=None)
+    lanelet = Lanelet(number, left, right, before, after, (beside_left, beside_right), limit)
     return lanelet, not NO_LANES & {kind.text for kind in element.iterfind("laneletType")}
 
 
-def _track(identity: int, element: Element) -> RecordedTrack:
-    """Return the track of a moving obstacle; x and y are those of its centre."""
+def _track(number: int, element: Element) -> RecordedTrack:
+    """Return the track of a moving obstacle."""
     if element.find("occupancySet") is not None:
-        raise ValueError("<occupancySet> does not say where it goes; only a <trajectory> can be read")
-    states = element.iterfind("trajectory/state")
-    samples = np.array([_sample(element, INITIAL), *map(_sample, states)])
+        raise ValueError("only a <trajectory> can be read, and it has an <occupancySet>")
+    states = _initial_state(element), *element.iterfind("trajectory/state")
+    samples = np.array([_sample(state) for state in states])
     if not (np.diff(samples[:, 0]) >= 1).all():
         raise ValueError("its times do not follow each other")
-    return _whole(identity, element, samples, element.findtext("type") in DRIVERS)
+    return _boxed(number, element, samples, element.findtext("type") in DRIVING_TYPES)
 
 
-def _standing(identity: int, element: Element, last: int) -> RecordedTrack:
+def _standing(number: int, element: Element, last: int) -> RecordedTrack:
     """Return the track of a static obstacle until the last step."""
-    steps = np.arange(last + 1)
-    samples = np.column_stack([steps, np.tile([*_pose(element, INITIAL), 0.0], (len(steps), 1))])
-    return _whole(identity, element, samples, False)
+    pose = _pose(_initial_state(element))
+    samples = np.array([(step, *pose, 0.0) for step in range(last + 1)])
+    return _boxed(number, element, samples, False)
 
 
-def _whole(identity: int, element: Element, samples: np.ndarray, drives: bool) -> RecordedTrack:
-    """Return the track of the box around the shapes of an obstacle."""
+def _boxed(number: int, element: Element, samples: np.ndarray, drives: bool) -> RecordedTrack:
+    """Return the track of the box around the shapes of an obstacle, whose samples are of the shapes' origin."""
     corners = np.concatenate(_outlines(element))
     low, high = corners.min(axis=0), corners.max(axis=0)
     length, width = (high - low).tolist()
     samples[:, 1:3] += _turned(np.tile((low + high) / 2, (len(samples), 1)), samples[:, 3])
-    return RecordedTrack(identity, (length, width), samples, drives)
+    return RecordedTrack(number, (length, width), samples, drives)
 
 
-def _pose(element: Element, path: str = "") -> tuple[float, float, float]:
-    """Return x, y and orientation of a state at a path below an element; intervals are refused."""
-    x, y = (_number(element, f"{path}position/point/{axis}") for axis in "xy")
-    return x, y, _number(element, f"{path}orientation/exact", MAX_RADIANS)
+def _initial_state(element: Element) -> Element:
+    state = element.find("initialState")
+    if state is None:
+        raise ValueError("it lacks an <initialState>")
+    return state
 
 
-def _sample(element: Element, path: str = "") -> list[float]:
-    """Return the time step, x, y, orientation and speed of a state at a path below an element."""
-    time, speed = (
-        _number(element, f"{path}time/exact", MAX_STEPS),
-        _number(element, f"{path}velocity/exact", MAX_SPEED),
-    )
+def _pose(state: Element) -> tuple[float, float, float]:
+    """Return x, y and orientation of a state; intervals are refused."""
+    x, y = (_number(state, f"position/point/{axis}") for axis in "xy")
+    return x, y, _number(state, "orientation/exact", MAX_RADIANS)
+
+
+def _sample(state: Element) -> list[float]:
+    """Return the time step, x, y, orientation and speed of a state."""
+    time = _number(state, "time/exact", MAX_STEPS)
     if time < 0:
-        raise ValueError(f"<{path}time> is {time}; it must not be negative")
-    return [round(time), *_pose(element, path), speed]
+        raise ValueError(f"<time> is {time}; it must not be negative")
+    return [round(time), *_pose(state), _number(state, "velocity/exact", MAX_SPEED)]
 
 
-def _problem(identity: int, element: Element, areas: dict[int, Points]) -> Problem:
-    time, x, y, orientation, speed = _sample(element, INITIAL)
+def _problem(number: int, element: Element, areas: dict[int, Points]) -> Problem:
+    time, x, y, orientation, speed = _sample(_initial_state(element))
     goals = tuple(goal for state in element.iterfind("goalState") for goal in _goals(state, areas))
     if speed < 0 or not goals or max(goal.times[1] for goal in goals) <= time:
         raise ValueError("it starts backwards, or has no goal after its start")
-    return Problem(identity, (x, y, orientation, speed), int(time), goals)
+    return Problem(number, (x, y, orientation, speed), int(time), goals)
 
 
 def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
-    """Yield a goal for each shape or lanelet of a goal's position."""
+    """Yield a goal for each shape or lanelet of a goal's position, or one goal without a region."""
     parts = {part.tag for part in state}
     if unknown := parts - {"position", "time", "velocity", "orientation"}:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
     first, last = _interval(state, "time", MAX_STEPS)
     speeds = _interval(state, "velocity", MAX_SPEED) if "velocity" in parts else None
     headings = _interval(state, "orientation", MAX_RADIANS) if "orientation" in parts else None
-    if headings and headings[1] - headings[0] >= 2 * np.pi:
+    if headings and headings[1] - headings[0] >= FULL_TURN:
         headings = None
-    places: list[Points | None] = [None]
+    regions: list[Points | None] = [None]
     if "position" in parts:
         numbers = _references(state, "position/lanelet")
         if missing := set(numbers) - areas.keys():
-            raise ValueError(f"there is no lanelet {min(missing)}, which a goal refers to")
-        places = [areas[number] for number in numbers] or [*_outlines(state, "position/*")]
-    for place in places:
-        yield GoalRegion((round(first), round(last)), place, speeds, headings)
+            raise ValueError(f"there is no lanelet {min(missing)}, to which a goal refers")
+        regions = [areas[number] for number in numbers] or [*_outlines(state, "position/*")]
+    for region in regions:
+        yield GoalRegion((round(first), round(last)), region, speeds, headings)
 
 
 def _interval(state: Element, tag: str, most: float) -> tuple[float, float]:
-    """Return both ends of an interval, an exact value twice."""
+    """Return both ends of an interval; of an exact value, return it twice."""
     ends = ("intervalStart", "intervalEnd") if state.find(f"{tag}/exact") is None else ("exact", "exact")
     first, last = (_number(state, f"{tag}/{end}", most) for end in ends)
     if first > last:
@@ -281,12 +284,12 @@ def _outline(piece: Element) -> Points:
         corners[:, 0] -= _number(piece, "originXShift", default=0.0)
         corners = _turned(corners, _number(piece, "orientation", MAX_RADIANS, 0.0))
     else:
-        raise ValueError(f"<{piece.tag}> is no shape that can be read: rectangle, circle or polygon")
+        raise ValueError(f"<{piece.tag}> is none of the shapes that can be read: rectangle, circle and polygon")
     if len(corners) < 3 or not np.ptp(corners, axis=0).all():
         raise ValueError(f"<{piece.tag}> has no area")
     return corners + [_number(piece, f"center/{axis}", default=0.0) for axis in "xy"]
 
 
 def _turned(vectors: Points, angle: Any) -> Points:
-    """Return vectors turned to the left."""
+    """Return vectors turned to the left by an angle [rad]."""
     return np.stack(rotated(vectors[..., 0], vectors[..., 1], -angle), axis=-1)

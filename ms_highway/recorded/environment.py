@@ -1,4 +1,4 @@
-"""Recorded: drive on a recorded road, among those who were recorded there."""
+"""Recorded: drive on a recorded road, among the vehicles that were recorded there."""
 
 from typing import Annotated, Any, Literal
 
@@ -15,8 +15,8 @@ from ms_highway.recorded.traffic import RecordedRoad, sized
 from ms_highway.road.stock import GoalEnv
 
 EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
-OFF_LANE = 1.0  # widths of a lane, from which a start is not on the road
-MIN_DESIRED_SPEED = 5.0  # m/s, that a robot desires without a goal in time; otherwise its speed at the start
+OFF_LANE = 1.0  # distance of a start from the nearest lane, in its widths, beyond which the start is not on the road
+MIN_DESIRED_SPEED = 5.0  # m/s, least desired speed of a robot without a timed goal: otherwise its speed at the start
 
 
 class RecordedSettings(Struct, frozen=True):
@@ -34,31 +34,32 @@ class RecordedSettings(Struct, frozen=True):
 class RecordedEnv(ConfiguredEnv, GoalEnv):
     """A car in recorded traffic, with a goal: CommonRoad scenarios and their planning problems.
 
-    Configuration, beside highway-env's own, of which changes act from the next reset on:
+    Configuration, beside highway-env's own; changes take effect at the next reset:
 
     * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz``, or ``"us101"``, which comes with the package.
-    * ``traffic``: ``"learned"``, the drivers that were learned on US-101, each with traits of its own, who react to the
-      ego (`ms_highway.CommuterVehicle`); ``"replay"``, everybody goes where it went; ``"idm"``, highway-env's drivers.
-      Road users outside lanes, such as pedestrians and trains, are always replayed.
-    * ``ego``: ``"problem"``, the first planning problem, or ``"problem:NUMBER"``, any; or the number of a recorded
-      vehicle, to start in its place and go to its own last position, at the latest 2 s after it was there.
-    * ``goal_reward``, ``collision_reward``, ``off_road_reward``: once, at the end; ``progress_reward``: of each metre
-      along the road.
+    * ``traffic``: ``"learned"``, drivers that were learned on US-101, who react to the ego and each have traits of
+      their own (`ms_highway.CommuterVehicle`); ``"replay"``, every vehicle moves as it was recorded; ``"idm"``,
+      highway-env's drivers. Road users outside lanes, such as pedestrians and trains, are always replayed.
+    * ``ego``: ``"problem"`` for the first planning problem, or ``"problem:NUMBER"`` for any; or the number of a
+      recorded vehicle: the ego starts in its place, and must be at its last position at most 2 s after it was there.
+    * ``goal_reward``, ``collision_reward``, ``off_road_reward``: earned once, at the end; ``progress_reward``: earned
+      for each metre along the road.
 
-    An episode is a success if a goal's region is reached in its interval of time, at its speed and heading, without a
-    collision and without leaving the road before, by any corner. It ends then, or with the last goal's time. The road
-    moves at 10 Hz, as it was recorded. Here, x goes along the road and y to its right; ``axes`` leads to the map.
+    An episode is a success if the ego is in a goal's region within the goal's intervals of time, speed and heading, and
+    has neither collided nor left the road with any corner before. An episode ends with a success, a collision, leaving
+    the road, or the last time of all goals. The road moves at 10 Hz, as it was recorded. x goes along the road and y to
+    its right; ``axes`` converts to the map.
 
-    ``info["recorded"]`` says ``step``, of the recording; ``success``, ``collision``, ``off_road``; ``waiting``, for
-    each of the scenario's ``tracks``, whether another vehicle blocks its entry. ``info["is_success"]`` repeats the
+    ``info["recorded"]`` has ``step``, of the recording; ``success``, ``collision`` and ``off_road``; and ``waiting``:
+    for each of the scenario's ``tracks``, whether another vehicle blocks its entry. ``info["is_success"]`` repeats the
     success.
 
     Attributes:
         scenario: the recording.
-        axes: of the road in the map.
+        axes: conversion between the axes of the map and highway-env's.
         task: the planning problem of the ego.
         goal: where and when the ego has to be, None if its goal is only a time.
-        success, off_road: whether the goal has been reached, and the road left.
+        success, off_road: whether the ego has reached the goal, and whether it has left the road.
     """
 
     settings_type = RecordedSettings
@@ -92,7 +93,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         }
 
     def _reset(self) -> None:
-        """Build the road, and put the ego and the others on it; all of it, or nothing changes."""
+        """Build the road and its vehicles; if that fails, nothing has changed."""
         scenario = open_recording(self.settings.recording)
         try:
             self._build(scenario)
@@ -117,11 +118,11 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
 
     @property
     def goal_areas(self) -> list[Points]:
-        """Corners of the areas of all goals that have a place."""
+        """Corners of the regions of all goals that have a region."""
         return [self.axes.positions(goal.area) for goal in self.task.goals if goal.area is not None]
 
     def _simulate(self, action: Any = None) -> None:
-        """Let everybody act and move for a step, and judge where that has led the ego."""
+        """Let all vehicles act and move for a step; find out whether the ego has reached the goal or left the road."""
         super()._simulate(action)
         ego, road = self.vehicle, self.road
         along = float(road.states[ego][0])

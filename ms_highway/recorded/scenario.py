@@ -1,7 +1,7 @@
-"""What a recording holds: lanelets, tracks of vehicles and of what stands, and planning problems, as in CommonRoad.
+"""What a recording holds, as in CommonRoad: lanelets, tracks of vehicles and standing objects, and planning problems.
 
-Everything here is in the map's own axes, y to the left of x, metres, radians and steps of time; see
-`ms_highway.recorded.network.Axes` for highway-env's.
+Everything here is in the axes of the map, with y to the left of x, in metres, radians and steps of time; see
+`ms_highway.recorded.network.Axes` for highway-env's axes.
 """
 
 import gzip
@@ -16,14 +16,16 @@ from matplotlib.path import Path
 
 Points = Float[np.ndarray, "points 2"]
 
-SPEED_LIMIT = 29.06  # m/s, 65 mph: on US-101, whose scenarios have no traffic signs
+SPEED_LIMIT = 29.06
+"""Speed limit of lanes without a traffic sign [m/s]: 65 mph, as on US-101, whose scenarios have no signs."""
 
-KEPT = 20  # recordings that are kept in memory, as long as their files do not change
+KEPT = 20
+"""Number of recordings that are kept in memory, as long as their files do not change."""
 
 FULL_TURN = 2 * np.pi
 
 CAR_SIZE = 4.508, 1.610
-"""Length and width of the car of planning problems, CommonRoad's second vehicle, a BMW 320i [m]."""
+"""Length and width of the ego in planning problems [m]: CommonRoad's second vehicle, a BMW 320i."""
 
 SHIPPED = "us101"
 """Name of the recording that comes with the package."""
@@ -33,13 +35,13 @@ class Lanelet(msgspec.Struct, frozen=True):
     """A piece of a lane.
 
     Attributes:
-        number: its identifier.
+        number: its id.
         left: its left edge, in the direction of driving.
         right: its right edge, with as many points.
-        before: lanelets that lead to it.
-        after: lanelets that it leads to.
-        beside: the lanelets to its left and right on which traffic goes the same way, None without one.
-        limit: of speed [m/s], None without one.
+        before: ids of the lanelets that lead to it.
+        after: ids of the lanelets to which it leads.
+        beside: ids of the lanelets to its left and right on which traffic goes the same way, None without one.
+        limit: speed limit [m/s], None without one.
     """
 
     number: int
@@ -52,18 +54,18 @@ class Lanelet(msgspec.Struct, frozen=True):
 
     @property
     def centre(self) -> Points:
-        """The line in its middle."""
+        """The line in its middle, in the direction of driving."""
         return (self.left + self.right) / 2
 
 
 class RecordedTrack(msgspec.Struct, frozen=True):
-    """A vehicle, a road user of another kind, or what stands, as it was recorded.
+    """A vehicle, another road user or a standing object, as it was recorded.
 
     Attributes:
-        number: its identifier.
+        number: its id.
         size: length and width [m].
         samples: step of time, x, y, orientation and speed [times, 5].
-        drives: whether it drives in lanes; others, such as pedestrians, are replayed.
+        drives: whether it drives in lanes; all others, such as pedestrians, are replayed.
     """
 
     number: int
@@ -83,13 +85,13 @@ class RecordedTrack(msgspec.Struct, frozen=True):
 
 
 class GoalRegion(msgspec.Struct, frozen=True):
-    """A region to be in at one of some steps of time; None stands for any.
+    """Where, when and how the ego has to be to reach a goal; None stands for no condition.
 
     Attributes:
         times: first and last step.
-        area: corners of the polygon that the middle of the ego has to be in [corners, 2].
+        area: corners of the polygon that must contain the middle of the ego [corners, 2].
         speeds: lowest and highest.
-        headings: from one orientation, to the left, to another.
+        headings: first and last orientation of an interval, counted to the left.
     """
 
     times: tuple[int, int]
@@ -98,25 +100,27 @@ class GoalRegion(msgspec.Struct, frozen=True):
     headings: tuple[float, float] | None = None
 
     def is_reached(self, step: int, point: Points, orientation: float, speed: float) -> bool:
-        """Return whether the middle of the ego has reached it."""
+        """Return whether an ego with its middle at a point of the map reaches the goal."""
         low, high = self.headings or (orientation, orientation)
         slowest, fastest = self.speeds or (speed, speed)
-        in_time, as_fast = self.times[0] <= step <= self.times[1], slowest <= speed <= fastest
-        heads = (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
-        there = self.area is None or bool(Path(self.area).contains_points([point])[0])
-        return in_time and as_fast and heads and there
+        return (
+            self.times[0] <= step <= self.times[1]
+            and slowest <= speed <= fastest
+            and (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
+            and (self.area is None or bool(Path(self.area).contains_points([point])[0]))
+        )
 
 
 class Problem(msgspec.Struct, frozen=True):
-    """A planning problem: from a start, reach one of some goals.
+    """A planning problem: from a start, reach one of several goals.
 
     Attributes:
-        number: its identifier.
+        number: its id.
         start: x, y, orientation and speed.
         time: step of the start.
-        goals: of which one is enough.
+        goals: the alternatives.
         size: length and width of the ego [m].
-        track: number of the recorded vehicle whose place it takes, None if it is nobody's.
+        track: number of the recorded vehicle that the ego replaces, None if it replaces none.
     """
 
     number: int
@@ -132,7 +136,7 @@ class Problem(msgspec.Struct, frozen=True):
         return max(goal.times[1] for goal in self.goals)
 
     def is_reached(self, step: int, point: Points, orientation: float, speed: float) -> bool:
-        """Return whether one of the goals is reached, by the middle of the ego, in the map's axes."""
+        """Return whether an ego with its middle at a point of the map reaches one of the goals."""
         return any(goal.is_reached(step, point, orientation, speed) for goal in self.goals)
 
 
@@ -141,11 +145,11 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
 
     Attributes:
         name: of the scenario.
-        group: of the recording that it is cut from; others of the group may share tracks.
-        source: the file that it was read from.
+        group: name of the longer recording from which the scenario was cut; scenarios of a group may share tracks.
+        source: name of its file.
         lanelets: the road.
-        tracks: the vehicles.
-        problems: of planning.
+        tracks: the vehicles, other road users and standing objects.
+        problems: the planning problems.
     """
 
     name: str
@@ -156,37 +160,35 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
     problems: tuple[Problem, ...] = ()
 
     def __deepcopy__(self, memo: object) -> "TrafficRecording":
-        return self  # what never changes is shared by copies of environments
+        return self  # it never changes: copies of environments share it
 
     def track(self, number: int) -> RecordedTrack | None:
         """Return the track with a number, None without one."""
         return next((track for track in self.tracks if track.number == number), None)
 
 
-@cache
-def shipped() -> TrafficRecording:
-    """Return the recording that comes with the package, which needs no other package to be read."""
-    file = resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
-    return msgspec.json.decode(
-        gzip.decompress(file.read_bytes()), type=TrafficRecording, dec_hook=lambda _, numbers: np.array(numbers, float)
-    )
-
-
 def open_recording(recording: str) -> TrafficRecording:
-    """Return a recording: that of a CommonRoad file, or the one that comes with the package, by its name.
+    """Return the recording of a CommonRoad file, or by its name the one that comes with the package.
 
     Raises:
-        ValueError: naming the file and what is wrong with it.
+        ValueError: naming the file and the problem.
     """
     if recording == SHIPPED:
-        return shipped()
+        return _shipped_recording()
     path = pathlib.Path(recording)
     if not path.is_file():
         raise ValueError(
-            f"config['recording'] is {recording!r}, which is no file; give that of a CommonRoad scenario, *.xml or "
+            f"config['recording'] is {recording!r}, which is no file; give the file of a CommonRoad scenario, *.xml or "
             f"*.xml.gz, or {SHIPPED!r}, which comes with the package"
         )
     return _read(path.resolve(), path.stat().st_mtime_ns)
+
+
+@cache
+def _shipped_recording() -> TrafficRecording:
+    packed = (resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz").read_bytes()
+    unpacked = gzip.decompress(packed)
+    return msgspec.json.decode(unpacked, type=TrafficRecording, dec_hook=lambda _, numbers: np.array(numbers, float))
 
 
 @lru_cache(KEPT)

@@ -1,4 +1,4 @@
-"""Let the vehicles of a recording enter a road, drive there and leave it: as recorded, as learned, or by IDM."""
+"""Let the vehicles of a recording enter a road, drive there and leave it: replayed, by learned drivers, or by IDM."""
 
 from copy import copy
 from typing import Any
@@ -15,24 +15,24 @@ from ms_highway.recorded.straight_road import States, straight_road
 from ms_highway.vehicle.human import CommuterVehicle
 
 EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
-ENTRY_GAP = 2.0  # m that have to be free ahead of and behind a vehicle that enters, or changes lanes
-LANE_TOLERANCE = 0.3  # m beyond the edge of a lane, up to which the middle of a vehicle is in it
-GAP_TIME = 1.0  # s, for which a gap in the lane beside has to be long enough at the present speeds
-LOOK_AHEAD = 2.0  # s, after which a car will be in the lane that it was recorded in, if it begins to change now
-SPEED_TIME = 1.0  # s, in which a car without a leader becomes as fast as it was recorded at its place
+ENTRY_GAP = 2.0  # m that must be free ahead of and behind a vehicle that enters or changes lanes
+LANE_TOLERANCE = 0.3  # m beyond the edge of a lane, within which the middle of a vehicle still counts as in the lane
+GAP_TIME = 1.0  # s, for which a gap in the lane beside must stay long enough at the present speeds
+LOOK_AHEAD = 2.0  # s, which a lane change takes: a car changes so long before the place where it was recorded to
+SPEED_TIME = 1.0  # s, in which a car without a leader reaches the speed that was recorded at its place
 
 
 class GuidedVehicle(Vehicle):
     """A vehicle whose state after a step is given.
 
     Attributes:
-        coming: position, heading and speed after the step; None if it has not acted, and keeps its velocity.
+        coming: position, heading and speed after the step; None to keep the velocity.
     """
 
     coming: tuple[np.ndarray, float, float] | None = None
 
     def act(self, action: Any = None) -> None:
-        """Do nothing: the action is given."""
+        """Do nothing: the next state is given."""
 
     def step(self, dt: float) -> None:
         """Move to the given state."""
@@ -44,13 +44,13 @@ class GuidedVehicle(Vehicle):
 
 
 class LearnedVehicle(CommuterVehicle):
-    """A learned driver in the place of a recorded one.
+    """A learned driver in the place of a recorded vehicle.
 
-    It changes lanes where that was recorded to, as soon as there is room. With nobody ahead, it goes as fast as that at
-    the same place: those ahead of it were not recorded.
+    It changes lanes where the recorded vehicle did, as soon as there is room. Without a leader it drives as fast as the
+    recorded vehicle at the same place, whose leader was out of sight of the recording.
 
     Attributes:
-        way: recorded states on the straight road [times, 4].
+        way: states of the recorded vehicle on the straight road [times, 4].
     """
 
     road: "RecordedRoad"
@@ -58,12 +58,12 @@ class LearnedVehicle(CommuterVehicle):
     target_lane_index: LaneIndex
 
     def change_lane_policy(self) -> None:
-        """Change to the lane of the recorded vehicle, unless a change is going on or there is no room for one."""
-        straight, (start, end, place) = self.road.straight, self.lane_index
+        """Change towards the lane of the recorded vehicle, unless a change is going on or there is no room for one."""
+        straight, (start, end, lane) = self.road.straight, self.lane_index
         x, *_, speed = self.road.states[self]
         later = min(int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)), len(self.way) - 1)
         aside = self.way[later, 1] - straight.centres[self.lane_index]
-        beside = start, end, place + int(np.sign(round(aside / straight.lane_width)))
+        beside = start, end, lane + int(np.sign(round(aside / straight.lane_width)))
         may_change = self.lane_index == self.target_lane_index != beside and beside in straight.centres
         if may_change and all(map(self._leaves_room, self.road.neighbour_vehicles(self, beside))):
             self.target_lane_index = beside
@@ -72,12 +72,12 @@ class LearnedVehicle(CommuterVehicle):
         """Return whether a vehicle in the lane beside leaves room for a change to that lane."""
         if other is None:
             return True
-        apart = self.road.states[other][[0, 3]] - self.road.states[self][[0, 3]]
-        gap = abs(apart[0]) - (other.LENGTH + self.LENGTH) / 2
-        return bool(gap > ENTRY_GAP + GAP_TIME * max(-np.sign(apart[0]) * apart[1], 0.0))
+        distance, _, _, relative_speed = self.road.states[other] - self.road.states[self]
+        gap = abs(distance) - (other.LENGTH + self.LENGTH) / 2
+        return bool(gap > ENTRY_GAP + GAP_TIME * max(-np.sign(distance) * relative_speed, 0.0))
 
     def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
-        """Return the acceleration of a vehicle behind another one, see `CommuterVehicle` [m/s^2]."""
+        """Return the acceleration of a vehicle behind another one [m/s^2], see `CommuterVehicle`."""
         if front_vehicle:
             return super().acceleration(ego_vehicle, front_vehicle)
         x, *_, speed = self.road.states[self]
@@ -85,20 +85,21 @@ class LearnedVehicle(CommuterVehicle):
 
 
 class RecordedRoad(Road):
-    """A road for the vehicles of a recording. Only egos collide, where bodies overlap.
+    """A road for the vehicles of a recording. Only the ego collides: where its body overlaps another one.
 
-    Vehicles enter where and when they were recorded to. One that drives by itself waits until the place is free, and
-    leaves at the end of the road.
+    Vehicles enter where and when they were recorded to enter. Vehicles that are not replayed wait until the place is
+    free, and leave at the end of the road.
 
     Args:
         recording: of the traffic.
-        begin: step of the recording to begin at.
-        left_out: number of the track whose place the ego takes; None for all tracks.
-        traffic: ``"replay"``, ``"learned"`` or ``"idm"``, of those who drive; others are replayed.
+        begin: step of the recording at which the road begins.
+        left_out: number of the track that the ego replaces; None for no track.
+        traffic: what moves the vehicles that drive in lanes: ``"replay"``, ``"learned"`` or ``"idm"``; all else is
+            replayed.
         np_random: for drivers that draw random numbers.
 
     Attributes:
-        straight: the same road as a straight one.
+        straight: the same road, straightened.
         now: the present step of the recording.
         coming: tracks of the vehicles that have not entered yet.
     """
@@ -110,35 +111,38 @@ class RecordedRoad(Road):
     ) -> None:
         self.straight = straight_road(recording)
         super().__init__(self.straight.network, np_random=np_random)
-        self.begin, self.now, self._kind = begin, begin, DRIVEN[traffic]
-        self._known: tuple[tuple, dict[Vehicle, States]] = ((), {})
+        self.begin, self.now, self._driver = begin, begin, VEHICLES[traffic]
+        self._computed: tuple[tuple, dict[Vehicle, States]] = ((), {})
         self.coming = [track for track in recording.tracks if track.number != left_out and track.last >= begin]
         self._let_enter()
 
     @property
     def waiting(self) -> list[RecordedTrack]:
-        """Tracks of the vehicles that should have entered already, but found another vehicle in their place."""
+        """Tracks of the vehicles that should have entered, but whose place is taken by another vehicle."""
         return [track for track in self.coming if track.first <= self.now]
 
     @property
-    def others(self) -> list[Vehicle]:
-        """The vehicles of the recording, each with its ``track``."""
+    def others(self) -> list[Any]:
+        """The vehicles of the recording, each with its ``track``: all but the ego."""
         return [vehicle for vehicle in self.vehicles if hasattr(vehicle, "track")]
 
     @property
     def states(self) -> dict[Vehicle, States]:
         """States of all vehicles on the straight road, computed once in a step."""
         when = self.now, *self.vehicles
-        if self._known[0] != when:
-            self._known = when, dict(zip(self.vehicles, self.straight.states_of(self.vehicles), strict=True))
-        return self._known[1]
+        if self._computed[0] != when:
+            self._computed = when, dict(zip(self.vehicles, self.straight.states_of(self.vehicles), strict=True))
+        return self._computed[1]
 
     def neighbour_vehicles(self, vehicle: Vehicle, lane_index: LaneIndex | None = None) -> tuple[Any, Any]:
-        """Return the nearest vehicles ahead and behind in a lane and those before and after it, None without one."""
+        """Return the nearest vehicles ahead and behind, None without one: in a lane and the lanes before and after it.
+
+        By default, that is the lane of the vehicle.
+        """
         vehicles, (x, y, *_) = [*self.states], np.array([*self.states.values()]).T
         centre = self.straight.centres[lane_index or vehicle.lane_index]
         inside = np.abs(y - centre) < self.straight.lane_width / 2 + LANE_TOLERANCE
-        found = [nearest_ahead(way * (x - self.states[vehicle][0]), inside) for way in (1, -1)]
+        found = [nearest_ahead(sign * (x - self.states[vehicle][0]), inside) for sign in (1, -1)]
         ahead, behind = (vehicles[place] if there else None for place, there in found)
         return ahead, behind
 
@@ -154,23 +158,27 @@ class RecordedRoad(Road):
         for vehicle in self.vehicles:
             vehicle.step(dt)
         self.now += 1
-        self.vehicles = [vehicle for vehicle in self.vehicles if not self._has_left(vehicle)]
+        for vehicle in filter(self._has_left, self.others):
+            self.vehicles.remove(vehicle)
         self._let_enter()
         for ego in [vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")]:
-            for other in self.vehicles:
-                if other is not ego and overlap(ego, other):
+            for other in self.others:
+                if overlap(ego, other):
                     ego.crashed = other.crashed = True
 
     def recorded_state(self, track: RecordedTrack, step: int) -> tuple[np.ndarray, float, float]:
-        """Return position, heading and speed at a step of a track, interpolated where it was not seen."""
+        """Return position, heading and speed of a track at a step, interpolated where it was not seen."""
         times, x, y, orientation, speed = track.samples.T
         *pose, now = (float(np.interp(step, times, part)) for part in (x, y, np.unwrap(orientation), speed))
         return *self.straight.axes.pose(*pose), now
 
     def _let_enter(self) -> None:
-        """Let vehicles enter whose time has come; at the beginning, and where they are replayed, also into others."""
+        """Let the vehicles enter whose time has come.
+
+        Replayed vehicles enter even where another vehicle is, and so do all vehicles at the beginning.
+        """
         for track in self.waiting:
-            kind = self._kind if track.drives else GuidedVehicle
+            kind = self._driver if track.drives else GuidedVehicle
             vehicle = sized(kind(self, *self.recorded_state(track, self.begin)), track.size)
             vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = track, False, track.drives
             vehicle.way = self.straight.way(track)
@@ -182,28 +190,26 @@ class RecordedRoad(Road):
                 self.vehicles.append(vehicle)
                 self.coming.remove(track)
 
-    def _has_left(self, vehicle: Vehicle) -> bool:
-        """Return whether a vehicle is past the end of its track, or of the road if it drives by itself."""
-        if not hasattr(vehicle, "track"):
-            return False
+    def _has_left(self, vehicle: Any) -> bool:
+        """Return whether a vehicle is past the end of its track if it is replayed, otherwise of the road."""
         if isinstance(vehicle, GuidedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
         return place > vehicle.lane.length + EXIT_DISTANCE and not self.network.graph.get(vehicle.lane_index[1])
 
 
-DRIVEN = {"learned": LearnedVehicle, "replay": GuidedVehicle, "idm": IDMVehicle}
-"""Vehicles of those who drive, by the kind of traffic."""
+VEHICLES = {"learned": LearnedVehicle, "replay": GuidedVehicle, "idm": IDMVehicle}
+"""Types of the vehicles that drive in lanes, by the kind of traffic."""
 
 
 def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
-    """Give something on a road a length and a width [m], and return it."""
+    """Give an object on a road a length and a width [m], and return it."""
     item.LENGTH, item.WIDTH = map(float, size)
     item.diagonal = float(np.hypot(*size))
     return item
 
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
-    """Return whether the bodies of two things on a road overlap."""
+    """Return whether the bodies of two objects on a road overlap."""
     own, theirs = ((*item.position, item.heading) for item in (one, other))
     return bool(separation(own, (one.LENGTH, one.WIDTH), theirs, (other.LENGTH, other.WIDTH)) < 0)

@@ -101,7 +101,7 @@ def exported(tmp_path_factory):
     directory = tmp_path_factory.mktemp("exported")
     shifted = recordings.RECTANGLE.replace("</rec", "<originXShift>-1.5</originXShift></rec")
     cars = recordings.car(100, 60, 0) + recordings.car(101, 40, 3.5, shape=shifted)
-    text = recordings.scenario(lanelets=recordings.linked_lanes(), cars=cars, problems=recordings.problem(right=0.3))
+    text = recordings.scenario(lanelets=recordings.two_lanes(), cars=cars, problems=recordings.problem(right=0.3))
     (directory / "small.xml").write_text(text)
     (start,) = starts_of(directory, "problem")
     return directory / "idm" / "idm", run_episode(Block(RECORDED, "idm", "idm", (start,), directory), 0), start.name

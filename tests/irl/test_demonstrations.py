@@ -3,6 +3,7 @@
 import shutil
 import sys
 import threading
+from itertools import combinations
 
 import gymnasium as gym
 import h5py
@@ -21,14 +22,14 @@ from ms_highway.irl.demonstrations import actions, load_demonstrations, record
 NAME = "ms-highway/maxent-v0"
 
 
-def make(density="medium", render_mode=None, **config):
-    return gym.make(DEMONSTRATION_ID, render_mode=render_mode, config={"density": density, **config})
+def make(density):
+    return gym.make(DEMONSTRATION_ID, config={"density": density}).unwrapped
 
 
 def driven(env, seed):
     """Observations and actions of an episode of the simulated driver."""
     observations, taken = [env.reset(seed=seed)[0]], []
-    for action in actions("maxent", env.unwrapped, seed):
+    for action in actions("maxent", env, seed):
         observation, _, _, truncated, _ = env.step(action)
         observations.append(observation)
         taken.append(action)
@@ -63,27 +64,27 @@ def files(recording, datasets):
 
 
 def test_gymnasiums_checker_passes_without_a_warning():
-    check_env(make(render_mode="rgb_array").unwrapped)
+    check_env(gym.make(DEMONSTRATION_ID, render_mode="rgb_array").unwrapped)
 
 
-@pytest.mark.parametrize("density", DENSITIES)
-def test_routes_are_many_as_the_density_says_and_keep_apart(density):
-    env, number = make(density).unwrapped, DENSITIES[density]
+@pytest.mark.parametrize(("density", "number"), DENSITIES.items())
+def test_the_density_sets_the_number_of_routes_and_routes_keep_apart(density, number):
+    env = make(density)
     for seed in range(10):
         env.reset(seed=seed)
         assert (env.routes[number:] == ABSENT).all()
-        for place, route in enumerate(env.routes[:number]):
-            apart = abs(env.routes[:place, :, :2] - route[:, :2])
-            assert ((apart[..., 0] > 5.1) | (apart[..., 1] > 2.6)).all()
+        for one, other in combinations(env.routes[:number, :, :2], 2):
+            x, y = abs(one - other).T
+            assert ((x > 5.1) | (y > 2.6)).all()
 
 
 # Recordings
 
 
 @pytest.mark.usefixtures("files")
-def test_recordings_come_back_as_they_were_driven_by_their_actions():
+def test_loaded_recordings_are_what_the_driver_drove_with_its_actions():
     for seed, (recording, density) in enumerate(zip(load_demonstrations(NAME), DENSITIES, strict=True)):
-        env = make(density).unwrapped
+        env = make(density)
         observations, taken = driven(env, seed)
         present = observations[..., 0] == 1
         np.testing.assert_array_equal(recording.seen, present)
@@ -97,17 +98,17 @@ def test_recordings_come_back_as_they_were_driven_by_their_actions():
 
 
 @pytest.mark.usefixtures("files")
-def test_a_data_set_is_minaris_and_says_how_it_was_made():
+def test_a_data_set_is_minaris_and_holds_its_settings():
     dataset = minari.load_dataset(NAME)
     assert dataset.total_steps == 150
-    made = dataset.storage.metadata["ms_highway"]
-    assert (made["driver"], made["format"], made["time_step"], made["horizon"]) == ("maxent", 1, 0.1, 5)
+    settings = dataset.storage.metadata["ms_highway"]
+    assert [settings[key] for key in ("driver", "format", "time_step", "horizon")] == ["maxent", 1, 0.1, 5]
     (mark,) = dataset.storage.get_episode_metadata([1])
     observation, _ = dataset.recover_environment().reset(seed=mark["seed"], options=mark["options"])
     np.testing.assert_array_equal(observation, dataset[1].observations[0])
 
 
-def test_a_recording_goes_on_after_its_last_episode_and_a_complete_one_is_left_alone(files):
+def test_recording_goes_on_after_the_last_episode_and_leaves_a_complete_data_set_alone(files):
     before = (files / "main_data.hdf5").read_bytes()
     assert list(record("maxent", 2, NAME)) == [3]
     assert (files / "main_data.hdf5").read_bytes() == before
@@ -134,7 +135,7 @@ def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_
         load_demonstrations(NAME)
 
 
-def test_a_person_needs_a_display_and_keeps_what_is_finished_when_the_window_closes(datasets, monkeypatch, refused):
+def test_a_person_needs_a_display_and_closing_the_window_discards_the_episode(datasets, monkeypatch, refused):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     pygame.display.quit()

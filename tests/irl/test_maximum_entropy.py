@@ -10,12 +10,7 @@ from ms_highway.irl import TEMPERATURE
 from ms_highway.irl.demonstrations import load_demonstrations, record
 from ms_highway.irl.demonstrator import DRIVER_WEIGHTS
 from ms_highway.irl.learning import SIMULATED, expected_features
-from ms_highway.irl.maximum_entropy import (
-    FeatureDerivatives,
-    differentiate,
-    fit_weights,
-    log_likelihoods,
-)
+from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit_weights, log_likelihoods
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.segments import cut_segments
 
@@ -23,36 +18,30 @@ NAME = "ms-highway/maxent-v0"
 
 
 def recorded(states):
-    sizes, lanes = np.tile([5.0, 2.5], (states.shape[1], 1)), np.arange(3) * 10 / 3
-    return Recording("made", "made", states, np.array([0]), sizes, lanes, 10 / 3, 20.0, measured=False)
+    road = np.array([[5.0, 2.5]]), np.zeros(1), 3.3, 20.0
+    return Recording("made", "made", states, np.array([0]), *road, measured=False)
 
 
-@pytest.fixture(scope="module")
-def demonstrate(tmp_path_factory):
-    """A function that returns segments that can be learned from, of episodes of the maximum-entropy driver."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("MINARI_DATASETS_PATH", str(tmp_path_factory.mktemp("minari")))
+@pytest.fixture
+def demonstrate(tmp_path, monkeypatch):
+    """A function that returns the segments of episodes of the maximum-entropy driver."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
 
-        def of(episodes):
-            assert list(record("maxent", episodes, NAME))
-            return cut_segments(load_demonstrations(NAME), 5)
+    def segments_of(episodes):
+        assert list(record("maxent", episodes, NAME))
+        return cut_segments(load_demonstrations(NAME), 5)
 
-        yield of
-
-
-@pytest.fixture(scope="module")
-def demonstrated(demonstrate):
-    return demonstrate(6)
+    return segments_of
 
 
-def test_the_likelihood_of_a_driver_after_comfort_alone_is_that_of_a_normal_or_a_student_distribution():
-    uneasy = np.random.default_rng(0).normal(size=(7, 6))
+def test_if_comfort_alone_is_rewarded_controls_have_a_normal_or_a_student_distribution():
+    controls = np.random.default_rng(0).normal(size=(7, 6))
     hessians = np.broadcast_to(-np.eye(6), (7, 1, 6, 6))
-    slopes = FeatureDerivatives(-np.sum(uneasy**2, axis=-1, keepdims=True) / 2, -uneasy[:, None], hessians)
+    derivatives = FeatureDerivatives(-np.sum(controls**2, axis=-1, keepdims=True) / 2, -controls[:, None], hessians)
     with jax.enable_x64(True):
-        normal, student = (log_likelihoods(slopes, np.array([2.0]), 0.5, 1e-3, tails) for tails in (None, 3.0))
-    np.testing.assert_allclose(normal, stats.norm.logpdf(uneasy, scale=0.5).sum(axis=-1), rtol=1e-12)
-    np.testing.assert_allclose(student, stats.multivariate_t.logpdf(uneasy, shape=np.eye(6) / 4, df=3), rtol=1e-12)
+        normal, student = (log_likelihoods(derivatives, np.array([2.0]), 0.5, 1e-3, tails) for tails in (None, 3.0))
+    np.testing.assert_allclose(normal, stats.norm.logpdf(controls, scale=0.5).sum(axis=-1), rtol=1e-12)
+    np.testing.assert_allclose(student, stats.multivariate_t.logpdf(controls, shape=np.eye(6) / 4, df=3), rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -71,17 +60,17 @@ def test_the_weights_of_a_demonstrator_are_recovered(demonstrate):
             assert model[place] == pytest.approx(human[place], rel=0.1), name
 
 
-def test_drivers_that_tell_nothing_about_a_weight_leave_its_prior(demonstrated):
+def test_a_weight_about_which_driving_carries_no_information_keeps_its_prior(demonstrate):
     model = RewardModel((*SIMULATED.learned, "gap"), SIMULATED.given)  # there is no leader to keep a gap to
-    found = fit_weights(differentiate(demonstrated, model.names), model)
+    found = fit_weights(differentiate(demonstrate(6), model.names), model)
     assert np.sqrt(found.covariance[3, 3]) == pytest.approx(4.0, rel=1e-3)
     assert found.weights["gap"] == pytest.approx(1.0, rel=1e-2)
 
 
-def test_recordings_of_which_nothing_can_be_learned_are_refused():
-    aside = np.tile([[0.0, 40.0, 0.0, 20.0], [0.0, 0.0, 0.0, 20.0]], (9, 1, 1))
+def test_recordings_from_which_nothing_can_be_learned_are_refused():
+    off_road = np.tile([0.0, 40.0, 0.0, 20.0], (9, 1, 1))
     with pytest.raises(ValueError, match="nothing can be learned from the 1 recordings"):
-        cut_segments([recorded(aside)], 5)
-    aside[4, 0, 3] = np.nan
-    with pytest.raises(ValueError, match="car 0 is finite at 8 steps, not at two or more on end"):
-        recorded(aside)
+        cut_segments([recorded(off_road)], 5)
+    off_road[4, 0, 3] = np.nan
+    with pytest.raises(ValueError, match="car 0 is finite at 8 steps, not at two or more without a gap"):
+        recorded(off_road)

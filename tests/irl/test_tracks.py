@@ -1,4 +1,4 @@
-"""Smooth tracks and their controls, from recorded positions."""
+"""Smooth tracks and their controls, computed from recorded positions."""
 
 from functools import partial
 from itertools import accumulate
@@ -16,7 +16,8 @@ def tracked(states):
     return track_of(Recording("a road", "roads", states[:, None], *road), 0)
 
 
-def driven(controls, start):
+def driven(start, controls):
+    """The states of a car that starts in a state and is driven by controls."""
     return np.stack(list(accumulate(controls, partial(step, PAPER_DYNAMICS), initial=np.array(start))))
 
 
@@ -30,15 +31,15 @@ WAVE = np.stack([0.001 * np.sin(TIME), 4 + np.sin(TIME / 2)], axis=-1)  # a gent
 
 
 def test_controls_drive_the_car_along_its_track_wherever_it_is():
-    states = driven(WAVE, (5.0, 1.0, 0.02, 20.0))
+    states = driven((5.0, 1.0, 0.02, 20.0), WAVE)
     track, far = tracked(states), tracked(states + np.array([400.0, 17.0, 0, 0]))
-    np.testing.assert_allclose(driven(track.controls, track.states[0]), track.states, atol=1e-9)
+    np.testing.assert_allclose(driven(track.states[0], track.controls), track.states, atol=1e-9)
     np.testing.assert_allclose(far.controls, track.controls, atol=1e-6)
     assert error(track, states) < 0.1
 
 
 def test_noise_is_not_taken_for_driving():
-    states = driven(WAVE, (0.0, 0.0, 0.0, 20.0))
+    states = driven((0.0, 0.0, 0.0, 20.0), WAVE)
     track = tracked(states + np.random.default_rng(0).normal(size=states.shape) * [0.1, 0.1, 0, 0])
     assert error(track, states) < 0.06
     assert np.std(track.controls[:, 1] - WAVE[:, 1]) < 0.3  # second differences would give 24
