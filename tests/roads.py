@@ -9,7 +9,7 @@ from jax import numpy as jnp
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
-from ms_highway.road.following import Manners
+from ms_highway.road.following import Behaviour
 from ms_highway.road.plan import no_plan
 from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, proposals
 from ms_highway.road.score import score
@@ -128,10 +128,10 @@ def execute(scene, planning, controls):
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
-def told(follows, given=NOBODY, acceleration=0.0):
-    """Others who follow by IDM, keep their speed or do as told; arrays have the same shapes always, for one program."""
+def told(follows, acceleration=0.0):
+    """Others who follow by IDM, or have a given acceleration; arrays always have the same shapes, for one program."""
     nothing = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
-    return Manners(follows, given, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
+    return Behaviour(follows, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
 
 
 @jit_quickly

@@ -63,7 +63,7 @@ class RoadViewer(Viewer):
         ]
         for rung, car, path in sorted(thoughts, key=itemgetter(0)):  # a car's most expensive rung colours it
             color = model_color(MODELS[rung])
-            if not getattr(car, "crashed", True):
+            if not car.crashed:
                 pygame.draw.polygon(surface, color, [surface.vec2pix(corner) for corner in car.polygon()])
             for point in path[1::2]:
                 pygame.draw.circle(surface, PAPER, surface.vec2pix(point), 3)

@@ -35,7 +35,7 @@ def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_b
         assert not plan.broken
         states.append(scene.robot)
         moved, _ = execute(scene, SLOW, np.asarray(plan.controls)[:1])
-        scene, last = replace(scene, robot=np.asarray(moved)[0]), plan.handed_on()
+        scene, last = replace(scene, robot=np.asarray(moved)[0]), plan.rest()
     s, d, *_ = np.array(states).T
     assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
     assert s[-1] > 40.0

@@ -28,10 +28,10 @@ STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
-def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=0.0):
+def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, acceleration=0.0):
     """All proposals, and how they turn out."""
     plans = PLANS._replace(controls=np.tile(np.asarray(last, np.float32), (PROPOSALS, 1, 1)))
-    return plans, driven_and_judged(scene, PLANNING, told(follows, ordered, accelerations), plans)[0]
+    return plans, driven_and_judged(scene, PLANNING, told(follows, acceleration), plans)[0]
 
 
 def before_a_bend(speed, ahead):
@@ -66,7 +66,7 @@ def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
 @pytest.mark.parametrize(("gap", "speed"), [(20.0, 20.0), (10.0, 10.0)])
 def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
-    plans, rollouts = proposed(scene, ordered=np.arange(TRAFFIC) == 0, accelerations=-6.0)
+    plans, rollouts = proposed(scene, acceleration=-6.0)
     own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
     assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
 

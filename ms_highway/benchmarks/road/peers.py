@@ -13,7 +13,7 @@ from ms_highway.envs.agents import check_spaces, policy_of
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.environment import RecordedEnv
 from ms_highway.recorded.traffic import GuidedVehicle
-from ms_highway.road.driven import unheeded
+from ms_highway.road.driven import placeholder_action
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.road.timed_goal import TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
@@ -60,7 +60,7 @@ class Peer(gym.Wrapper):
 
     def choose(self) -> Any:
         """Return the action of the coming step: by default, one for an ego that steers by itself."""
-        return unheeded(self.inner.action_type)
+        return placeholder_action(self.inner.action_type)
 
 
 class Agent(Peer):
