@@ -72,7 +72,6 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         paths=jax.tree.map(lambda *fields: np.stack(fields), *paths),
         states=states,
         sizes=np.tile(np.array([5.0, 2.0], np.float32), (TRAFFIC, 1)),
-        present=present,
         limits=np.full(TRAFFIC, limit, np.float32),
         leaders=np.full(TRAFFIC, -1),
         gaps=np.full(TRAFFIC, np.inf, np.float32),

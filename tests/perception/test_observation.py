@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning
 GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
 SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
 KINDS = {"leaders": np.int32, "owners": np.int32}
-KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
+KINDS |= dict.fromkeys(("open", "moving"), bool)
 
 located, placed = jax.jit(Curve.project), jax.jit(jax.vmap(Curve.place))
 
