@@ -37,7 +37,7 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     return xp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
 
 
-def body_points(size: Float[Any, "2"], corner: Numbers = 0.5) -> Float[Any, "9 2"]:
+def body_points(size: Float[Any, "2"], corner: Numbers) -> Float[Any, "9 2"]:
     """Return x and y of the corners, the middles of the edges and the centre of a body in its own frame [m].
 
     Args:

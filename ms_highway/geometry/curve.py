@@ -52,12 +52,12 @@ class Curve:
     spacing: float = field(default=SPACING, metadata={"static": True})
 
     @classmethod
-    def through(cls, x: Knots, y: Knots, start: float = 0.0, spacing: float = SPACING) -> "Curve":
-        """Return the curve through positions that are evenly spaced; see `resample`."""
+    def through(cls, x: Knots, y: Knots, spacing: float) -> "Curve":
+        """Return the curve from s = 0 through evenly spaced positions; see `resample`."""
         order: Literal[1, 2] = 2 if len(x) > 2 else 1  # two points have one slope
         along, aside = (np.gradient(values, edge_order=order) for values in (x, y))
         heading = np.unwrap(np.arctan2(aside, along))
-        return cls(x, y, heading, np.gradient(heading, spacing), start, spacing)
+        return cls(x, y, heading, np.gradient(heading, spacing), 0.0, spacing)
 
     @property
     def end(self) -> float:

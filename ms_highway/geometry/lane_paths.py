@@ -78,7 +78,7 @@ def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, R
 
 
 def join_lanes(
-    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float] = SMOOTHING
+    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float]
 ) -> LaneCurve:
     """Return the curve along lanes between two ways; it goes straight on beyond the last lane.
 
@@ -125,4 +125,4 @@ def _smooth(raw: Rows, width: float) -> LaneCurve:
     twice = gaussian_filter1d(once, width / FINE, mode="nearest")
     cut = int(0.9 * MARGIN / FINE)
     x, y, ways = resample(np.concatenate([2 * once - twice, raw[2:]])[:, cut:-cut], FINE)
-    return LaneCurve(Curve.through(x, y, 0.0, FINE), ways)
+    return LaneCurve(Curve.through(x, y, FINE), ways)

@@ -11,6 +11,7 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.geometry.bodies import Sizes
 from ms_highway.geometry.curve import Curve, Knots
 from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
 
@@ -23,16 +24,14 @@ LANES = 3
 TRAFFIC = 20
 """Number of paths of others in a scene."""
 
-Sizes = Float[Any, "*cars 2"]
 Steps = Float[Any, "*shape steps"]
 States = Float[Any, "*plans steps 4"]
-Lane = Int[Any, "*plans"]
+PlanLanes = Int[Any, "*plans"]
 Plans = Float[Any, "plans"]
 PlanFlags = Bool[Any, "plans"]
 EachCar = Float[Any, "*plans traffic"]
 EachFlag = Bool[Any, "*plans traffic"]
 EachStep = Float[Any, "*plans traffic steps"]
-Values = Float[Any, "lanes places speeds"]
 
 World = Float[Any, "*shape 4 steps"]
 """x, y, heading and speed of cars after each step, in world coordinates."""

@@ -1,6 +1,6 @@
 """Find the paths that other vehicles may take, and the car ahead on each of them."""
 
-from math import sin
+from math import dist, sin
 from typing import Any, NamedTuple
 
 import jax
@@ -62,9 +62,7 @@ NO_WAY = Way(
 """An unused path."""
 
 
-def traffic_of(
-    vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool = False
-) -> dict[str, Any]:
+def traffic_of(vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool) -> dict[str, Any]:
     """Return the fields of a ``RoadScene`` that describe others, nearest first.
 
     Args:
@@ -97,13 +95,17 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     """Return vehicles and solid objects in sight, nearest first."""
     others = [car for car in vehicle.road.vehicles if car is not vehicle]
     others += [item for item in vehicle.road.objects if not isinstance(item, Landmark)]
-    delta = np.array([car.position for car in others]).reshape(-1, 2) - vehicle.position
-    distances = np.hypot(delta[:, 0], delta[:, 1])
-    comes = [isinstance(car, Vehicle) and car.direction @ vehicle.direction < ONCOMING_COSINE for car in others]
-    ahead = np.where(comes, ONCOMING, AHEAD)
-    seen = distances < np.where(delta @ vehicle.direction > 0, ahead, BEHIND_SIGHT)
-    nearest = [number for number in np.argsort(distances, kind="stable") if seen[number]]
-    return [others[number] for number in nearest[:MAX_VEHICLES]]
+
+    def distance(car: RoadObject) -> float:
+        return dist(car.position, vehicle.position)
+
+    def in_sight(car: RoadObject) -> bool:
+        if (car.position - vehicle.position) @ vehicle.direction <= 0:
+            return distance(car) < BEHIND_SIGHT
+        oncoming = isinstance(car, Vehicle) and car.direction @ vehicle.direction < ONCOMING_COSINE
+        return distance(car) < (ONCOMING if oncoming else AHEAD)
+
+    return sorted(filter(in_sight, others), key=distance)[:MAX_VEHICLES]
 
 
 def _ways(car: RoadObject, number: int, roads: RoadMap, intentions: bool) -> list[Way]:

@@ -91,8 +91,8 @@ def check_drivable(env: Any) -> None:
         raise ValueError(f"{name} {reason}; the robot drives {WORKS}")
     kind = base.action_type
     if isinstance(base, (MergeEnv, RoundaboutEnv)) and type(kind) is ContinuousAction and kind.size > 1:
-        remedy = "make it with config={'action': {'type': 'DiscreteMetaAction'}}"
-        raise ValueError(f"the reward of {name} cannot take a ContinuousAction, as it asks for lane changes; {remedy}")
+        remedy = "make the environment with config={'action': {'type': 'DiscreteMetaAction'}}"
+        raise ValueError(f"the reward of {name} reads lane changes, which a ContinuousAction does not have; {remedy}")
 
 
 class Driven(gym.Wrapper, RecordConstructorArgs):

@@ -6,7 +6,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import interpolate
-from ms_highway.perception.scene import LANES, Lane, PlanFlags, Plans
+from ms_highway.perception.scene import LANES, PlanFlags, PlanLanes, Plans
 from ms_highway.road.traffic import Situation
 from ms_highway.runtime.arrays import Controls, Index, ManyControls, Vector
 
@@ -67,13 +67,13 @@ class Profiles(NamedTuple):
         controls: the given controls.
     """
 
-    lane: Lane
+    lane: PlanLanes
     share: Plans
     rate: Plans
     follows: PlanFlags
     closes: PlanFlags
     yields: Plans
-    side: Lane
+    side: PlanLanes
     given: PlanFlags
     controls: ManyControls
 

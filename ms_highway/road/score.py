@@ -6,7 +6,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Pose, interpolate, rotated
-from ms_highway.perception.scene import EachCar, EachFlag, EachStep, Lane, PlanFlags, Plans, World
+from ms_highway.perception.scene import EachCar, EachFlag, EachStep, PlanFlags, PlanLanes, Plans, World
 from ms_highway.planning.car_following import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
@@ -105,7 +105,7 @@ def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
     return (beyond > beyond[:, :1] + now.weights.off).any(axis=1)
 
 
-def _collisions(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[EachCar, Plans, Plans]:
+def _collisions(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[EachCar, Plans, Plans]:
     """Return the cost of the nearness of each car, the depth of plans in margins, and the speed of impacts.
 
     If the robot can still stop before a crossing car's path after the first step, later collisions with that car cost

@@ -21,9 +21,9 @@ from ms_highway.runtime import retired
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
 """Values of ``config["driver"]``."""
 
-Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
-COSTS = "say 'shipped', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
-IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, {MODELS[0]} among them"
+OptionalPositive = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
+COSTS = "say 'shipped', or give milliseconds of at least 0 by rung, such as {'tom': 0.5}"
+IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, beginning with {MODELS[0]}"
 
 
 class RoadSettings(Struct, frozen=True):
@@ -50,10 +50,10 @@ class RoadSettings(Struct, frozen=True):
 
     driver: Annotated[str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")] = "priced"
     price: NotNegative = 1.0
-    budget: Wish = None
+    budget: OptionalPositive = None
     costs: Annotated[Literal["shipped"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
     ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = MODELS
-    desired_speed: Wish = None
+    desired_speed: OptionalPositive = None
     acceleration: Positive = 5.0
     curvature: Positive = 0.2
     intentions: bool = False

@@ -1,19 +1,23 @@
 """Value the ends of plans: the lane that they reach, the room to stop, and the speed that traffic then allows."""
 
 from functools import reduce
+from typing import Any
 
 import jax
 from jax import numpy as jnp
 from jax.scipy.ndimage import map_coordinates
+from jaxtyping import Float
 
 from ms_highway.geometry.curve import interpolate
-from ms_highway.perception.scene import EachCar, EachFlag, Lane, Plans, Values
+from ms_highway.perception.scene import EachCar, EachFlag, PlanLanes, Plans
 from ms_highway.planning.car_following import FREE_GAP
 from ms_highway.road.constants import LANE
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.simulation import DrivenPlans, target_of
 from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING_SPEED, Situation, lane_of
 from ms_highway.runtime.arrays import Numbers, Scalar
+
+Values = Float[Any, "lanes places speeds"]
 
 LANES_BESIDE = 2  # lanes on each side of the robot's lane in the table of values
 PLACES, SPEEDS = 144, 13  # in the table
@@ -84,7 +88,7 @@ def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
     return jnp.maximum(missing, jnp.maximum(close.max(axis=-1) - close[..., 0], 0.0))
 
 
-def speed_lost(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans, EachFlag]:
+def speed_lost(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[Plans, EachFlag]:
     """Return the mean loss of speed after each plan [m/s], and which of the others limits the speed first.
 
     All cars go on as points in their lanes, the others at their median speed over all plans. The robot drives

@@ -38,7 +38,7 @@ class TimedGoal:
     spot: Spot
     position: Point
     times: tuple[float, float]
-    speeds: tuple[float, float] = (0.0, np.inf)
+    speeds: tuple[float, float]
 
     def distance(self, vehicle: Vehicle) -> float:
         """Return the distance to the spot along a vehicle's lanes [m], negative if the spot is behind it."""

@@ -7,7 +7,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
-from ms_highway.perception.scene import Flags, Lane, RoadScene, Steps, Traffic
+from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
 from ms_highway.planning.car_following import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
@@ -154,7 +154,7 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     return Crossings(places, s, aside, come, line, lowest(places, across), highest(places, across))
 
 
-def lane_of(values: Knots, lanes: Lane, s: Numbers) -> Numbers:
+def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
     """Interpolate values that each lane has at the knots of the route, for plans that go to one lane each."""
     return jax.vmap(lambda lane, s: interpolate(values[lane], s))(lanes, s)
 

@@ -31,8 +31,7 @@ class Drive:
 
     def __init__(self, env: Any) -> None:
         self._env = env
-        self._ego: list[tuple[float, ...]] = []
-        self._others: dict[int, list[tuple[float, ...]]] = {}
+        self._states: dict[int | None, list[tuple[float, ...]]] = {}  # by number of the track, None for the ego
         self._sizes: dict[int | None, tuple[float, float]] = {}
         self.see()
 
@@ -44,8 +43,8 @@ class Drive:
         orientations = env.axes.headings([vehicle.heading for vehicle in everyone])
         for vehicle, (x, y), orientation in zip(everyone, points.tolist(), orientations.tolist(), strict=True):
             number = None if vehicle is env.vehicle else vehicle.track.number
-            own = self._ego if number is None else self._others.setdefault(number, [])
-            own.append((env.road.now, x, y, orientation, float(vehicle.speed)))
+            states = self._states.setdefault(number, [])
+            states.append((env.road.now, x, y, orientation, float(vehicle.speed)))
             self._sizes[number] = vehicle.LENGTH, vehicle.WIDTH
 
     def write(self, directory: Path, name: str) -> None:
@@ -75,7 +74,7 @@ class Drive:
             ElementTree.ElementTree(driven).write(path, encoding="utf-8", xml_declaration=True)
         states = [
             KSState(int(step), np.array([x, y]), orientation=orientation, velocity=speed, steering_angle=angle)
-            for (step, x, y, orientation, speed), angle in zip(self._ego, self._steering(), strict=True)
+            for (step, x, y, orientation, speed), angle in zip(self._states[None], self._steering(), strict=True)
         ]
         own = PlanningProblemSolution(
             planning_problem_id=self._env.task.number,
@@ -90,7 +89,7 @@ class Drive:
 
     def _steering(self) -> list[float]:
         """Return the steering angle of CommonRoad's vehicle at each state, from the yaw rate of the next step [rad]."""
-        _, _, _, orientations, speeds = np.array(self._ego).T
+        _, _, _, orientations, speeds = np.array(self._states[None]).T
         turned = np.diff(np.unwrap(orientations)) / (TIME_STEP * np.maximum(speeds[:-1], MIN_STEERING_SPEED))
         angles = np.arctan(WHEELBASE * turned).tolist()
         return [*angles, *(angles[-1:] or [0.0])]
@@ -100,13 +99,13 @@ class Drive:
         root = ElementTree.fromstring(read_xml(recording))
         for obstacle in root.findall("dynamicObstacle"):
             number = int(obstacle.attrib["id"])
-            if number not in self._others:
+            if number not in self._states:
                 root.remove(obstacle)
                 continue
             for old in [part for part in obstacle if part.tag in ("shape", "initialState", "trajectory")]:
                 obstacle.remove(old)
             length, width = self._sizes[number]  # without an offset: states are those of the centre
-            first, *later = (_state(row) for row in self._others[number])
+            first, *later = (_state(row) for row in self._states[number])
             first.tag = "initialState"
             box = f"<rectangle><length>{length!r}</length><width>{width!r}</width></rectangle>"
             obstacle.extend([ElementTree.fromstring(f"<shape>{box}</shape>"), first])

@@ -143,7 +143,7 @@ class Human(Peer):
         """Replace the ego by a vehicle that moves to given states."""
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
-            raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
+            raise ValueError("the driver human repeats the drive of a recorded vehicle; say --egos changing")
         self._track: Any = env.scenario.track(env.task.track)
         replace_ego(env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
 

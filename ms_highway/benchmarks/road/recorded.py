@@ -55,7 +55,9 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
             starts[recording, problem.number] = RecordedStart(name, recording, f"problem:{problem.number}")
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
-        raise ValueError(f"--data: there is no {what} in {data or 'the recording of the package'}; give another place")
+        raise ValueError(
+            f"--data: there is no {what} in {data or 'the recording of the package'}; give another directory"
+        )
     return list(starts.values())
 
 
