@@ -76,41 +76,41 @@ class RoadWeights:
         stopping: cost of each metre that the robot lacks to stop behind the car ahead [1/m, per plan].
 
         unsound: cost of a broken constraint; it exceeds whatever else plans earn or cost.
-        leaving: speed of an impact that is as bad as leaving the road [m/s].
+        off_road_impact: speed of an impact that is as bad as leaving the road [m/s].
         margin: distance between bodies that counts as a collision: predictions err by this much in a step [m].
         wreck_margin: the same to obstacles, which plans pass in steps of 0.2 s [m].
-        fading: factor per step by which expected costs shrink, as predictions get worse.
-        soon: time up to which predicted collisions count even if the plan could still stop [s].
-        early: time by which crossing cars may arrive earlier or later than predicted [s].
-        unsure: acceleration by which others may deviate from the prediction [m/s^2].
-        tolerated: braking of others that costs nothing, as when a driver lifts off the accelerator [m/s^2].
-        begun: lateral offset from which a lane change has begun [m].
-        off: increase of the distance off the road that counts as leaving it [m].
-        decided: first step from which a plan must be able to stop before a crossing; the next plan starts there.
+        discount: factor per step by which expected costs shrink, as predictions get worse.
+        certain_time: time up to which predicted collisions count even if the plan could still stop [s].
+        arrival_error: time by which crossing cars may arrive earlier or later than predicted [s].
+        acceleration_error: acceleration by which others may deviate from the prediction [m/s^2].
+        tolerated_braking: braking of others that costs nothing, as when a driver lifts off the accelerator [m/s^2].
+        lane_change_offset: lateral offset from which a lane change has begun [m].
+        off_road_tolerance: increase of the distance off the road that counts as leaving it [m].
+        replanned_step: first step from which a plan must be able to stop before a crossing; the next plan starts there.
         corridor: half the width of the robot's corridor, which crossing cars have to leave [m].
         clearance: distance before and behind the robot to crossing cars [m].
-        awaited: time horizon for crossing cars; later ones do not count [s].
-        passed: time between the robot's leaving a crossing and the arrival of the next car, at least [s].
+        crossing_horizon: time horizon for crossing cars; later ones do not count [s].
+        crossing_time_gap: time between the robot's leaving a crossing and the arrival of the next car, at least [s].
 
         least_headway: smallest time gap within a plan [s].
-        room: gap to the car ahead after a stop [m].
-        reaction: time before the robot brakes [s].
+        stop_gap: gap to the car ahead after a stop [m].
+        reaction_time: time before the robot brakes [s].
         lead_braking: deceleration that a car ahead may use [m/s^2].
-        beside: lateral distance between bodies up to which others are in the lane [m].
-        disturbed: distance to a merging car up to which others may change lanes for it [m].
+        lateral_clearance: lateral distance between bodies up to which others are in the lane [m].
+        merge_range: distance to a merging car up to which others may change lanes for it [m].
         change_seconds: duration of a lane change [s].
         change_speed: lowest speed for which the room of a lane change is computed: standing cars start first [m/s].
         urgency_range: spare room over which the cost of remaining lane changes falls to 1 / e [m].
 
         horizon: seconds after a plan in which the loss of speed counts.
-        blocked: cost of a second in the way of others; it exceeds the loss of all speed [steps of speed].
+        blocked_cost: cost of a second in the way of others; it exceeds the loss of all speed [steps of speed].
         lane_change: cost of a lane change after a plan [steps of speed].
         close_up_seconds, close_up_gap: time within which, and gap to which, the robot closes up to a car ahead [s, m].
         room_ahead, room_behind: gaps to others after a plan [m].
         headway_behind: upper bound of ``room_behind`` as a time gap at the desired speed: in jams, others follow more
             closely [s].
         comfort_braking: deceleration behind others after a plan [m/s^2].
-        away: time before an oncoming car arrives by which the robot has left its lane [s].
+        oncoming_time: time before an oncoming car arrives by which the robot has left its lane [s].
     """
 
     speed: Scalar = 1.0
@@ -131,34 +131,34 @@ class RoadWeights:
     stopping: Scalar = 1.0
 
     unsound = 1e3
-    leaving = 10.0
+    off_road_impact = 10.0
     margin = 0.35
     wreck_margin = 0.6
-    fading = 0.95
-    soon = 1.6
-    early = 0.08
-    unsure = 6.0
-    tolerated = 1.5
-    begun = 0.5
-    off = 0.1
-    decided = 1
+    discount = 0.95
+    certain_time = 1.6
+    arrival_error = 0.08
+    acceleration_error = 6.0
+    tolerated_braking = 1.5
+    lane_change_offset = 0.5
+    off_road_tolerance = 0.1
+    replanned_step = 1
     corridor = 3.0
     clearance = 1.0
-    awaited = 6.0
-    passed = 0.5
+    crossing_horizon = 6.0
+    crossing_time_gap = 0.5
 
     least_headway = 0.2
-    room = 1.0
-    reaction = 0.2
+    stop_gap = 1.0
+    reaction_time = 0.2
     lead_braking = 2.0
-    beside = 0.2
-    disturbed = 25.0
+    lateral_clearance = 0.2
+    merge_range = 25.0
     change_seconds = 2.0
     change_speed = 8.0
     urgency_range = 40.0
 
     horizon = 8
-    blocked = 30.0
+    blocked_cost = 30.0
     lane_change = 0.3
     close_up_seconds = 3.0
     close_up_gap = 5.0
@@ -166,4 +166,4 @@ class RoadWeights:
     room_behind = 3.0
     headway_behind = 0.3
     comfort_braking = 2.5
-    away = 1.0
+    oncoming_time = 1.0

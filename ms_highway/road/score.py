@@ -47,7 +47,7 @@ class Scores(NamedTuple):
     def preference(self) -> Plans:
         """Order of the plans: sound ones first, then those that hit nobody, then those with the softest impact."""
         faults = jnp.where(self.impact > 0, 2 + self.impact, self.broken + self.intrusion)
-        return self.total - RoadWeights.unsound * (faults + RoadWeights.leaving * self.leaves)
+        return self.total - RoadWeights.unsound * (faults + RoadWeights.off_road_impact * self.leaves)
 
     @property
     def collides(self) -> PlanFlags:
@@ -102,7 +102,7 @@ def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
     reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
     left, right = interpolate(now.scene.edges, s + length / 2)
     beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
-    return (beyond > beyond[:, :1] + now.weights.off).any(axis=1)
+    return (beyond > beyond[:, :1] + now.weights.off_road_tolerance).any(axis=1)
 
 
 def _collisions(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[EachCar, Plans, Plans]:
@@ -118,19 +118,21 @@ def _collisions(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[
     # A follower in the robot's lane is ignored as long as both keep this lane, even if it runs into the robot.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
     followed = steps < _first(jnp.abs(driven.d - d) >= scene.size[1])
-    stays = jnp.equal(lanes, 1)[:, None, None] | (steps < _first(jnp.abs(d - scene.robot[1]) >= weights.begun))
+    stays = jnp.equal(lanes, 1)[:, None, None] | (
+        steps < _first(jnp.abs(d - scene.robot[1]) >= weights.lane_change_offset)
+    )
     counts = scene.present[:, None] & ~(behind & followed & (driven.cosine > CROSSING) & stays)
     clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FREE_GAP)
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
     onward, sideways = rotated(speeds * jnp.cos(others[2]), speeds * jnp.sin(others[2]), own[2])
     relative = jnp.sqrt(jnp.maximum((speed - onward) ** 2 + sideways**2, 1e-4))
     avoidable = _avoidable(now, driven)
-    binds = ~(avoidable[..., None] & (dt * steps > weights.soon))
-    fading = weights.fading**steps * jnp.where(binds, 1.0, weights.avoidable)
+    binds = ~(avoidable[..., None] & (dt * steps > weights.certain_time))
+    fading = weights.discount**steps * jnp.where(binds, 1.0, weights.avoidable)
     near = jnp.clip(1 - clear / weights.comfortable, 0.0, 1.0) ** 2
     braking = (earlier(scene.states[:, 3:], speeds) - speeds) / dt
     endangered = (driven.s < s) & (speeds > speed)  # the gap to slower followers grows
-    imposed = jnp.where(endangered, jnp.maximum(braking - weights.tolerated, 0.0), 0.0)
+    imposed = jnp.where(endangered, jnp.maximum(braking - weights.tolerated_braking, 0.0), 0.0)
     depth = jnp.where(scene.moving, weights.margin, weights.wreck_margin)[:, None] - clear
     cost = (
         dt * weights.near * jnp.sum(near * fading, axis=-1)
@@ -159,7 +161,7 @@ def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
     Their time of arrival is uncertain, since they may brake or speed up; their present position is known.
     """
     weights, times = now.weights, now.planning.times
-    early = jnp.minimum(weights.early * driven.speeds + 0.5, weights.unsure * times**2 / 2)
+    early = jnp.minimum(weights.arrival_error * driven.speeds + 0.5, weights.acceleration_error * times**2 / 2)
     early = jnp.where((driven.cosine < SAME_WAY) & (driven.speeds > STANDING_SPEED), early, 0.0)
     lengths, widths = now.scene.sizes.T[..., None]
     return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
@@ -167,7 +169,7 @@ def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
 
 def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot can still stop before the path of each crossing car after the first steps of a plan."""
-    s, _, _, speed = driven.robot[..., now.weights.decided]
+    s, _, _, speed = driven.robot[..., now.weights.replanned_step]
     left = now.crossings.line - s - now.scene.size[0]
     return now.crossings.exist & (left > speed**2 / (2 * now.planning.stopping * now.planning.grip))
 
@@ -186,4 +188,4 @@ def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     leaving = (highest(ways.s, across) + weights.clearance - s) / (speed + 1.0)
     coming = (lowest(ways.places, here) - scene.sizes[:, 0] - end.along) / jnp.maximum(end.speeds, 1.0)
     comes = end.along < highest(ways.places, here)
-    return scene.moving & comes & (coming < leaving + weights.passed) & (coming < weights.awaited)
+    return scene.moving & comes & (coming < leaving + weights.crossing_time_gap) & (coming < weights.crossing_horizon)

@@ -121,7 +121,7 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     passing = jnp.where(overtakes, LANE_CHANGE_TIME * jnp.maximum(speed - onward, 0.0), 0.0)
     in_target_lane = (jnp.abs(where[1] - target) < apart) & (jnp.abs(d - target) > apart) & scene.present
     blocked = in_target_lane & (jnp.abs(ahead) < scene.reach[:, 0] + LANE_CHANGE_GAP + passing)
-    waits = blocked.any() & (crossings.come & (where[0] > s)).any()
+    waits = blocked.any() & (crossings.oncoming & (where[0] > s)).any()
     goal = jnp.where(waits, interpolate(scene.lanes[1], s), target)
 
     # Steer to the target.

@@ -67,7 +67,7 @@ def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
         target: lateral positions that the plans steer to [m].
     """
     scene, planning, weights, (s, d, _, speed) = now.scene, now.planning, now.weights, driven.robot
-    reach, apart = scene.reach[:, 0], scene.reach[:, 1] + weights.beside
+    reach, apart = scene.reach[:, 0], scene.reach[:, 1] + weights.lateral_clearance
     gap = driven.s - s - scene.size[0] / 2
     led = (gap > 0) & (jnp.abs(driven.d - d) < apart[:, None]) & (driven.cosine > SAME_WAY) & scene.moving[:, None]
     close = jnp.where(led, jnp.maximum(weights.least_headway * speed + reach[:, None] - gap, 0.0), 0.0)
@@ -75,7 +75,7 @@ def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
     end, (s, d, speed) = driven.end, (field[..., -1] for field in (s, d, speed))
     left, right = interpolate(scene.edges, driven.s[..., 0])
     joins = ((driven.d[..., 0] < left) | (driven.d[..., 0] > right)) & (end.cosine > SAME_WAY) & scene.present
-    near = jnp.abs(end.s[:, :, None] - end.s[:, None]) < weights.disturbed
+    near = jnp.abs(end.s[:, :, None] - end.s[:, None]) < weights.merge_range
     beside, middle = jnp.where((joins[:, None] & near).any(axis=-1), LANE, 0.0), s + scene.size[0] / 2
     low, high = jnp.minimum(target[:, None], d) - apart - beside, jnp.maximum(target[:, None], d) + apart + beside
     front = (end.s > middle) & (end.d > low) & (end.d < high) & scene.present
@@ -83,7 +83,7 @@ def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
     counts = front & ((end.cosine > CROSSING) | (end.speeds < STANDING_SPEED)) & (onward < speed)
     closing = jnp.maximum(speed - onward, 0.0)
     braking = planning.stopping * planning.grip - weights.lead_braking
-    needed = weights.room + weights.reaction * speed + closing**2 / (2 * braking)
+    needed = weights.stop_gap + weights.reaction_time * speed + closing**2 / (2 * braking)
     missing = jnp.where(counts, jnp.maximum(needed - end.s + middle + reach, 0.0), 0.0)
     return jnp.maximum(missing, jnp.maximum(close.max(axis=-1) - close[..., 0], 0.0))
 
@@ -139,10 +139,12 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     free = ahead.min(axis=-1, keepdims=True)
     onward = jnp.where(ahead == free, onward, FREE_GAP).min(axis=-1, keepdims=True)  # of the next car
     closing = jnp.maximum(speeds - jnp.maximum(onward, 0.0), 0.0)
-    coming = weights.away * jnp.maximum(-onward, 0.0)
-    needed = weights.room_ahead + weights.reaction * speeds + coming + closing**2 / (2 * weights.comfort_braking)
+    coming = weights.oncoming_time * jnp.maximum(-onward, 0.0)
+    needed = weights.room_ahead + weights.reaction_time * speeds + coming + closing**2 / (2 * weights.comfort_braking)
     loss = jnp.maximum(jnp.minimum(interpolate(now.caps, places), fastest)[:, None] / step - jnp.arange(SPEEDS), 0.0)
-    hindered = jnp.where((free > needed) & there[..., None], 0.0, weights.blocked)  # [seconds, lanes, places, speeds]
+    hindered = jnp.where(
+        (free > needed) & there[..., None], 0.0, weights.blocked_cost
+    )  # [seconds, lanes, places, speeds]
 
     def back(value: Values, after: tuple[Values, Values]) -> tuple[Values, None]:
         """Return the values a second earlier: the best change of speed, then the best change to a free lane."""

@@ -54,7 +54,7 @@ class Crossings(NamedTuple):
         places: positions along the paths [m].
         s, d: of these places on the route [m]; d is far away where a path is nearly parallel to the route or lies
             behind the robot, and for oncoming vehicles.
-        come: which vehicles come towards the robot in its lane.
+        oncoming: which vehicles come towards the robot in its lane.
         line: position on the route where the front of the robot waits for crossing cars [m].
         begin, last: positions on the path where the crossing begins and ends [m]; far away without one.
     """
@@ -62,7 +62,7 @@ class Crossings(NamedTuple):
     places: Steps
     s: Knots
     d: Knots
-    come: Flags
+    oncoming: Flags
     line: Traffic
     begin: Traffic
     last: Traffic
@@ -146,12 +146,12 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     along = inside & (cosine > SHARING)
     joins = along & (s < scene.robot[0]) & (places >= 0)
     shares = along[:, now] | joins.any(axis=-1)
-    come = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0]) & scene.moving
+    oncoming = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0]) & scene.moving
     aslant = (s > scene.robot[0] - PASSED_MARGIN) & (cosine < SHARING) & ~shares[:, None]
     across = inside & aslant
     line = lowest(s[:, 1:], across[:, 1:] & across[:, :-1]) - scene.sizes[:, 1] / 2 - WAITING
-    aside = jnp.where(aslant & ~come[:, None], jnp.sign(d) * apart, FREE_GAP)
-    return Crossings(places, s, aside, come, line, lowest(places, across), highest(places, across))
+    aside = jnp.where(aslant & ~oncoming[:, None], jnp.sign(d) * apart, FREE_GAP)
+    return Crossings(places, s, aside, oncoming, line, lowest(places, across), highest(places, across))
 
 
 def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
