@@ -146,5 +146,10 @@ def judged(scene, controls, lanes):
     return jax.tree.map(lambda field: field[:number], found)
 
 
-PLANS = jax.jit(lambda: proposals(situation_of(scene_of(), PLANNING, WEIGHTS), no_plan(PLANNING)))()
-PLANS = jax.tree.map(np.asarray, PLANS)
+@jit_quickly
+def proposals_in(scene, last):
+    """All proposals in a scene."""
+    return proposals(situation_of(scene, PLANNING, WEIGHTS), last)
+
+
+PLANS = jax.tree.map(np.asarray, proposals_in(scene_of(), no_plan(PLANNING)))
