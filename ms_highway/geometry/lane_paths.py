@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, StraightLane
+from highway_env.road.lane import AbstractLane
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
@@ -71,8 +71,6 @@ class LaneCurve:
 def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
     """Return places, positions and headings along a lane every `COARSE` metres between two bounds."""
     s = COARSE * np.arange(np.ceil(low / COARSE), np.floor(high / COARSE) + 1)
-    if isinstance(lane, StraightLane):  # the only ones that take arrays
-        return s, lane.position(s[:, None], 0.0), np.broadcast_to(lane.heading_at(s), s.shape)
     points = np.array([lane.position(place, 0.0) for place in s]).reshape(-1, 2)
     return s, points, np.array([lane.heading_at(place) for place in s])
 
