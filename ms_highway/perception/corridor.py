@@ -74,9 +74,9 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
 def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[tuple[float, tuple[Lane | None, ...]]]:
     """Yield the sections of a route: the way at their end, and the lane left of the route, its own, and right of it.
 
-    None stands for a lane that is closed. A lane beside the route continues while it joins the route's roads or leads
-    to the goal; otherwise the neighbour of the route's next lane follows, unless it is forbidden. Where a lane of the
-    route ends but its neighbours continue, the route's own lane is closed from there on; at the end of the network it
+    None stands for a closed lane. A lane beside the route continues as long as it is on the route's roads or leads to
+    the goal; otherwise the neighbour of the route's next lane follows, unless it is forbidden. Where the route's last
+    lane ends but its neighbours continue, the route's own lane is closed from there on; at the end of the network, it
     stays open.
     """
     sides: list[Lane | None] = [None, None]

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.perception.observation import observe_road
@@ -30,7 +29,7 @@ def with_ego(scene, lane=None, at=0.0):
     environment = gym.make(scene).unwrapped
     environment.reset(seed=0)
     old, road = environment.vehicle, environment.road
-    ego = IDMVehicle(road, old.position, old.heading, old.speed if isinstance(old, Vehicle) else 8.0)
+    ego = IDMVehicle(road, old.position, old.heading, old.speed)
     if lane:
         ego = IDMVehicle.make_on_lane(road, lane, at, speed=10.0)
     road.vehicles = [ego if car is old else car for car in road.vehicles]
