@@ -39,7 +39,7 @@ class Behaviour(NamedTuple):
 
 
 def behaviour_of(now: Situation, models: Places, plans: int) -> Behaviour:
-    """Return the behaviour of others that keep their speed, or follow.
+    """Return the behaviour of others that follow or keep their speed, as their models say.
 
     Vehicles that may cross the robot's path keep their speed: at crossings, they do not only react to the car ahead.
     The part of an acceleration that the model does not explain fades; hard braking ahead of the robot goes on.

@@ -1,6 +1,6 @@
 """Plan on a road: propose plans, let others respond, and choose the best plan.
 
-All proposals are first scored with others who keep their speed or follow by the Intelligent Driver Model. If some of
+All proposals are first scored with others that keep their speed or follow by the Intelligent Driver Model. If some of
 the others optimise their reward (theory of mind), they respond to the best few proposals, which are scored again. A
 response may make a plan better, but not safe: a plan that collides if others merely follow is rejected when a safe plan
 exists.
@@ -112,7 +112,7 @@ def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
     """Return the best of the proposals once the others that optimise their reward have responded to them.
 
     Args:
-        proposed: the proposals, scored with others who keep their speed or follow.
+        proposed: the proposals, scored with others that keep their speed or follow.
         models: number of the model of each of the others.
     """
     now, few = proposed.now, proposed.few

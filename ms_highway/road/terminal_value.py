@@ -25,7 +25,7 @@ SLOWER, FASTER = 2, 1  # largest changes of speed in a second, in steps of speed
 
 
 def terminal_value(now: Situation, driven: DrivenPlans, plans: Profiles) -> tuple[Plans, EachCar, EachCar]:
-    """Return the value of what follows plans.
+    """Return the value of the time after plans.
 
     Returns:
         The value of the lane that each plan reaches, including lost speed for which no other car is responsible; the
