@@ -1,4 +1,4 @@
-"""Stretches of road for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
+"""Roads for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from jax import numpy as jnp
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
-from ms_highway.road.following import Manners
+from ms_highway.road.following import Behaviour
 from ms_highway.road.plan import no_plan
 from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, proposals
 from ms_highway.road.score import score
@@ -23,7 +23,7 @@ ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
-    """The line at lateral position d along an arc of curvature ``bend`` through the origin, from s = start on."""
+    """The line at lateral position d beside an arc of curvature ``bend`` through the origin, from s = start on."""
     along = (np.arange(knots) * SPACING - BEHIND) / (1 - d * bend) + start
     heading = along * bend
     x, y = (np.sin(heading) / bend, (1 - np.cos(heading)) / bend) if bend else (along, np.zeros(knots))
@@ -33,7 +33,7 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
 
 
 def winding(curvature):
-    """A path of given curvature at its knots, through the origin with heading 0 at s = 0."""
+    """A path with a given curvature at its knots; at s = 0 it is at the origin, and its heading is 0."""
     mean = (curvature[1:] + curvature[:-1]) / 2
     heading = np.concatenate([[0.0], np.cumsum(mean) * SPACING])
     middle = (heading[1:] + heading[:-1]) / 2
@@ -43,7 +43,7 @@ def winding(curvature):
     return Curve(*(np.asarray(array, np.float32) for array in arrays))
 
 
-def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied=(0.0, 0.0)):
+def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
     """A road of three lanes; the robot follows the middle one.
 
     Args:
@@ -51,7 +51,6 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         robot: state of its rear axle.
         cars: (s, lane, speed) of each other car, on the path of its lane (-1, 0, 1); s along the route.
         limit: speed limit [m/s].
-        applied: last control of the robot.
     """
     paths = [arc(TRAFFIC_KNOTS, bend, lane * LANE, s) for s, lane, _ in cars]
     paths += [arc(TRAFFIC_KNOTS)] * (TRAFFIC - len(cars))
@@ -68,11 +67,10 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
         room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
         size=np.array([5.0, 2.0], np.float32),
-        applied=np.asarray(applied, np.float32),
+        applied=np.zeros(2, np.float32),
         paths=jax.tree.map(lambda *fields: np.stack(fields), *paths),
         states=states,
         sizes=np.tile(np.array([5.0, 2.0], np.float32), (TRAFFIC, 1)),
-        present=present,
         limits=np.full(TRAFFIC, limit, np.float32),
         leaders=np.full(TRAFFIC, -1),
         gaps=np.full(TRAFFIC, np.inf, np.float32),
@@ -82,36 +80,29 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0, applied
     )
 
 
-def country_road(*cars, speed=8.0):
-    """A road of one lane for each direction: nobody but who goes round something drives on the left."""
-    scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=cars, limit=10.0)
+def country_road(*cars):
+    """A road of one lane for each direction."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=cars, limit=10.0)
     edges = np.tile(np.array([[-2.0], [2.0]], np.float32), KNOTS)
     return replace(scene, open=ONE_LANE, edges=edges)
 
 
-def crossing(robot_s, come_from, speed=10.0):
-    """A standing robot, and a car that crosses its route at s = 40 from the left, so far away now [m]."""
-    scene = scene_of(robot=(robot_s, 0.0, 0.0, 0.0), cars=[(0.0, 0, speed)])
-    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - come_from
-    return on_path(scene, 40.0, along, np.pi / 2, 0.0)
-
-
-def on_path(scene, *path):
-    """The scene with the first car on a path of these x, y, heading and curvature."""
-    for field, values in zip(("x", "y", "heading", "curvature"), path, strict=True):
-        getattr(scene.paths, field)[0] = values
+def crossing():
+    """A robot, and a car that will cross its route from the left at s = 40."""
+    scene = scene_of(robot=(26.0, 0.0, 0.0, 8.0), cars=[(0.0, 0, 10.0)])
+    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - 12.0
+    scene.paths.x[0], scene.paths.y[0], scene.paths.heading[0] = 40.0, along, np.pi / 2
     return scene
 
 
-def wrecked(scene, car, heading=0.0, speed=0.0):
-    """The scene with a car that has crashed, and lies, or slides, at an angle to its path."""
-    scene.states[car, 2:] = heading, speed
+def wrecked(scene, car):
+    """The scene with a car that has crashed."""
     scene.moving[car] = False
     return scene
 
 
 def coming(scene, car):
-    """The scene with a car, on a straight road, that comes the other way."""
+    """The scene, on a straight road, with an oncoming car."""
     scene.paths.x[car] = 2 * scene.paths.x[car, round(BEHIND / SPACING)] - scene.paths.x[car]
     scene.paths.heading[car] += np.pi
     return scene
@@ -119,7 +110,7 @@ def coming(scene, car):
 
 @jax.jit
 def execute(scene, planning, controls):
-    """Return the robot's states after each control, and the controls within limits that it executed."""
+    """Return the robot's states after each control, and the controls that it executed within its limits."""
 
     def go(state, control):
         moved, held = advance(scene, planning, state, control)
@@ -128,39 +119,37 @@ def execute(scene, planning, controls):
     return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
 
 
-def told(follows, given=NOBODY, acceleration=0.0):
-    """Others who follow by IDM, keep their speed or do as told; arrays have the same shapes always, for one program."""
+def behaving(follows, acceleration=0.0):
+    """Others that follow by IDM, or have a given acceleration; all arrays have fixed shapes, for one program."""
     nothing = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
-    return Manners(follows, given, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
+    return Behaviour(follows, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
 
 
 @jit_quickly
 def driven_and_judged(scene, planning, others, plans):
-    """As many plans as there are proposals, driven and judged: one program for all tests."""
+    """As many plans as there are proposals, simulated and scored by one program for all tests."""
     now = situation_of(scene, planning, WEIGHTS)
     driven = simulate(now, others, plans)
     return driven, score(now, driven, plans)
 
 
-def judged(scene, controls, lanes, follows, planning=PLANNING, sides=0):
-    """Plans whose controls are given [plans, steps, 2], driven and judged; the others follow or keep their speed."""
+def judged(scene, controls, lanes):
+    """Plans with given controls [plans, steps, 2], simulated among others that keep their speed, and scored."""
     number = len(controls)
-    assert number <= PROPOSALS
     filled = np.minimum(np.arange(PROPOSALS), number - 1)
     plans = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS, axis=0), PLANS)
     plans = plans._replace(
         lane=np.asarray(lanes, np.int32)[filled],
-        side=np.broadcast_to(np.asarray(sides, np.int32), number)[filled],
         controls=np.asarray(controls, np.float32)[filled],
     )
-    found = driven_and_judged(scene, planning, told(follows), plans)
+    found = driven_and_judged(scene, PLANNING, behaving(NOBODY), plans)
     return jax.tree.map(lambda field: field[:number], found)
 
 
 @jit_quickly
-def now_in(scene, planning=PLANNING):
-    """The situation, which tests share."""
-    return situation_of(scene, planning, WEIGHTS)
+def proposals_in(scene, last):
+    """All proposals in a scene."""
+    return proposals(situation_of(scene, PLANNING, WEIGHTS), last)
 
 
-PLANS = jax.tree.map(np.asarray, jit_quickly(proposals)(now_in(scene_of()), no_plan(PLANNING)))
+PLANS = jax.tree.map(np.asarray, proposals_in(scene_of(), no_plan(PLANNING)))

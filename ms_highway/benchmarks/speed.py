@@ -1,4 +1,4 @@
-"""Measure how fast the closed loop is: in the environments, and in batches of many simulated episodes."""
+"""Measure the speed of the closed loop: in environments, and in batches of many simulated episodes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -17,7 +17,7 @@ from ms_highway.runtime.jax_settings import high_throughput, low_latency_on_core
 from ms_highway.runtime.timing import timed
 
 EPISODES = 5  # of the environment
-SECONDS, RUNS = 2.0, 5  # of one batch, at most
+SECONDS, RUNS = 2.0, 5  # largest time and number of runs of one batch size
 
 
 def speed(
@@ -28,7 +28,7 @@ def speed(
     devices: int | None = None,
     modules: Sequence[str] = (),
 ) -> Iterator[tuple[str, dict]]:
-    """Measure the closed loop of each controller, warm: live on one core, and in batches, in processes of their own.
+    """Measure the warm closed loop of each controller, live on one core and in batches, each in its own process.
 
     Args:
         scenario: its name.
@@ -39,12 +39,12 @@ def speed(
         modules: to import in these processes, for scenarios and models that they add.
 
     Yields:
-        For every controller its name and what `live_speed` returns; with batches, also:
+        For every controller its name and the figures of `live_speed`; with batches, also:
 
         * ``batch``: steps per second by batch size;
-        * ``memory_mib``: the most memory that the process with the batches has had until then, by batch size;
-        * ``first_seconds``: what the first episodes took, which may compile;
-        * ``devices``: how many, and of what kind.
+        * ``memory_mib``: peak memory of the process with the batches until then, by batch size;
+        * ``first_seconds``: duration of the first episodes, including any compilation;
+        * ``devices``: their number and kind.
 
     Raises:
         ValueError: for anything unknown or impossible.
@@ -64,8 +64,8 @@ def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
 
     Returns:
         ``plan_us``: median (p50) and p99 of a plan; ``decision_us``: median of a decision; ``step_us``: median of a
-        step less the plans of all cars and the decision; all in microseconds. ``environment``: steps per second, with
-        resets.
+        step without the plans of all cars and the decision; all in microseconds. ``environment``: steps per second,
+        including resets.
     """
     env: Any = make_environment(scenario, controller, **config)
     steps = []
@@ -90,7 +90,7 @@ def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
 
 
 def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict:
-    """Time batches of a comparison's episodes, after one of a chunk on every device, which may compile."""
+    """Time batches of a comparison's episodes, after a first batch of one chunk per device, which may compile."""
     mesh = use_devices(devices)  # before JAX begins to compute
     batch, used = make_batch(comparison, scenario), mesh.devices
     keys = batch.keys()

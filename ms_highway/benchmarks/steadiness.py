@@ -1,8 +1,8 @@
-"""Measure steadiness: by how much small noise changes the path and the reward of the robot.
+"""Measure steadiness: how much small noise changes the path and the reward of the robot.
 
-Noise is normal, of a standard deviation s in x and y [m] and in the speed [m/s], and of s over the speed limit in the
-heading [rad], so that the velocity changes alike along the road and across it. It is in the start of the robot and of
-every human, or in what the robot sees of them and of itself, in every step anew. Scripted cars have none.
+Noise is normal. Its standard deviation is s for x and y [m] and for the speed [m/s], and s over the speed limit for the
+heading [rad], so that velocities change equally along the road and across it. It is added to the start of the robot
+and of every human, or in every step to what the robot observes of them and of itself; never to scripted cars.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,8 +21,8 @@ from ms_highway.runtime.jax_settings import high_throughput, own_process
 AFTER = 1, 5, 10, 20
 """Steps from the start after which the change of the robot's path is measured."""
 
-NOISE_OF_A_METRE = 1.0, 1.0, 1 / SPEED_LIMIT, 1.0  # noise of x, y, heading and speed, for 1 m
-RESOLUTION = 1e-6  # m, about that of float32 near a start
+NOISE_OF_A_METRE = 1.0, 1.0, 1 / SPEED_LIMIT, 1.0  # standard deviations of x, y, heading and speed for s = 1 m
+RESOLUTION = 1e-6  # m, about the resolution of float32 near a start
 
 
 def steadiness(
@@ -33,7 +33,7 @@ def steadiness(
     devices: int | None = None,
     modules: Sequence[str] = (),
 ) -> Iterator[tuple[str, dict]]:
-    """Yield the name of every controller and its `changes`, measured in a process that imports these modules first."""
+    """Yield the name of every controller and its `changes`, measured in a process that first imports the modules."""
     settings = {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen}
     with own_process(high_throughput, modules) as process:
         for name in comparison.controllers[scenario]:
@@ -49,42 +49,42 @@ def changes(
     seen: bool = False,
     devices: int | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Drive a controller's episodes as drawn and with noise, all in one batch, and compare them start by start.
+    """Drive a controller's episodes without and with noise, all in one batch, and compare them start by start.
 
-    The noise of an episode is the same for all controllers, and in proportion for all standard deviations.
+    The noise of an episode is the same for all controllers, and proportional for all standard deviations.
 
     Args:
-        comparison: controllers, seeds, two at least, and configuration.
+        comparison: controllers, at least two seeds, and configuration.
         scenario: one of its scenarios.
         controller: one of its controllers.
         noises: standard deviations [m].
-        seen: whether the noise is in what the robot sees, rather than in the start.
+        seen: whether the noise is in the observations of the robot, rather than in the start.
         devices: how many to use, see `ms_highway.loop.devices.use_devices`.
 
     Returns:
         By noise, for JSON:
 
         * ``change_m``: by steps of `AFTER`, ``p50`` and ``p95``, quantiles over the starts of the distance between the
-          robot's positions with noise and without [m];
-        * ``growth``: the factor per step by which the median of this distance grows, ``exp`` of the slope of the
-          straight line through its logarithm over the steps up to the last of `AFTER`;
-        * ``reward``: ``mean`` change of the reward per step of an episode, ``low`` and ``high`` its 90 % interval over
-          the starts (Student's t), and ``absolute``, the mean of its magnitude;
-        * ``collisions``: episodes with a collision, without noise and with it;
-        * ``success_changes``: the share of the episodes that succeed with noise and not without, or the other way
-          round; None where the scenario does not define success.
+          robot's positions with and without noise [m];
+        * ``growth``: the factor per step by which the median of this distance grows, ``exp`` of the slope of a straight
+          line fitted to its logarithm up to the last step of `AFTER`;
+        * ``reward``: ``mean`` change of the reward per step of an episode, ``low`` and ``high``, its 90 % interval over
+          the starts (Student's t), and ``absolute``, the mean magnitude of the change;
+        * ``collisions``: numbers of episodes with a collision, without and with noise;
+        * ``success_changes``: the share of episodes whose success differs with and without noise; None where the
+          scenario does not define success.
 
     Raises:
-        ValueError: for anything unknown or impossible, and for episodes that are shorter than the longest of `AFTER`.
+        ValueError: for anything unknown or impossible, and for episodes shorter than the last step of `AFTER`.
     """
     mesh = use_devices(devices)  # before JAX begins to compute
     batch, last = make_batch(comparison, scenario), AFTER[-1]
     if batch.steps < last:
-        said = f"episodes of {scenario} have {batch.steps} steps"
-        raise ValueError(f"{said}; make their duration {last} steps at least")
+        problem = f"episodes of {scenario} have {batch.steps} steps"
+        raise ValueError(f"{problem}; make their duration at least {last} steps")
     seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
     shape = (*([batch.steps + 1] if seen else []), 1 + batch.humans, 4)
-    # from other numbers than the starts, which are drawn by the seed alone
+    # The second number of the seed keeps the noise independent of the starts, which are drawn by the seed alone.
     draws = [np.random.default_rng([seed, len(shape) - 1]).normal(scale=NOISE_OF_A_METRE, size=shape) for seed in seeds]
     sizes = [0.0, *noises]
     keys = [(controller, seed) for seed in seeds] * len(sizes)

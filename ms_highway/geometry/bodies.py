@@ -1,4 +1,4 @@
-"""Compute distances between rectangles and ellipses, and find the nearest body ahead, in NumPy or JAX."""
+"""Compute distances between bodies, and find the nearest body ahead, in NumPy or JAX."""
 
 from typing import Any
 
@@ -17,13 +17,13 @@ Directed = tuple[Numbers, Numbers, Numbers, Numbers]
 
 
 def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
-    """Return the distance between two rectangles along the axis that separates them best [m]; negative if they overlap.
+    """Return the distance between rectangles along the axis that separates them best [m]; negative if they overlap.
 
     Args:
-        own: x, y and heading of one.
-        size: its length and width [m].
-        other: x, y and heading of the other.
-        sizes: its length and width [m].
+        own: x, y and heading of the first.
+        size: length and width of the first [m].
+        other: x, y and heading of the second.
+        sizes: length and width of the second [m].
     """
     xp = namespace(*own, size, *other, sizes)
     dx, dy = other[0] - own[0], other[1] - own[1]
@@ -37,8 +37,8 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     return xp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
 
 
-def body_points(size: Float[Any, "2"], corner: Numbers = 0.5) -> Float[Any, "9 2"]:
-    """Return x and y of corners, middles of the edges and centre of a body in its own frame [m].
+def body_points(size: Float[Any, "2"], corner: Numbers) -> Float[Any, "9 2"]:
+    """Return x and y of the corners, the middles of the edges and the centre of a body in its own frame [m].
 
     Args:
         size: length and width [m].
@@ -57,10 +57,10 @@ def ellipse_distance(
 
     Args:
         own: motion of the body, arrays [*times] or numbers.
-        points: of it, in its own frame [m].
+        points: of the body, in its own frame [m].
         other: motion of the other bodies, arrays [bodies, *times].
-        length: of each [m], an array [bodies, *ones] with an axis of points and those of times, or a number for all.
-        width: of each, likewise.
+        length: of the other bodies [m], a number or an array [bodies, 1, *ones] that broadcasts over points and times.
+        width: of the other bodies, likewise.
     """
     other_x, other_y, other_cosine, other_sine = other
     xp, times = namespace(*own, *other), np.ndim(other_x) - 1
@@ -82,7 +82,7 @@ def nearest_ahead(
 
     Args:
         distance: to the others, positive ahead [m].
-        counts: which of them may be, such as those in the same lane; of the rest, distances may be anything.
+        counts: which of the others count, such as those in the same lane; distances to the rest may be anything.
     """
     xp = namespace(distance, counts)
     ahead = counts & (distance > 0)

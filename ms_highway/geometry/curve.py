@@ -1,10 +1,10 @@
-"""Curves, and coordinates along and across them, by the same formulas for arrays of NumPy and of JAX.
+"""Curves, and coordinates along and across them, for arrays of NumPy and of JAX.
 
 Curve coordinates are (s, d): s along the curve, d to its right [m]. World coordinates are highway-env's: y points to
 the right of x. In coordinates whose y points to the left, d is to the left.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import pi
 from types import ModuleType
 from typing import Any, Literal
@@ -17,13 +17,13 @@ from jaxtyping import Float
 from ms_highway.runtime.arrays import Numbers
 
 SPACING = 2.0
-"""Distance between the samples of a curve, unless it has its own [m]."""
+"""Default distance between the samples of a curve [m]."""
 
 BEHIND = 20.0
-"""Length of the curve of a scene behind the car that follows it [m]; the car is near s = 0."""
+"""Length of a scene's curve behind the car that follows it [m]; the car is near s = 0."""
 
-STEPS = 2  # of a projection, from the nearest sample
-TIGHTEST = 0.2  # least distance of a position from a bend's centre, as a share of the radius
+STEPS = 2  # iterations of a projection, from the nearest sample
+TIGHTEST = 0.2  # smallest distance of a position from a bend's centre, as a share of the radius
 
 Knots = Float[Any, "*curves samples"]
 Rows = Float[np.ndarray, "rows samples"]
@@ -34,7 +34,7 @@ Pose = tuple[Numbers, Numbers, Numbers]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Curve:
-    """A curve, sampled evenly; it goes straight on beyond its ends.
+    """A curve with evenly spaced samples; it goes straight on beyond its ends.
 
     Attributes:
         x, y: position of the samples [m].
@@ -52,12 +52,12 @@ class Curve:
     spacing: float = field(default=SPACING, metadata={"static": True})
 
     @classmethod
-    def through(cls, x: Knots, y: Knots, start: float = 0.0, spacing: float = SPACING) -> "Curve":
-        """Return the curve through positions that are evenly spaced; see `resample`."""
+    def through(cls, x: Knots, y: Knots, spacing: float) -> "Curve":
+        """Return the curve from s = 0 through evenly spaced positions; see `resample`."""
         order: Literal[1, 2] = 2 if len(x) > 2 else 1  # two points have one slope
         along, aside = (np.gradient(values, edge_order=order) for values in (x, y))
         heading = np.unwrap(np.arctan2(aside, along))
-        return cls(x, y, heading, np.gradient(heading, spacing), start, spacing)
+        return cls(x, y, heading, np.gradient(heading, spacing), 0.0, spacing)
 
     @property
     def end(self) -> float:
@@ -77,9 +77,9 @@ class Curve:
         return x + beyond * cosine - d * sine, y + beyond * sine + d * cosine, heading
 
     def project(self, x: Numbers, y: Numbers, heading: Numbers) -> Pose:
-        """Return s, d and the heading relative to the curve, in [-pi, pi), of poses: the inverse of `place`.
+        """Return s, d and relative heading in [-pi, pi) of poses: the inverse of `place`.
 
-        From the nearest sample, two steps along the bend find where the normal of the curve passes through the
+        From the nearest sample, `STEPS` iterations along the bend find the point whose normal passes through the
         position.
         """
         xp = namespace(self.x, x, y)
@@ -105,12 +105,12 @@ class Curve:
         return self._at(s)[3]
 
     def part(self, low: int, high: int) -> "Curve":
-        """Return the curve of some of the samples, with the same coordinates."""
-        x, y, heading, curvature = (v[..., low:high] for v in (self.x, self.y, self.heading, self.curvature))
-        return Curve(x, y, heading, curvature, self.start + low * self.spacing, self.spacing)
+        """Return the part of the curve between two samples, with the same coordinates."""
+        part = jax.tree.map(lambda values: values[..., low:high], self)
+        return replace(part, start=self.start + low * self.spacing)
 
     def _at(self, s: Numbers) -> list[Numbers]:
-        """Interpolate x, y, heading and curvature; of several curves, each at its own row of s."""
+        """Interpolate x, y, heading and curvature; several curves are interpolated row by row."""
         low, share = _between(np.shape(self.x)[-1], s, self.start, self.spacing)
         xp, found = namespace(self.x, s), []
         for values in map(xp.asarray, (self.x, self.y, self.heading, self.curvature)):
@@ -132,14 +132,14 @@ def wrapped(angle: Any) -> Any:
 
 
 def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]:
-    """Return a vector's parts along a heading and to the right of it."""
+    """Return the components of a vector along a heading and to the right of it."""
     xp = namespace(x, y, heading)
     cosine, sine = xp.cos(heading), xp.sin(heading)
     return x * cosine + y * sine, y * cosine - x * sine
 
 
 def interpolate(values: Knots, s: Numbers, start: float = -BEHIND, spacing: float = SPACING) -> Numbers:
-    """Interpolate values linearly that are known every ``spacing`` metres from s = ``start`` on; keep the outermost."""
+    """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep the outermost beyond the ends."""
     low, share = _between(np.shape(values)[-1], s, start, spacing)
     values = namespace(values, s).asarray(values)
     return values[..., low] * (1 - share) + values[..., low + 1] * share
@@ -154,7 +154,7 @@ def _between(samples: int, s: Numbers, start: float, spacing: float) -> tuple[Nu
 
 
 def arc_lengths(positions: Rows) -> Float[np.ndarray, "samples"]:
-    """Return the distance from the first position along a line to each one [m], given rows x and y."""
+    """Return the distance along a line from its first point to each point [m], given rows of x and y."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions)))])
 
 

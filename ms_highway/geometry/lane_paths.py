@@ -1,13 +1,13 @@
-"""Join highway-env's lanes to smooth curves, sampled evenly.
+"""Join highway-env's lanes to smooth curves with evenly spaced samples.
 
-Lanes need not meet where one follows the other, and their curvature jumps there; curves bridge and smooth the joints.
+Lanes may have gaps and jumps of curvature where one continues the other; curves bridge gaps and smooth joints.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, StraightLane
+from highway_env.road.lane import AbstractLane
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
@@ -22,11 +22,11 @@ FINE = 0.5
 """Distance between samples of curves [m]."""
 
 COARSE = 2.0  # m, between samples of lanes
-TRIM = 2.0  # m, left out of lanes on both sides of a joint
+TRIM = 2.0  # m, omitted from lanes on both sides of a joint
 MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
-SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m
+SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m, widths of the Gaussian
 MAX_CURVATURE = 0.19  # 1/m
-NEAR = 20.0  # m, along a curve, in which a car is looked for
+NEAR = 20.0  # m along a curve within which a car is searched for
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,14 @@ class LaneCurve:
 
     Attributes:
         curve: sampled every `FINE` metres, from s = 0 on.
-        ways: of the samples: the sum of the lengths of the lanes passed, and the longitudinal coordinate on the present
-            one [m].
+        ways: of the samples: the length of all lanes before, plus the longitudinal coordinate on the lane [m].
     """
 
     curve: Curve
     ways: Row
 
     def path(self, s: float, knots: int) -> Curve:
-        """Return the curve whose s = 0 is at a distance from this one's beginning [m]; its heading there is wrapped."""
+        """Return the curve with s = 0 at a distance from this one's beginning [m]; its heading there is wrapped."""
         own = self.curve
         places = s - BEHIND + SPACING * np.arange(knots)
         x, y, heading, curvature = own.interpolate(np.stack([own.x, own.y, own.heading, own.curvature]), places)
@@ -51,12 +50,12 @@ class LaneCurve:
         return Curve(*np.stack([x, y, heading + wrapped(here) - here, curvature]).astype(np.float32))
 
     def project(self, position: Point, heading: float, way: float) -> tuple[float, float, float]:
-        """Return distance from the curve's beginning, distance to its right and heading relative to it.
+        """Return s, d and the heading of a car relative to the curve.
 
         Args:
-            position: of a car [m].
-            heading: of it [rad].
-            way: near which it is [m]: lanes may cross themselves.
+            position: of the car [m].
+            heading: of the car [rad].
+            way: approximate way of the car [m], since lanes may cross themselves.
         """
         low = min(int(np.searchsorted(self.ways, way - NEAR)), self.ways.size - 2)
         high = max(int(np.searchsorted(self.ways, way + NEAR)), low + 2)
@@ -70,28 +69,26 @@ class LaneCurve:
 
 
 def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
-    """Return places, positions and headings along a lane, always at the same places between two bounds."""
+    """Return places, positions and headings along a lane every `COARSE` metres between two bounds."""
     s = COARSE * np.arange(np.ceil(low / COARSE), np.floor(high / COARSE) + 1)
-    if isinstance(lane, StraightLane):  # the only ones that take arrays
-        return s, lane.position(s[:, None], 0.0), np.broadcast_to(lane.heading_at(s), s.shape)
     points = np.array([lane.position(place, 0.0) for place in s]).reshape(-1, 2)
     return s, points, np.array([lane.heading_at(place) for place in s])
 
 
 def join_lanes(
-    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float] = SMOOTHING
+    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float]
 ) -> LaneCurve:
-    """Return the curve along lanes, between two ways; it goes straight on beyond the last one.
+    """Return the curve along lanes between two ways; it goes straight on beyond the last lane.
 
-    A Hermite spline through positions and headings on the lanes bridges the joints. Averages along it, weighted as by a
-    Gaussian and corrected so that they keep circles, make its curvature continuous.
+    A Hermite spline through positions and headings on the lanes bridges the joints. A Gaussian filter, corrected so
+    that it keeps circles, makes its curvature continuous.
 
     Args:
-        lanes: each of which follows the one before.
-        starts: ways at which each of them begins, and at which the last one ends [m].
+        lanes: that continue each other.
+        starts: ways at which the lanes begin, and at which the last one ends [m].
         low: way from which on the curve is needed [m].
-        high: way until which it is needed [m].
-        widths: of the Gaussian, tried in order until no curve is too sharp [m].
+        high: way until which the curve is needed [m].
+        widths: of the Gaussian [m], tried in order until no curvature exceeds `MAX_CURVATURE`.
     """
     low, high, end = low - MARGIN, high + MARGIN, starts[-1]
     parts = []
@@ -113,7 +110,7 @@ def join_lanes(
 
 
 def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
-    """Return x, y and way of points every `FINE` metres of a Hermite spline."""
+    """Return rows of x, y and way every `FINE` metres along a Hermite spline."""
     along = arc_lengths(points.T)
     spline = CubicHermiteSpline(along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1))
     dense = np.arange(0.0, along[-1], FINE)
@@ -121,9 +118,9 @@ def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
 
 
 def _smooth(raw: Rows, width: float) -> LaneCurve:
-    """Return a curve, smoothed over a width [m], without the margins at both ends."""
+    """Return the curve smoothed over a width [m], without the margins at both ends."""
     once = gaussian_filter1d(raw[:2], width / FINE, mode="nearest")
     twice = gaussian_filter1d(once, width / FINE, mode="nearest")
     cut = int(0.9 * MARGIN / FINE)
     x, y, ways = resample(np.concatenate([2 * once - twice, raw[2:]])[:, cut:-cut], FINE)
-    return LaneCurve(Curve.through(x, y, 0.0, FINE), ways)
+    return LaneCurve(Curve.through(x, y, FINE), ways)

@@ -1,4 +1,4 @@
-"""Find which lanes follow which in a highway-env network and where a goal lies, and keep what has been computed."""
+"""Map a highway-env network: which lanes continue each other, and how to reach a goal. Results are cached."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
@@ -6,7 +6,7 @@ from functools import cached_property, wraps
 from itertools import accumulate, islice
 from math import cos, inf, sin
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
-from weakref import WeakKeyDictionary, proxy
+from weakref import WeakKeyDictionary
 
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
@@ -20,8 +20,8 @@ class Spot(NamedTuple):
     """A place on a lane.
 
     Attributes:
-        lane: index of it.
-        place: along it [m].
+        lane: index of the lane.
+        place: position along the lane [m].
     """
 
     lane: LaneIndex
@@ -29,26 +29,26 @@ class Spot(NamedTuple):
 
 
 Destination: TypeAlias = str | Spot | tuple[tuple[str, str], ...] | None
-"""A node to reach, or a spot in its lane, or roads to follow where they begin, or none."""
+"""A node to reach, a spot on a lane, roads to follow from their beginnings on, or None."""
 
 LIMIT = 20.0
 """Speed limit where a lane has none [m/s]."""
 
 BLOCK = 100.0
-"""Length of the stretches in which long chains of lanes are sampled [m]."""
+"""Length of the blocks in which long chains of lanes are sampled [m]."""
 
-REACH = 0.5  # widths of a lane, sideways at a joint, up to which a lane leads to the next
-BRIDGED = 10.0  # m, along the lane at a joint
+REACH = 0.5  # widths of a lane: largest lateral gap at a joint of lanes
+BRIDGED = 10.0  # m, longitudinal gap at a joint that costs nothing
 SHARPEST_TURN = 2.0  # rad, at a joint
-TURN = 5.0  # m of a jump that one radian of a jump in heading is worth
+TURN = 5.0  # lateral gap that counts like a turn of 1 rad at a joint [m]
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
-MAX_ROADS = 50  # in which changes of lane are looked for
+MAX_ROADS = 50  # that a goal looks ahead
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kept(function: Function) -> Function:
-    """Compute a function once for equal arguments, as long as the first argument lives, which keeps the results."""
+    """Cache a function's results by its arguments, on its first argument, with which they disappear."""
 
     @wraps(function)
     def remembered(owner: Any, *rest: Any) -> Any:
@@ -67,7 +67,7 @@ class Lane:
         index: in the network.
         shape: the lane of highway-env.
         length: [m].
-        limit: of speed [m/s].
+        limit: speed limit [m/s].
     """
 
     def __init__(self, roads: "RoadMap", index: LaneIndex, shape: AbstractLane) -> None:
@@ -78,7 +78,7 @@ class Lane:
         self.forbidden = bool(shape.forbidden)
 
     def beside(self, steps: int) -> "Lane | None":
-        """Return the lane of the same road some lanes to the right, None without one."""
+        """Return the lane that is some steps to the right on the same road, None without one."""
         return self.roads.lanes.get((self.start, self.end, self.number + steps))
 
     @property
@@ -93,7 +93,7 @@ class Lane:
 
     @kept
     def following(self, reach: float = REACH) -> "Lanes":
-        """Return the nearest lane of each next road that this lane leads to, the most even one first."""
+        """Return the nearest lane of each next road that this lane leads to, the smoothest joint first."""
         roads = [self.roads.road(self.end, end) for end in self.roads.graph.get(self.end, {})]
         nearest = [min(road, key=lambda other: other.joints[self].aside) for road in roads]
         leading = [lane for lane in nearest if lane.joints[self].aside < reach]
@@ -107,16 +107,16 @@ class Lane:
 
     @cached_property
     def refuge(self) -> "Lane | None":
-        """The nearest lane of the same road that goes on where this one ends, None if this one goes on or none does."""
+        """The nearest lane of the same road that continues although this one ends, None without one."""
         onward = () if self.following() else [other for other in self.siblings if other.following()]
         return min(onward, key=lambda other: abs(other.number - self.number), default=None)
 
     def distance(self, vehicle: Vehicle) -> float:
-        """Return how far a vehicle is from the lane, in position and heading."""
+        """Return highway-env's distance of a vehicle from the lane, in position and heading."""
         return self.shape.distance_with_heading(vehicle.position, vehicle.heading)
 
     def behind(self, length: float) -> "Lanes":
-        """Return lanes that lead to this one, over at least a length [m] as far as there are any."""
+        """Return lanes that lead to this one, over a length [m] if there are enough."""
         before = self.preceding
         return (*before.behind(length - before.length), before) if before and length > 0 else ()
 
@@ -128,9 +128,9 @@ class Joint(NamedTuple):
     """How a lane continues another one.
 
     Attributes:
-        aside: distance from the other's end to its beginning, in widths, across the mean of both headings: an arc that
-            touches both lanes has its chord along it.
-        kink: how unevenly it goes on [m].
+        aside: lateral gap between the end of one and the beginning of the other, in widths of a lane. It is measured
+            across the mean of both headings, along which the chord of an arc that touches both lanes lies.
+        kink: how far the joint is from smooth [m].
     """
 
     aside: float
@@ -149,11 +149,11 @@ def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
 
 
 class Chain:
-    """Lanes, each of which follows the one before; a way is a distance along them from the beginning of the first [m].
+    """Lanes that continue each other. A way is a distance along them from the beginning of the first [m].
 
     Attributes:
         lanes: in order.
-        starts: ways at which each of them begins, and at which the last one ends.
+        starts: ways at which the lanes begin, and at which the last one ends.
     """
 
     def __init__(self, lanes: Lanes) -> None:
@@ -165,54 +165,53 @@ class Chain:
         return bisect_right(self.starts, way, 1, len(self.lanes)) - 1
 
     def at(self, way: float) -> tuple[Point, float]:
-        """Return position and heading in the middle of the lanes at a way; beyond the end, along the last lane."""
+        """Return position and heading in the middle of the lane at a way; beyond the end, the last lane is extended."""
         leg = self.leg(way)
         shape, place = self.lanes[leg].shape, float(way - self.starts[leg])
         return shape.position(place, 0), shape.heading_at(place)
 
     @kept
     def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING) -> LaneCurve:
-        """Return the curve along the lanes near a block, a number of `BLOCK` lengths, smoothed as in `join_lanes`."""
+        """Return the curve along the lanes near a block, by its number, with smoothing widths as in `join_lanes`."""
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
         return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high, widths)
 
 
 class Goal:
-    """A destination and which lanes lead there.
+    """A destination, and the roads that lead there.
 
     Attributes:
-        towards: the node to go to from each node from which the destination can be reached.
-        spot: the destination, if that is one.
+        towards: the next node on the way to the destination, by node.
+        spot: the destination if it is a spot, otherwise None.
     """
 
     def __init__(self, roads: "RoadMap", destination: Destination) -> None:
         self.roads = roads
-        self.spot, self.towards = destination if isinstance(destination, Spot) else None, dict[str, str]()
-        if isinstance(destination, tuple) and not isinstance(destination, Spot):
-            self.towards = dict(destination)
-        destination = self.spot.lane[1] if self.spot else destination
-        queue = [destination] if isinstance(destination, str) else []
+        self.spot = destination if isinstance(destination, Spot) else None
+        last = destination.lane[1] if isinstance(destination, Spot) else destination
+        self.towards: dict[str, str] = {} if isinstance(last, str) else dict(last or ())
+        queue = [last] if isinstance(last, str) else []
         for node in queue:
             for start, ends in roads.graph.items():
-                if node in ends and start not in self.towards and start != destination:
+                if node in ends and start not in self.towards and start != last:
                     self.towards[start] = node
                     queue.append(start)
 
     def next(self, lane: Lane | None) -> Lane | None:
-        """Return the lane to follow next: towards the goal if this lane leads there, None where a lane ends."""
+        """Return the next lane, towards the goal if this lane leads there; None where the lane ends."""
         wanted = lane and self.towards.get(lane.end)
         nexts = lane.following() if lane else ()
         return min(nexts, key=lambda other: (other.end != wanted, other.forbidden), default=None)
 
     def onward(self, lane: Lane) -> Iterator[Lane]:
-        """Yield a lane and those that follow it."""
+        """Yield a lane and the next ones."""
         following: Lane | None = lane
         while following:
             yield following
             following = self.next(following)
 
     def ahead(self, lane: Lane, length: float) -> Lanes:
-        """Return a lane and those that follow it, over at least a length [m] as far as there are lanes."""
+        """Return a lane and the next ones, over a length [m] if there are enough."""
         lanes, covered = [], 0.0
         for own in self.onward(lane):
             lanes.append(own)
@@ -223,11 +222,11 @@ class Goal:
 
     @kept
     def demand(self, lane: Lane) -> tuple[int, float]:
-        """Return changes of lane to the right that are needed and the distance from the lane's beginning for them.
+        """Return the number of lane changes to the right that the goal asks for, and the distance to make them.
 
-        They are needed before the end of the first road from whose lane, followed from here, the next road towards
-        the goal, or without one any road, is out of reach while other lanes lead there. A spot has to be reached in
-        its lane.
+        The distance is from the beginning of the lane [m]. Changes are needed before the end of the first road on which
+        the followed lane does not lead to the next road, towards the goal if there is one, while other lanes do. A
+        spot has to be reached on its own lane.
         """
         passed = 0.0
         for own in islice(self.onward(lane), MAX_ROADS):
@@ -252,30 +251,30 @@ class RoadMap:
     """
 
     def __init__(self, network: RoadNetwork) -> None:
-        self.network, self.graph = proxy(network), network.graph
+        self.graph = network.graph
         self.lanes = {index: Lane(self, index, shape) for index, shape in network.lanes_dict().items()}
 
     @kept
     def road(self, start: str, end: str) -> Lanes:
-        """Return the lanes from a node to the next, from the left."""
+        """Return the lanes between two nodes, from left to right."""
         return tuple(self.lanes[start, end, number] for number in range(len(self.graph[start][end])))
 
     @kept
     def chain(self, lanes: Lanes) -> Chain:
-        """Return a chain of lanes, the same one for the same lanes."""
+        """Return the chain of some lanes."""
         return Chain(lanes)
 
     @kept
     def goal(self, destination: Destination) -> Goal:
-        """Return a goal, the same one for the same destination."""
+        """Return the goal of a destination."""
         return Goal(self, destination)
 
 
-_maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # no state: a copy's network gets an equal map
+_maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # copies of a network get maps of their own
 
 
 def road_map(network: RoadNetwork) -> RoadMap:
-    """Return the map of a network, the same one as long as it lives."""
+    """Return the map of a network, which is made once."""
     if network not in _maps:
         _maps[network] = RoadMap(network)
     return _maps[network]

@@ -1,4 +1,4 @@
-"""See the road from a vehicle as a `RoadScene`."""
+"""Observe the road from a vehicle as a `RoadScene`."""
 
 from dataclasses import dataclass, field
 from math import inf
@@ -10,24 +10,24 @@ from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.geometry.lane_paths import Point
-from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, road_map
+from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Spot, road_map
 from ms_highway.perception.corridor import corridor
 from ms_highway.perception.scene import KNOTS, RoadScene
 from ms_highway.perception.traffic_paths import traffic_of
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
-NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead, at least, and when they are looked up anew
+NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead: below the first length, they are extended to the second
 
 
 @dataclass
 class Memory:
-    """Route and vehicle numbers that a robot keeps between looks; stored on the vehicle, so that copies see the same.
+    """What a robot remembers between observations; stored on the vehicle, so that copies of it observe the same.
 
     Attributes:
-        goal: to which its lanes lead.
-        lanes: that it follows, none before the first look.
-        way: at which its rear axle is along them [m].
-        numbers: of the others that it has seen.
+        goal: to which the lanes lead.
+        lanes: that the robot follows, none before the first observation.
+        way: position of its rear axle along these lanes [m].
+        numbers: of the others that it has observed.
     """
 
     goal: Destination = None
@@ -42,16 +42,16 @@ def observe_road(
     applied: tuple[float, float] = (0.0, 0.0),
     intentions: bool = False,
 ) -> RoadScene:
-    """See the road from a vehicle.
+    """Observe the road from a vehicle.
 
-    Lanes once followed are remembered by the vehicle, so that its route does not jump where lanes meet. Without a
-    destination it follows its ``route``, as far as it has one, and then whichever road continues the present one best.
+    The vehicle remembers its lanes, so that its route does not jump where lanes meet. Without a destination it follows
+    its ``route`` to its end, if it has one, and then the road that continues the present one best.
 
     Args:
         vehicle: the robot.
         destination: node of the network to drive to, or a spot.
-        applied: curvature and acceleration that the robot has applied last [1/m, m/s^2].
-        intentions: whether others show which way they take, as by indicators: the ``route`` that they have.
+        applied: last curvature and acceleration of the robot [1/m, m/s^2].
+        intentions: whether the ``route`` of each of the others is known, as from indicators.
     """
     roads = road_map(vehicle.road.network)
     followed = tuple((start, end) for start, end, _ in getattr(vehicle, "route", None) or ())
@@ -64,23 +64,21 @@ def observe_road(
     around = corridor(chain, goal, way // BLOCK)
     s, d, heading = around.curve.project(rear, vehicle.heading, way)
     route = around.curve.path(s, KNOTS)
-    middle = way + vehicle.LENGTH / 2
-    own = chain.leg(middle)
-    changes, room = _changes(chain.lanes[own], goal, middle - chain.starts[own])
+    changes, room = _changes(chain, goal, way + vehicle.LENGTH / 2)
     return RoadScene(
         route=route,
-        changes=np.array(changes, dtype=np.float32),
-        room=np.asarray(room, dtype=np.float32),
-        robot=np.array([0.0, d, heading, vehicle.speed], dtype=np.float32),
-        size=np.array([vehicle.LENGTH, vehicle.WIDTH], dtype=np.float32),
-        applied=np.array(applied, dtype=np.float32),
+        changes=np.array(changes, np.float32),
+        room=np.array(room, np.float32),
+        robot=np.array([0.0, d, heading, vehicle.speed], np.float32),
+        size=np.array([vehicle.LENGTH, vehicle.WIDTH], np.float32),
+        applied=np.array(applied, np.float32),
         **around.at(s - BEHIND + SPACING * np.arange(KNOTS)),
         **traffic_of(vehicle, roads, memory.numbers, intentions),
     )
 
 
 def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> tuple[Chain, float] | None:
-    """Return the lanes to follow and the way along them now; None if a robot has changed lanes."""
+    """Return the lanes to follow and the present way along them; None if the robot has changed lanes."""
     chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
     curve = corridor(chain, goal, memory.way // BLOCK).curve
     s, _, _ = curve.project(rear, vehicle.heading, memory.way)
@@ -97,7 +95,7 @@ def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> tup
 
 
 def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
-    """Return the lanes to follow from a robot's present lane on, with the lanes behind it, and its way along them."""
+    """Return the lanes to follow, beginning behind the robot's present lane, and the present way along them."""
     lane = goal.roads.lanes[vehicle.lane_index]
     place = float(lane.shape.local_coordinates(rear)[0])
     behind = lane.behind(KEPT_BEHIND - place)
@@ -105,14 +103,16 @@ def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
     return chain, chain.starts[len(behind)] + place
 
 
-def _changes(own: Lane, goal: Goal, place: float) -> tuple[list[int], float]:
-    """Return changes of lane to the right needed from the left, the own and the right lane, and the room for them.
+def _changes(chain: Chain, goal: Goal, way: float) -> tuple[list[int], float]:
+    """Return the lane changes to the right that the goal asks for from three lanes (left, own, right), and their room.
 
     Args:
-        own: the robot's lane.
+        chain: lanes of the robot.
         goal: of the robot.
-        place: of it along its lane [m].
+        way: position of the robot along its lanes [m].
     """
+    leg = chain.leg(way)
+    own, place = chain.lanes[leg], way - chain.starts[leg]
     needed, room = goal.demand(own)
     beside = [(own.beside(step), step) for step in (-1, 0, 1)]
     demands = [goal.demand(lane) if lane else (needed - step, inf) for lane, step in beside]

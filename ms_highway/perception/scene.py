@@ -11,28 +11,27 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from ms_highway.geometry.bodies import Sizes
 from ms_highway.geometry.curve import Curve, Knots
 from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
 
 KNOTS, TRAFFIC_KNOTS = 96, 64
-"""Number of knots of the robot's route, 20 m behind to 170 m ahead, and of the paths of others, to 106 m ahead."""
+"""Number of knots of the robot's route (20 m behind to 170 m ahead), and of the paths of others (to 106 m ahead)."""
 
 LANES = 3
-"""Lanes that the robot can choose: left of its own, its own, right of it."""
+"""Number of lanes that the robot can choose: left of its own, its own, right of it."""
 
 TRAFFIC = 20
-"""Number of paths of others that plans look at."""
+"""Number of paths of others in a scene."""
 
-Sizes = Float[Any, "*cars 2"]
 Steps = Float[Any, "*shape steps"]
 States = Float[Any, "*plans steps 4"]
-Lane = Int[Any, "*plans"]
+PlanLanes = Int[Any, "*plans"]
 Plans = Float[Any, "plans"]
 PlanFlags = Bool[Any, "plans"]
 EachCar = Float[Any, "*plans traffic"]
 EachFlag = Bool[Any, "*plans traffic"]
 EachStep = Float[Any, "*plans traffic steps"]
-Values = Float[Any, "lanes places speeds"]
 
 World = Float[Any, "*shape 4 steps"]
 """x, y, heading and speed of cars after each step, in world coordinates."""
@@ -45,28 +44,29 @@ Places = Int[Any, "traffic"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RoadScene:
-    """What the robot sees of a road.
+    """What the robot observes of a road.
+
+    The traffic is described path by path: `TRAFFIC` paths, several for a car that may go several ways.
 
     Attributes:
-        route: smooth way along the lanes that the robot follows.
+        route: smooth curve along the lanes that the robot follows.
         lanes: lateral positions of the centres of `LANES` lanes at the knots of the route: left, own, right [m].
-        open: where each of them may be driven on.
+        open: where the robot may drive on each of these lanes.
         edges: lateral positions of the left and the right edge of the road at the knots [m].
-        changes: changes of lane to the right that the goal asks for from each lane, negative to the left.
-        room: distance left for them [m]; infinite where the goal asks for none.
+        changes: lane changes to the right that the goal asks for from each lane, negative to the left.
+        room: distance left for these changes [m]; infinite where the goal asks for none.
         robot: state of the middle of the robot's rear axle.
         size: length and width of the robot [m].
-        applied: curvature and acceleration that the robot has applied last [1/m, m/s^2].
-        paths: of others, one for each way that they may take, `TRAFFIC` of them.
-        states: of others on these paths: their centres.
+        applied: last curvature and acceleration of the robot [1/m, m/s^2].
+        paths: of others.
+        states: of the centres of others on these paths.
         sizes: length and width of others [m].
-        present: which of the paths are in use.
         limits: speed limits of others [m/s].
-        leaders: place of the car ahead of each other car on its path, -1 without one.
-        gaps: distance of centres to that car [m].
-        owners: number of the car that each path belongs to, the same as long as it is in sight; -1 where none does.
-        moving: which of the others can move; obstacles and absent ones cannot.
-        accelerations: of others since the last look, 0 of new ones [m/s^2].
+        leaders: index of the path of the car ahead on each path, -1 without one.
+        gaps: distance between the centres of each car and the car ahead [m].
+        owners: number of the car that each path belongs to, constant while the car is in sight; -1 for unused paths.
+        moving: which of the others can move; obstacles and unused paths cannot.
+        accelerations: of others since the last look, 0 for new ones [m/s^2].
     """
 
     route: Curve
@@ -81,7 +81,6 @@ class RoadScene:
     paths: Curve
     states: State
     sizes: Sizes
-    present: Flags
     limits: Traffic
     leaders: Places
     gaps: Traffic
@@ -90,12 +89,17 @@ class RoadScene:
     accelerations: Traffic
 
     @property
+    def present(self) -> Flags:
+        """Which of the paths are in use."""
+        return self.owners >= 0
+
+    @property
     def askew(self) -> Sizes:
-        """Angle of each of the others to its path that it keeps: its own if it cannot move, none if it drives."""
+        """Constant part of the angle of each of the others to its path: 0 for cars that drive."""
         return jnp.where(self.moving, 0.0, self.states[:, 2])[:, None]
 
     @property
     def reach(self) -> Sizes:
-        """Distance of centres at which the robot and each other car touch, along and across [m]."""
+        """Longitudinal and lateral distance of centres at which the robot and each other car touch [m]."""
         turned = jnp.abs(jnp.sin(self.askew)) * self.sizes[:, ::-1]
         return (self.size + jnp.abs(jnp.cos(self.askew)) * self.sizes + turned) / 2

@@ -1,4 +1,4 @@
-"""Drive the stock environments of highway-env: a wrapper, and the properties of each scene that it uses.
+"""Drive the stock environments of highway-env: a wrapper for them, the robot, and its driver.
 
 Imports `ms_highway.envs` and what stands below it.
 """

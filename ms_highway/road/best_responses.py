@@ -1,7 +1,7 @@
 """Predict how humans drive along their paths: each optimises the learned reward of commuters, given all others.
 
-A human decides on its acceleration only, held for each time step; its distance to its path decays. Others enter in
-the coordinates of its path.
+A human chooses only its acceleration in each time step; its distance to its path decays. The motion of others is in the
+coordinates of this path.
 """
 
 from dataclasses import dataclass, replace
@@ -28,13 +28,13 @@ from ms_highway.runtime.arrays import Car, Index, Matrix, Numbers, Scalar, Vecto
 
 NEWTON_STEPS = 3
 ACCELERATION_UNIT = 5.0
-"""Unit of the accelerations that are optimised [m/s^2]."""
+"""Unit of the optimised accelerations [m/s^2]."""
 
-MIN_ACCELERATION, MAX_ACCELERATION = -6.0 / ACCELERATION_UNIT, 3.0 / ACCELERATION_UNIT  # accelerations of humans
+MIN_ACCELERATION, MAX_ACCELERATION = -6.0 / ACCELERATION_UNIT, 3.0 / ACCELERATION_UNIT
 FIRST_ACCELERATIONS = np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / ACCELERATION_UNIT  # steady braking
-PATH_TIME = 0.8  # s, in which the distance to the path falls to 1 / e, as under highway-env's steering
-NEAREST_CARS = 6  # other cars that a driver heeds besides the robot
-ALONG_PER_ASIDE = 5.0  # m along the path that count like one aside
+PATH_TIME = 0.8  # s, time constant of the distance to the path, as under highway-env's steering
+NEAREST_CARS = 6  # cars that a driver heeds besides the robot
+ALONG_PER_ASIDE = 5.0  # longitudinal distance that counts like a lateral distance of 1 m [m]
 HEEDED = "speed", "collision_risk", "headway", "closing_speed", "induced_braking", "comfort_acceleration"
 """Terms of the reward that depend on accelerations."""
 
@@ -44,14 +44,14 @@ HEEDED = "speed", "collision_risk", "headway", "closing_speed", "induced_braking
 class Commuter:
     """A human on its path, and the motion of others in the path's coordinates.
 
-    Its reward is that of a straight road of one lane. Accelerations are scaled, in units of `ACCELERATION_UNIT`.
+    The reward is computed as on a straight road of one lane. Accelerations are in units of `ACCELERATION_UNIT`.
 
     Attributes:
         planning: time step and number of steps.
         state: of the human on its path.
         road: straight, with the size of all cars.
-        reward: the commuters', with the speed limit of this human.
-        others: their motion after each step.
+        reward: of commuters, with the speed limit of this human.
+        others: motion of the others after each step.
     """
 
     planning: RoadPlanning
@@ -61,11 +61,11 @@ class Commuter:
     others: Motion
 
     def earned(self, scaled: Vector) -> Scalar:
-        """Return the reward less the discomfort of accelerations."""
+        """Return the sum of rewards, less the discomfort of accelerations."""
         return jnp.sum(self.rewards(self.move(scaled))) - self._comfort * jnp.sum(scaled**2) / 2
 
     def rewards(self, motion: Steps) -> Steps:
-        """Return the reward after each step, given s and speed there [2, steps]."""
+        """Return the reward after each step, given s and speed after each step [2, steps]."""
         s, speed = motion
         own = Motion(s, self.aside, jnp.ones_like(s), jnp.zeros_like(s), speed)
         return motion_reward(self.road, self.reward, own, self.others)
@@ -73,8 +73,8 @@ class Commuter:
     def expand(self, scaled: Vector) -> tuple[Vector, Matrix]:
         """Return gradient and Hessian of `earned`.
 
-        The reward at a step depends on s and speed there, and both are linear in the accelerations: second derivatives
-        in two numbers at each step are all that is needed.
+        The reward of a step depends only on s and speed, which are linear in the accelerations: the chain rule needs
+        only second derivatives in these two numbers.
         """
         effects = self._effects
         slopes, bends = along_fields(lambda motion: along_fields(self.rewards, motion)[1], self.move(scaled))
@@ -85,7 +85,7 @@ class Commuter:
     def best_response(self) -> Vector:
         """Return the best accelerations, by damped Newton steps from steady braking.
 
-        What is earned has an optimum on either side of each car ahead: braking finds the one behind it.
+        There is an optimum before and behind each car ahead; starting from braking finds the one behind it.
         """
 
         def best(candidates: Steps) -> Vector:
@@ -100,7 +100,7 @@ class Commuter:
         return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)
 
     def held(self, scaled: Steps) -> Steps:
-        """Limit accelerations to what humans do and to a stop, never backwards.
+        """Limit accelerations to the range of humans and to speeds from 0.
 
         With unlimited speeds c_k, the speed that never falls below zero is ``c_k - min(0, c_1, ..., c_k)``.
         """
@@ -142,8 +142,7 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
         planning: time step and number of steps.
         i: number of the other car's path.
         robot: trajectory of the robot's centre.
-        others: predicted trajectories of all traffic; the car itself, other ways of its owner and absent cars are
-            left out.
+        others: predicted trajectories of all traffic; the car itself, its other paths and absent cars are ignored.
     """
     path, state, size, limit = jax.tree.map(
         lambda field: jnp.asarray(field)[i], (scene.paths, scene.states, scene.sizes, scene.limits)
@@ -151,17 +150,15 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
     x, y, heading, speed = jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0)
     s, d, relative = path.project(x, y, heading)
     cosine = jnp.cos(relative)
-    seen = Motion(s, d, cosine, jnp.sin(relative), speed * cosine)
     road = Scene(jnp.zeros(1), LANE, jnp.zeros((0, 2)), size, size, 0.5, 0.0, PAPER_UNIT)
+    counts = jnp.append(True, scene.present & (scene.owners != scene.owners[i]))
+    seen = Motion(jnp.where(counts[:, None], s, s - FAR_AWAY), d, cosine, jnp.sin(relative), speed * cosine)
     human = Commuter(planning, state, road, replace(_reward(), speed_limit=limit), seen)
     kept = state[0] + state[3] * planning.times
-    apart = ((s - kept) ** 2 / ALONG_PER_ASIDE**2 + (d - human.aside) ** 2).min(axis=1)[1:]
-    matters = scene.present & (scene.owners != scene.owners[i])
-    _, nearest = jax.lax.top_k(-jnp.where(matters, apart, jnp.inf), NEAREST_CARS)
-    heeded = jnp.concatenate([jnp.zeros(1, int), 1 + nearest])
-    seen = Motion(*(field[heeded] for field in seen))
-    away = jnp.where(matters[nearest], 0.0, -FAR_AWAY)
-    return replace(human, others=seen._replace(x=seen.x.at[1:].add(away[:, None])))
+    apart = ((s - kept) ** 2 / ALONG_PER_ASIDE**2 + (d - human.aside) ** 2).min(axis=1)
+    apart = jnp.where(counts, apart, jnp.inf).at[0].set(-1.0)  # the robot always counts
+    _, heeded = jax.lax.top_k(-apart, 1 + NEAREST_CARS)
+    return replace(human, others=Motion(*(field[heeded] for field in seen)))
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Let a robot drive the controlled vehicles of a stock highway-env environment."""
+"""Let a robot drive the controlled vehicles of a stock environment of highway-env."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -17,6 +17,7 @@ from highway_env.envs.common.action import (
     DiscreteMetaAction,
     MultiAgentAction,
 )
+from highway_env.utils import lmap
 
 from ms_highway.envs.configuration import as_json
 from ms_highway.envs.game_env import GameEnv
@@ -39,14 +40,14 @@ UNTIL_FIRST = {
     "decision_seconds": 0.0,
     "compile_seconds": 0.0,
 }
-"""What ``info["road"]`` has of the driver's last step, with its values before the first."""
+"""Fields of the driver's last step in ``info["road"]``, with their values before the first step."""
 
 NO_GAINS = np.full((TRAFFIC, len(MODELS)), np.nan)
-SAME = 1e-5  # m/s^2 and rad, by which the frames of a step may differ from its action
+SAME = 1e-5  # m/s^2 and rad: the control in the frames of a step may differ from its action by this much
 
 
 def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
-    """Let a robot drive the controlled vehicles of a stock highway-env environment.
+    """Let a robot drive the controlled vehicles of a stock environment of highway-env.
 
     The environment keeps its spaces, reward and time limits. Actions are ignored, and ``info["road"]`` says what the
     robot does, see `Driven`::
@@ -61,7 +62,7 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
         config: any of these keys, see `ms_highway.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
             default; ``"fixed:naive"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
             ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs`` and
-            ``intentions`` (whether others show which way they take).
+            ``intentions`` (whether the robot knows the routes of others).
 
     Returns:
         The environment, driven.
@@ -73,7 +74,7 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
 
 
 def check_drivable(env: Any) -> None:
-    """Check that an environment is one of highway-env's, with roads to follow and actions that its reward can take.
+    """Check that an environment is one of highway-env's, has roads to follow, and has actions that its reward accepts.
 
     Raises:
         ValueError: naming what works.
@@ -90,8 +91,8 @@ def check_drivable(env: Any) -> None:
         raise ValueError(f"{name} {reason}; the robot drives {WORKS}")
     kind = base.action_type
     if isinstance(base, (MergeEnv, RoundaboutEnv)) and type(kind) is ContinuousAction and kind.size > 1:
-        remedy = "make it with config={'action': {'type': 'DiscreteMetaAction'}}"
-        raise ValueError(f"the reward of {name} cannot take a ContinuousAction, as it asks for lane changes; {remedy}")
+        remedy = "make the environment with config={'action': {'type': 'DiscreteMetaAction'}}"
+        raise ValueError(f"the reward of {name} reads lane changes, which a ContinuousAction does not have; {remedy}")
 
 
 class Driven(gym.Wrapper, RecordConstructorArgs):
@@ -100,27 +101,27 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     The environment keeps its spaces, reward and time limits.
 
     Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
-    control in between. ``info["road"]["action"]`` is the ``ContinuousAction`` that does what the robots did in this
-    step, to be imitated, see `action_done`. It is None with discrete or ``dynamical`` actions, and in steps
-    longer than 0.2 s, within which the control changes.
-    ``info["action"]`` is only what highway-env's rewards are told: idle, or the control of the step before.
-    ``info["is_success"]`` is ``info["road"]["success"]``, where the scene has a goal. Every key is there from the reset
-    on, with one shape and type. Of the first controlled vehicle, ``info["road"]`` says:
+    control in between. ``info["road"]["action"]`` is the ``ContinuousAction`` that repeats what the robots did in this
+    step, for imitation learning, see `executed_action`. It is None with discrete or ``dynamical`` actions, and in steps
+    longer than 0.2 s, within which the control changes. ``info["action"]`` is only the action that highway-env's
+    rewards receive: idle, or the control of the last step. ``info["is_success"]`` is ``info["road"]["success"]``, where
+    the scene has a goal. Every key is there from the reset on, with one shape and type. ``info["road"]`` describes the
+    first controlled vehicle:
 
     * ``models``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of
-      the last plan, see `ms_highway.road.driver.RoadStep`; ``gains``, by model, what its answer about each of the
-      ``models`` may be worth at most, NaN where that was not estimated;
-    * ``decisions``, ``sources``: seconds of every plan within this step, without compilation, and what drove then; NaN
-      and an empty text for each plan that was not made;
-    * ``late``: how many of these plans were not ready within the budget, so that the plan before drove on;
+      the last plan, see `ms_highway.road.driver.RoadStep`; ``gains``, by model: an upper bound on what predicting each
+      car by this model may gain, NaN where none was estimated;
+    * ``decisions``, ``sources``: duration of every plan within this step [s], without compilation, and what drove then;
+      NaN and an empty text for each plan that was not made;
+    * ``late``: number of these plans that were not ready within the budget, so that the last plan drove on;
     * ``model_counts``: how many cars each model predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
-    * ``destination``: node of the road network, or spot in a lane, None without one;
+    * ``destination``: node of the road network, or spot on a lane, None without one;
     * ``success``: whether the goal is reached now, None without one.
 
     Attributes:
         settings: of the robot.
-        robots: that drive the controlled vehicles of this episode.
+        robots: drive the controlled vehicles of this episode.
     """
 
     def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
@@ -132,10 +133,10 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         show(env)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode, and put a robot in the place of every controlled vehicle.
+        """Start an episode, and replace every controlled vehicle by a robot.
 
         Raises:
-            ValueError: if options give the environment actions that its reward cannot take.
+            ValueError: if options give the environment actions that its reward does not accept.
         """
         restore_traffic()
         show(self.env)
@@ -146,14 +147,14 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             raise
         base = self._base
         if enable_pictures(base) and self.env.observation_space == base.observation_space:
-            observation = base.observation_type.observe()  # the first was black
+            observation = base.observation_type.observe()  # the first picture was black
         planning = self.settings.planning(desired_speed_of(base))
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
             goal, robot = destination_of(base, number), replace_ego(base, RoadRobot.create_from, number)
             robot.drive_with(self.settings.build(planning), goal, self.settings.acceleration, self.settings.intentions)
             self.robots.append(robot)
-        return observation, {**info, **self._told()}
+        return observation, {**info, **self._road_info()}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Let the robot drive for a step; the action is ignored.
@@ -163,13 +164,13 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         """
         if not self.robots or self._base.controlled_vehicles != self.robots:
             raise gym.error.ResetNeeded(
-                "the robot is not in the car; call reset of the driven environment, no inner one"
+                "the robot is not in the car; call reset of the driven environment, not of an inner one"
             )
         for robot in self.robots:
             robot.forget()
         kind = self._base.action_type
-        *outcome, info = self.env.step(unheeded(kind))
-        return *outcome, {**info, **self._told()}
+        *outcome, info = self.env.step(placeholder_action(kind))
+        return *outcome, {**info, **self._road_info()}
 
     def render(self) -> Any:
         """Show the road, the plan, the predictions and the rungs."""
@@ -180,7 +181,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     def _base(self) -> Any:
         return self.unwrapped
 
-    def _told(self) -> dict[str, Any]:
+    def _road_info(self) -> dict[str, Any]:
         """Return the driver's part of ``info``; shapes and types are the same before and after the first step."""
         robot, base, kind, reached = self.robots[0], self._base, self._base.action_type, success(self._base)
         frequency = base.config["simulation_frequency"]
@@ -189,11 +190,11 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         missing = ceil(frames / frames_of_plan) - len(seconds)
         gains = getattr(robot.last_step, "gains", NO_GAINS)
         counts = Counter(name for step in robot.steps for name in step.models)
-        done: Any = tuple(map(action_done, getattr(kind, "agents_action_types", [kind]), self.robots))
-        if frames > frames_of_plan or any(each is None for each in done):
-            done = None
+        executed: Any = tuple(map(executed_action, getattr(kind, "agents_action_types", [kind]), self.robots))
+        if frames > frames_of_plan or any(each is None for each in executed):
+            executed = None
         elif not isinstance(kind, MultiAgentAction):
-            done = done[0]
+            executed = executed[0]
         road = {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
             "gains": dict(zip(MODELS, gains.T, strict=True)),
             "decisions": np.array(seconds + [np.nan] * missing),
@@ -204,25 +205,25 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             "jerk": float(max(robot.jerks, default=0.0)),
             "destination": destination_for(robot.goal),
             "success": reached,
-            "action": done,
+            "action": executed,
         }
         return {"road": road} | ({} if reached is None else {"is_success": reached})
 
 
-def unheeded(action_type: ActionType) -> Any:
-    """Return an action, for a car that drives itself, that rewards take for what it does: idle, or its own one."""
+def placeholder_action(action_type: ActionType) -> Any:
+    """Return the action that rewards receive for a car that drives itself: idle, or what it last executed."""
     if isinstance(action_type, MultiAgentAction):
-        return tuple(map(unheeded, action_type.agents_action_types))
+        return tuple(map(placeholder_action, action_type.agents_action_types))
     if isinstance(action_type, DiscreteMetaAction):
         return action_type.actions_indexes["IDLE"]
     return _nearest_in(action_type, action_type.controlled_vehicle.action)
 
 
-def action_done(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
+def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
     """Return the ``ContinuousAction`` that repeats a robot's step; None for other types of actions.
 
-    It is NaN where no action of the space does the same: tyres or highway-env's limits changed the control within the
-    step, or the control is outside the ranges of the space.
+    It is NaN where no action of the space does the same, because tyres or highway-env's limits changed the control
+    within the step, or because the control is outside the ranges of the space.
     """
     continuous = isinstance(action_type, ContinuousAction) and not isinstance(action_type, DiscreteAction)
     if not continuous or action_type.dynamical:
@@ -231,20 +232,18 @@ def action_done(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
         return np.full(action_type.space().shape, np.nan, np.float32)
     frames = robot.actions
     action = _nearest_in(action_type, frames[0])
-    does = ContinuousAction.get_action(action_type, action)
-    same = all(abs(frame[key] - does[key]) < SAME for frame in frames for key in does)
+    repeated = ContinuousAction.get_action(action_type, action)
+    same = all(abs(frame[key] - repeated[key]) < SAME for frame in frames for key in repeated)
     return action if same else np.full_like(action, np.nan)
 
 
 def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) -> Any:
-    """Return the action of a space, throttle first, that is nearest to what a vehicle executed [m/s^2, rad]."""
+    """Return the action of a space that is nearest to what a vehicle executed [m/s^2, rad]; acceleration first."""
     values = []
-    for key, there, (low, high) in (
-        ("acceleration", action_type.longitudinal, action_type.acceleration_range),
-        ("steering", action_type.lateral, action_type.steering_range),
-    ):
-        if there:
-            values.append(2 * (executed[key] - low) / (high - low) - 1)
+    if action_type.longitudinal:
+        values.append(lmap(executed["acceleration"], action_type.acceleration_range, (-1, 1)))
+    if action_type.lateral:
+        values.append(lmap(executed["steering"], action_type.steering_range, (-1, 1)))
     action = np.clip(values, -1, 1).astype(np.float32)
     if isinstance(action_type, DiscreteAction):
         places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)

@@ -1,4 +1,4 @@
-"""Drive on a road: observe, choose how to predict each car, plan, follow the plan or fall back."""
+"""Drive on a road: choose a model for each car, plan, then follow the plan or fall back."""
 
 from dataclasses import dataclass, field, replace
 from time import perf_counter
@@ -15,7 +15,7 @@ from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
 from ms_highway.planning.car_following import MAX_BRAKING
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
-from ms_highway.road.plan import RoadPlan, answer_road, no_plan, propose_road
+from ms_highway.road.plan import RoadPlan, no_plan, propose_road, respond_road
 from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
 from ms_highway.runtime.arrays import Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly
@@ -23,30 +23,30 @@ from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
 SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]))
-"""Planning time among naive cars, and what each car adds under each model, as measured on one core [s]."""
+"""Planning time if all cars are naive, and the time that each car adds under each model, measured on one core [s]."""
 
-BRAKING_SHARE = 0.95  # share of the grip from which a plan that breaks a constraint counts as braking
+BRAKING_SHARE = 0.95  # share of the grip above which the deceleration of a broken plan counts as braking
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 
-proposed_for, answered_by, decided = jit_quickly(propose_road), jit_quickly(answer_road), jit_quickly(decide)
+proposed_for, responded_to, decided = jit_quickly(propose_road), jit_quickly(respond_road), jit_quickly(decide)
 """Proposals, answers to them and decisions, each compiled once for all scenes, models, limits and weights."""
 
 
 def plan_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, models: Rungs, last: LastPlan) -> RoadPlan:
-    """Return the best plan once the others have answered the proposals, given the number of the model of each."""
-    return answered_by(proposed_for(scene, planning, weights, models, last), models)
+    """Return the best plan, given the number of the model of each of the others."""
+    return responded_to(proposed_for(scene, planning, weights, models, last), models)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoadStep(ControlStep):
     """Record of one step of a driver on a road, where each path of others counts as a human.
 
-    Controls are the curvature of the rear axle's path [1/m] and the acceleration [m/s^2]. ``humans`` has x and y of
-    others in place of their controls, ``models`` an empty name where nobody is predicted, and ``gains`` what an answer
-    may be worth at most, the same for all models but naive. Where a plan is not finite, nobody is predicted.
+    Controls are the curvature of the rear axle's path [1/m] and the acceleration [m/s^2]. ``humans`` has the positions
+    of others in place of their controls. ``models`` has an empty name for paths without a prediction; without a finite
+    plan, these are all paths. ``gains`` are upper bounds, the same for all models except naive.
 
     Attributes:
-        path: x, y and heading of the robot's centre, as planned, world coordinates; no steps if the plan failed.
+        path: planned x, y and heading of the robot's centre in world coordinates; no steps if the plan failed.
         owners: number of the car that each path belongs to, -1 without one.
         source: what drives: ``proposal``, ``last plan`` or ``braking``.
         broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
@@ -59,7 +59,7 @@ class RoadStep(ControlStep):
 
     @property
     def failed(self) -> bool:
-        """Whether the plan is not finite, so that the last plan or, without one, braking drives."""
+        """Whether the plan is not finite, so that the robot follows the last plan or, without one, brakes."""
         return self.status not in ("planned", "late")
 
 
@@ -67,14 +67,14 @@ class RoadStep(ControlStep):
 class RoadDriver:
     """Drive a robot on any road, one step at a time.
 
-    A plan that is later than the budget is followed from the next step on; in its own step, the last plan or, without
-    one, braking drives.
+    If a plan takes longer than the budget, the robot follows it from the next step on; in this step, it follows the
+    last plan or, without one, brakes.
 
     Attributes:
         planning: limits and wishes; may be replaced between steps.
         rule: chooses the models.
-        weights: what counts.
-        budget: time of a decision and a plan [s].
+        weights: of the score.
+        budget: largest time of a decision and a plan together [s].
     """
 
     planning: RoadPlanning
@@ -85,11 +85,11 @@ class RoadDriver:
     def __post_init__(self) -> None:
         self._memory = first_memory(self.rule, TRAFFIC)
         self._last = no_plan(self.planning)
-        self._left = 0  # controls of the last plan that are left, the executed one included
-        self._speeds: dict[int, float] = {}  # of others at the last look, by their numbers
+        self._left = 0  # remaining controls of the last plan, the executed one included
+        self._speeds: dict[int, float] = {}  # of others at the last look, by number
 
     def step(self, scene: RoadScene) -> RoadStep:
-        """Return what to do now."""
+        """Choose the models, plan, and return the record of this step."""
         refuse_after_fork()
         start = perf_counter()
         scene = self._with_accelerations(scene)
@@ -106,8 +106,8 @@ class RoadDriver:
             gains[:, NAIVE + 1 :] = np.asarray(proposed.worth)[:, None]
             models = self._models(scene, np.asarray(decided(rule, None, memory, proposed.worth).memory.rungs))
         plan, answering = proposed.plan, 0.0
-        if (models != first).any() or (models == TOM).any():  # judge again
-            plan, answering = timed(answered_by, proposed, models)
+        if (models != first).any() or (models == TOM).any():  # the proposals have to be scored again
+            plan, answering = timed(responded_to, proposed, models)
         plan = jax.tree.map(np.asarray, plan)
         planning = proposing + answering
         deciding = perf_counter() - start - compiling - planning
@@ -133,27 +133,27 @@ class RoadDriver:
         )
 
     def _with_accelerations(self, scene: RoadScene) -> RoadScene:
-        """Return the road with the accelerations of others since the last look."""
-        seen, speeds = scene.owners.tolist(), scene.states[:, 3].tolist()
-        changes = [speed - self._speeds.get(name, speed) for name, speed in zip(seen, speeds, strict=True)]
-        self._speeds = dict(zip(seen, speeds, strict=True))
+        """Return the scene with the mean accelerations of others since the last look."""
+        owners, before = scene.owners.tolist(), self._speeds
+        self._speeds = speeds = dict(zip(owners, scene.states[:, 3].tolist(), strict=True))
+        changes = [speeds[owner] - before.get(owner, speeds[owner]) for owner in owners]
         accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
         return replace(scene, accelerations=accelerations.clip(-MAX_BRAKING, MAX_BRAKING).astype(np.float32))
 
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
-        """Return the numbers of the models of all cars; those that cannot move are predicted by the first one."""
+        """Return the number of the model of each car; naive for those that cannot move."""
         numbers = np.array([MODELS.index(model.name) for model in self.rule.ladder], np.int32)
         return np.where(scene.moving, numbers[rungs], NAIVE).astype(np.int32)
 
     def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
-        """Return the controls to follow, the number of their status and their source; keep what is left of the plan."""
+        """Return the controls to follow, the number of their status and their source; keep the rest for later steps."""
         wanted, grip = plan.controls, self.planning.grip
         if self._left > 1:
             rest, source = self._last, "last plan"
         else:
             rest, source = no_plan(self.planning)._replace(controls=np.full_like(wanted, [0.0, -grip])), "braking"
         status, self._left = fallback_status(bool(np.isfinite(wanted).all()), self._left, len(wanted))
-        self._last = plan.handed_on() if status == PLANNED else rest.later()
+        self._last = plan.rest() if status == PLANNED else rest.later()
         if status != PLANNED or late:
             return rest.controls, LATE if status == PLANNED else status, source
         hardest = plan.broken and wanted[0, 1] < -BRAKING_SHARE * grip

@@ -1,6 +1,6 @@
-"""Move the traffic: it keeps its speed, follows by the Intelligent Driver Model, or does what it is told.
+"""Move the traffic: it keeps its speed, follows by the Intelligent Driver Model, or has given accelerations.
 
-All others move together with the robot's proposals, step by step, so that cars that follow answer the robot.
+All others move together with the robot's proposals, step by step, so that cars that follow respond to the robot.
 """
 
 from typing import NamedTuple
@@ -14,48 +14,45 @@ from ms_highway.road.constants import IDM, TOM
 from ms_highway.road.traffic import ROOM, Situation
 from ms_highway.runtime.arrays import Car
 
-SAME_WAY_COSINE = 0.7  # cosine of the angle between paths, from which a car follows the robot ahead
-PATH_TIME = 1.0  # s, in which cars move to the middle of their path
+SAME_WAY_COSINE = 0.7  # cosine of the angle between paths above which a car follows the robot ahead
+PATH_TIME = 1.0  # s, time constant of the way back to the middle of the path
 SLOW_SHARE = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
 REVERSING_SPEED = 0.3  # m/s, above which a car rolls backwards
-HARD_BRAKING, BRAKING_TIME = 3.0, 3.0  # m/s^2 and s: braking ahead from which it is expected to go on, and for how long
-CORRECTION_TIME = 1.0  # s, in which others who do not do what their model says come back to it
+HARD_BRAKING, BRAKING_TIME = 3.0, 3.0  # m/s^2 and s: a car ahead that brakes harder is expected to brake on so long
+CORRECTION_TIME = 1.0  # s, time constant with which deviations from the model fade
 
 
-class Manners(NamedTuple):
+class Behaviour(NamedTuple):
     """How others move.
 
     Attributes:
-        follows: whether each follows by the Intelligent Driver Model; otherwise, it keeps its speed.
-        given: whether its accelerations are given.
-        accelerations: those, for every plan [m/s^2].
-        surprise: what its last acceleration was above what its model says, which fades, in each step [m/s^2].
-        limit: its acceleration at most in each step [m/s^2].
+        follows: whether each follows by the Intelligent Driver Model.
+        accelerations: of those that do not follow, under each plan [m/s^2].
+        residual: excess of the last acceleration over the model's; it fades from step to step [m/s^2].
+        limit: upper bound of the acceleration in each step [m/s^2].
     """
 
     follows: Flags
-    given: Flags
     accelerations: EachStep
-    surprise: EachStep
+    residual: EachStep
     limit: EachStep
 
 
-def manners_of(now: Situation, models: Places, plans: int) -> Manners:
-    """Return the manners of others who keep their speed, or follow.
+def behaviour_of(now: Situation, models: Places, plans: int) -> Behaviour:
+    """Return the behaviour of others that follow or keep their speed, as their models say.
 
-    Vehicles that may cross the robot's way keep their speed: there they stop and start for others than the car ahead.
+    Vehicles that may cross the robot's path keep their speed: at crossings, they do not only react to the car ahead.
     The part of an acceleration that the model does not explain fades; hard braking ahead of the robot goes on.
     """
     scene, times = now.scene, now.planning.times
     follows = (models >= IDM) & scene.moving & ~now.crossings.exist
     expected = follows | ((models == TOM) & scene.moving)
-    surprise = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
+    residual = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
     limit = jnp.where(now.leading & (scene.accelerations < -HARD_BRAKING), scene.accelerations, jnp.inf)[:, None]
-    return Manners(
+    return Behaviour(
         follows,
-        given=jnp.zeros_like(follows),
         accelerations=jnp.zeros((plans, len(models), len(times))),
-        surprise=surprise[:, None] * jnp.exp(-times / CORRECTION_TIME),
+        residual=residual[:, None] * jnp.exp(-times / CORRECTION_TIME),
         limit=jnp.where(times - now.planning.time_step / 2 < BRAKING_TIME, limit, jnp.inf),
     )
 
@@ -67,9 +64,9 @@ def along_paths(scene: RoadScene) -> tuple[Traffic, Traffic]:
 
 
 def aside(scene: RoadScene, times: Steps) -> EachStep:
-    """Return the lateral positions of others on their paths, to the middle of which they settle if they drive.
+    """Return the lateral positions of others on their paths; cars that drive return to the middle.
 
-    A crashed car slides where it heads, more slowly from second to second: ``v' = -v``.
+    A crashed car slides along its heading and slows down by ``v' = -v``.
     """
     _, now, heading, speed = scene.states.T[..., None]
     sideways = speed * jnp.sin(heading)
@@ -84,10 +81,10 @@ def follow_all(now: Situation, where: Pose, along: Traffic, speeds: Traffic, rob
 
     Args:
         now: the situation.
-        where: the others are, see `ms_highway.road.traffic.Ways.at`.
+        where: positions of the others, see `ms_highway.road.traffic.Ways.at`.
         along: positions of the others on their paths [m].
         speeds: of the others [m/s].
-        robot: its state.
+        robot: state of the robot.
     """
     scene, (s, d, _, speed) = now.scene, robot
     first, _, _, desired = jnp.asarray(scene.states).T
@@ -101,7 +98,7 @@ def follow_all(now: Situation, where: Pose, along: Traffic, speeds: Traffic, rob
 
 
 def accelerations_now(now: Situation) -> Traffic:
-    """Return the accelerations now by the Intelligent Driver Model: the least on all ways of a car, never backwards."""
+    """Return the present accelerations by the Intelligent Driver Model: the least on all paths of a car."""
     scene, (along, across, _, speeds) = now.scene, jnp.asarray(now.scene.states).T
     each = follow_all(now, now.ways.at(along, across), along, speeds, jnp.asarray(scene.robot))
     same = scene.owners[:, None] == scene.owners
@@ -109,24 +106,23 @@ def accelerations_now(now: Situation) -> Traffic:
 
 
 def move_traffic(
-    now: Situation, manners: Manners, orders: Steps, where: Pose, along: Traffic, speeds: Traffic, robot: Car
+    now: Situation, behaviour: Behaviour, rows: Steps, where: Pose, along: Traffic, speeds: Traffic, robot: Car
 ) -> tuple[Traffic, Traffic]:
     """Return positions and speeds of others along their paths one time step later.
 
     Args:
         now: the situation.
-        manners: how they move.
-        orders: their accelerations if these are given, surprises and limits in this step [3, traffic].
-        where: see `follow_all`, also the rest.
-        along: positions.
-        speeds: of others.
-        robot: its state.
+        behaviour: of the others.
+        rows: their given accelerations, residuals and limits in this step [3, traffic].
+        where: see `follow_all`.
+        along: see `follow_all`.
+        speeds: see `follow_all`.
+        robot: see `follow_all`.
     """
-    (ordered, surprise, limit), dt = orders, now.planning.time_step
-    modelled = jnp.where(manners.follows, follow_all(now, where, along, speeds, robot), 0.0)
-    modelled = jnp.where(manners.given, ordered, modelled)
-    acceleration = jnp.clip(jnp.minimum(modelled + surprise, limit), -MAX_BRAKING, MAX_BRAKING)
-    acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # who has crashed slides to a stop
-    rolls = along_paths(now.scene)[1] < -REVERSING_SPEED  # may go on so; others stop at most
+    (given, residual, limit), dt = rows, now.planning.time_step
+    modelled = jnp.where(behaviour.follows, follow_all(now, where, along, speeds, robot), given)
+    acceleration = jnp.clip(jnp.minimum(modelled + residual, limit), -MAX_BRAKING, MAX_BRAKING)
+    acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # crashed cars slide to a stop
+    rolls = along_paths(now.scene)[1] < -REVERSING_SPEED  # these may roll on; the others stop at most
     acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
     return along + speeds * dt, speeds + acceleration * dt

@@ -1,8 +1,9 @@
-"""Plan on a road: propose, let others answer, check.
+"""Plan on a road: propose plans, let others respond, and choose the best plan.
 
-All proposals are judged with others who keep their speed or follow by the Intelligent Driver Model. If some plan for
-their reward (theory of mind), they answer the best few of these proposals, and these are judged again. Answers make
-plans better, not safe: reject a plan that collides if others merely follow, when a safe plan exists.
+All proposals are first scored with others that keep their speed or follow by the Intelligent Driver Model. If some of
+the others optimise their reward (theory of mind), they respond to the best few proposals, which are scored again. A
+response may make a plan better, but not safe: a plan that collides if others merely follow is rejected when a safe plan
+exists.
 """
 
 from typing import NamedTuple
@@ -14,34 +15,42 @@ from jax import numpy as jnp
 from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Traffic
 from ms_highway.road.best_responses import ACCELERATION_UNIT, commuter_among
 from ms_highway.road.constants import TOM, RoadPlanning, RoadWeights
-from ms_highway.road.following import manners_of
+from ms_highway.road.following import Behaviour, behaviour_of
 from ms_highway.road.proposals import PROPOSALS, LastPlan, Profiles, proposals
 from ms_highway.road.score import Scores, score
 from ms_highway.road.simulation import DrivenPlans, simulate
 from ms_highway.road.traffic import Situation, situation_of
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, for_each
 
-WITH_RESPONSES = 4  # best proposals that others answer
+WITH_RESPONSES = 4  # best proposals, to which others respond
 
 
-class Judged(NamedTuple):
-    """Plans, how they turn out, and what they earn."""
+class ScoredPlans(NamedTuple):
+    """Plans with their simulation and their scores.
 
+    Attributes:
+        numbers: of the proposals.
+        plans: the proposals.
+        driven: how they turn out.
+        scores: what they earn.
+    """
+
+    numbers: Places
     plans: Profiles
     driven: DrivenPlans
     scores: Scores
 
 
 class RoadPlan(NamedTuple):
-    """The plan that drives.
+    """The best plan.
 
     Attributes:
         controls: of the robot: curvature and acceleration.
         path: x, y and heading of the robot's centre after each step [steps, 3].
         predictions: x and y of others [traffic, steps, 2].
-        chosen: number of the proposal that drives.
-        side: on which it goes round what cannot move, see `ms_highway.road.proposals.Profiles`.
-        broken: whether it breaks a constraint.
+        chosen: number of the proposal.
+        side: on which the plan passes an obstacle, see `ms_highway.road.proposals.Profiles`.
+        broken: whether the plan breaks a constraint.
     """
 
     controls: Controls
@@ -51,84 +60,87 @@ class RoadPlan(NamedTuple):
     side: Index
     broken: Flag
 
-    def handed_on(self) -> LastPlan:
-        """Return what the next plan has of it, a step later."""
+    def rest(self) -> LastPlan:
+        """Return the rest of the plan a step later, for the next plan."""
         return LastPlan(self.controls, self.path[-1, :2], self.side).later()
 
 
 class Proposed(NamedTuple):
-    """The best proposals while nobody optimises.
+    """The best proposals if nobody optimises.
 
     Attributes:
         now: the situation.
-        few: the best of the proposals, `WITH_RESPONSES` of them.
-        numbers: which ones these are.
-        worth: upper bound on the gain from predicting each car better: what the best plan would earn more if that car
-            cost nothing.
-        plan: the best one.
+        few: the `WITH_RESPONSES` best proposals.
+        worth: upper bound on the gain from a better prediction of each car: how much more the best plan would earn if
+            that car cost nothing.
+        plan: the best of all proposals.
     """
 
     now: Situation
-    few: Judged
-    numbers: Places
+    few: ScoredPlans
     worth: Traffic
     plan: RoadPlan
 
 
 def no_plan(planning: RoadPlanning) -> LastPlan:
-    """Return what stands for the last plan before the first one: go on straight."""
+    """Return the plan that replaces the last plan before the first step: it goes straight on."""
     return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32), np.int32(0))
 
 
 def propose_road(
     scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, models: Places, last: LastPlan
 ) -> Proposed:
-    """Propose plans, and find the best of them while nobody optimises.
+    """Propose plans, and find the best of them if nobody optimises.
 
     Args:
         scene: the road.
         planning: limits and wishes.
-        weights: what counts.
-        models: number of the model of each of the others: under naive they keep their speed, else they follow.
-        last: plan.
+        weights: of the score.
+        models: number of the model of each of the others: under naive they keep their speed, otherwise they follow.
+        last: the rest of the last plan.
     """
     now = situation_of(scene, planning, weights)
-    plans = proposals(now, last)
-    driven = simulate(now, manners_of(now, models, PROPOSALS), plans)
-    judged = Judged(plans, driven, score(now, driven, plans))
-    total = judged.scores.total
-    worth = (total[:, None] + judged.scores.answerable).max(axis=0) - total.max()
-    _, numbers = jax.lax.top_k(judged.scores.preference, WITH_RESPONSES)
-    few = jax.tree.map(lambda field: field[numbers], judged)
-    return Proposed(now, few, numbers, worth, _best(now, few, few, numbers))
+    scored = _scored(now, behaviour_of(now, models, PROPOSALS), jnp.arange(PROPOSALS), proposals(now, last))
+    total = scored.scores.total
+    worth = (total[:, None] + scored.scores.responsive).max(axis=0) - total.max()
+    _, best = jax.lax.top_k(scored.scores.preference, WITH_RESPONSES)
+    few = jax.tree.map(lambda field: field[best], scored)
+    return Proposed(now, few, worth, _best(now, few, few))
 
 
-def answer_road(proposed: Proposed, models: Places) -> RoadPlan:
-    """Return the best of the proposals when those answer them who optimise their reward.
+def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
+    """Return the best of the proposals once the others that optimise their reward have responded to them.
 
     Args:
-        proposed: plans, while all others keep their speed or follow, as their models say.
+        proposed: the proposals, scored with others that keep their speed or follow.
         models: number of the model of each of the others.
     """
     now, few = proposed.now, proposed.few
     optimises = (models == TOM) & now.scene.moving
-    responses = _best_responses(now, optimises, few.driven)
-    answering = manners_of(now, models, WITH_RESPONSES)._replace(given=optimises, accelerations=responses)
-    driven = simulate(now, answering, few.plans)
-    return _best(now, few, Judged(few.plans, driven, score(now, driven, few.plans)), proposed.numbers)
+    behaviour = behaviour_of(now, models, WITH_RESPONSES)
+    behaviour = behaviour._replace(
+        follows=behaviour.follows & ~optimises, accelerations=_best_responses(now, optimises, few.driven)
+    )
+    return _best(now, few, _scored(now, behaviour, few.numbers, few.plans))
 
 
-def _best(now: Situation, few: Judged, answered: Judged, numbers: Places) -> RoadPlan:
-    """Return the best plan; one that collides if others merely follow ranks behind those that do not."""
-    relies = few.scores.collides & ~answered.scores.broken
-    best = jnp.argmax(answered.scores.preference - now.weights.unsound * relies)
-    plans, driven, scores = jax.tree.map(lambda field: field[best], answered)
+def _scored(now: Situation, behaviour: Behaviour, numbers: Places, plans: Profiles) -> ScoredPlans:
+    """Simulate plans among others that behave in a given way, and score them."""
+    driven = simulate(now, behaviour, plans)
+    return ScoredPlans(numbers, plans, driven, score(now, driven, plans))
+
+
+def _best(now: Situation, few: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
+    """Return the best plan; plans that collide if others merely follow rank behind those that do not."""
+    relies = few.scores.collides & ~responded.scores.broken
+    best = jnp.argmax(responded.scores.preference - now.weights.unsound * relies)
+    number, plan, driven, scores = jax.tree.map(lambda field: field[best], responded)
     predictions = jnp.swapaxes(driven.world[:, :2], 1, 2)
-    return RoadPlan(driven.controls, driven.path[:3].T, predictions, numbers[best], plans.side, scores.broken)
+    return RoadPlan(driven.controls, driven.path[:3].T, predictions, number, plan.side, scores.broken)
 
 
 def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> EachStep:
-    """Return the accelerations of those who optimise their reward, under each of some plans."""
+    """Return the accelerations of the others that optimise their reward under each plan; 0 for the rest."""
     scene, planning = now.scene, now.planning
 
     def one(car: Places, found: EachStep) -> EachStep:

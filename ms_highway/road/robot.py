@@ -1,8 +1,8 @@
-"""A robot with highway-env's own kinematics that drives itself on any road, within what tyres hold in every frame."""
+"""A robot with highway-env's kinematics that drives itself on any road and keeps within its grip in every frame."""
 
 from cmath import phase, rect
 from collections.abc import Sequence
-from math import asin, atan, cos, hypot, sin, sqrt, tan
+from math import asin, atan, cos, sin, sqrt, tan
 from typing import Any, Self
 
 import numpy as np
@@ -27,10 +27,10 @@ GRIP = 5.0
 """Largest total acceleration, by default [m/s^2]."""
 
 GRIP_MARGIN = 0.98
-"""Share of the grip that is used."""
+"""Share of the grip that the robot uses."""
 
-MAX_SLIP = 1.1  # rad, slip angle at most
-ANY_TURN = 3.2  # rad, where a car hardly moves
+MAX_SLIP = 1.1  # rad, largest slip angle
+ANY_TURN = 3.2  # rad, more than any turn: the limit where a car hardly moves
 
 
 def steering_of(curvature: float, length: float) -> float:
@@ -48,20 +48,21 @@ def _slip(curvature: float, length: float) -> float:
 def keep_grip(
     wanted: Point, speed: float, before: complex, length: float, dt: float, grip: float
 ) -> tuple[float, float]:
-    """Return the control that is nearest to a wanted one and within the grip of tyres for a frame.
+    """Limit a wanted control to the grip of the tyres in a frame.
 
-    First the curvature: ``|v^2 k| <= grip``, and the velocity of the centre, slip included, changes by ``grip dt`` at
-    most from the frame before, ``v^2 + v'^2 - 2 v v' cos(turn) <= (grip dt)^2``. Then the acceleration: ``a^2 + (v^2
-    k)^2 <= grip^2``, never backwards, and the velocity along the heading, which turns by ``v k dt``, changes by ``grip
-    dt`` at most; so the next frame can keep the slip of this one.
+    The curvature is limited first: ``|v^2 k| <= grip``, and the velocity of the centre, slip included, changes by at
+    most ``grip dt`` since the last frame, ``v^2 + v'^2 - 2 v v' cos(turn) <= (grip dt)^2``. The acceleration follows:
+    ``a^2 + (v^2 k)^2 <= grip^2``, the car never reverses, and the velocity along the heading, which turns by ``v k
+    dt``, changes by at most ``grip dt``, so that the next frame can keep the slip angle of this one.
 
     Args:
         wanted: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
         speed: of the vehicle [m/s].
-        before: velocity of its centre in the frame before: along its heading, and to the right as imaginary part.
+        before: velocity of its centre in the last frame as a complex number: the real part along its heading, the
+            imaginary part to the right [m/s].
         length: of the vehicle [m].
-        dt: duration of a frame [s].
-        grip: total acceleration at most [m/s^2].
+        dt: duration of the frame [s].
+        grip: largest total acceleration [m/s^2].
     """
     curvature, acceleration = map(float, wanted)
     most, turn, product = grip * dt, ANY_TURN, 2 * speed * abs(before)
@@ -82,24 +83,24 @@ def keep_grip(
 class RoadRobot(OfferedSpeeds, Vehicle):
     """Car that drives itself with a `RoadDriver` whenever its road lets vehicles act; it ignores all actions.
 
-    It plans every `PERIOD` and holds the control in between, within its grip in every frame. Rewards and rules of
-    highway-env's environments find in it what they ask of the car that they control.
+    It plans every `PERIOD` and holds the control in between, within its grip in every frame. It has every attribute
+    that rewards and rules of highway-env's environments read from a controlled car.
 
     Attributes:
-        driver: plans; without one, the car keeps its velocity.
-        goal: node of the road network that it drives to, a spot to be at in time, or None without any.
-        grip: total acceleration at most [m/s^2].
-        intentions: whether others show which way they take.
+        driver: makes the plans; without one, the car keeps its velocity.
+        goal: node of the road network to drive to, a goal in time, or None.
+        grip: largest total acceleration [m/s^2].
+        intentions: whether the robot knows the routes of others.
         route: roads to follow, None without a route.
-        last_step: of the driver, None before the first.
+        last_step: record of the driver's last step, None before the first.
         applied: curvature and acceleration in the last frame [1/m, m/s^2].
-        frame: duration of the last one [s].
+        frame: duration of the last frame [s].
         time: since `drive_with` [s].
-        steps: of the driver since `forget`.
+        steps: records of the driver's steps since `forget`.
         actions: highway-env's ``acceleration`` [m/s^2] and ``steering`` [rad] in each frame since `forget`.
-        accelerations: largest total acceleration in each frame since `forget` [m/s^2]: of the control, and of the
-            velocity between frames, with and without slip.
-        jerks: change of the acceleration within the last `PERIOD`, in each frame since `forget` [m/s^3].
+        accelerations: the largest of three total accelerations in each frame since `forget`: of the control, and of
+            the change of velocity with and without slip [m/s^2].
+        jerks: mean jerk over the last `PERIOD`, in each frame since `forget` [m/s^3].
     """
 
     action: dict[str, float]
@@ -108,10 +109,10 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         super().__init__(road, position, heading, speed)
         self.route: Route | None = None
         self.last_step: RoadStep | None = None
-        self.applied = self._wanted = np.zeros(2)
+        self.applied, self._wanted = (0.0, 0.0), np.zeros(2)
         self._before: complex | None = None  # velocity of the centre in the last frame, slip included
         self._elapsed, self.frame = np.inf, PERIOD
-        self._executed: list[tuple[float, float]] = []
+        self._executed: list[complex] = []  # accelerations within the last period, lateral ones as imaginary parts
         self.drive_with(None)
         self.forget()
 
@@ -125,7 +126,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     def drive_with(
         self, driver: RoadDriver | None, goal: RobotGoal = None, grip: float = GRIP, intentions: bool = False
     ) -> None:
-        """Let a driver drive, to a node of the road network or a spot where there is a goal."""
+        """Let a driver drive to a goal; see the attributes for the arguments."""
         self.driver, self.goal, self.grip, self.intentions, self.time = driver, goal, grip, intentions, 0.0
 
     def forget(self) -> None:
@@ -137,11 +138,10 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     def look(self) -> RoadScene:
         """Observe the road."""
-        curvature, acceleration = self.applied.tolist()
-        return observe_road(self, destination_for(self.goal), (curvature, acceleration), self.intentions)
+        return observe_road(self, destination_for(self.goal), self.applied, self.intentions)
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
-        """Plan if it is time for it; ignore actions."""
+        """Plan if a plan is due; ignore actions."""
         due = self._elapsed + self.frame / 2 >= PERIOD
         if action is None and self.driver is not None and due and not self.crashed:
             if isinstance(self.goal, TimedGoal):
@@ -151,7 +151,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
             self._wanted, self._elapsed = np.asarray(self.last_step.control, dtype=float), 0.0
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds within the grip; crashed, as highway-env's vehicles do."""
+        """Move for ``dt`` seconds within the grip; after a crash, move like highway-env's vehicles."""
         self.time += dt
         if self.crashed:
             self.color = VehicleGraphics.RED
@@ -162,26 +162,26 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         before = now if self._before is None else self._before
         towards = before * rect(1.0, -self.heading)
         curvature, along = keep_grip(self._wanted, speed, towards, self.LENGTH, dt, GRIP_MARGIN * self.grip)
-        self.applied = np.array([curvature, along])
+        self.applied = curvature, along
         self.action = {"steering": steering_of(curvature, self.LENGTH), "acceleration": along}
         super().step(dt)
         self.actions.append(dict(self.action))
         self._before = now * rect(1.0, _slip(curvature, self.LENGTH))
         self._elapsed, self.frame = self._elapsed + dt, dt
         changed = max(abs(self._before - before), abs(self._along_heading() - now))
-        across = speed**2 * curvature
-        self.accelerations.append(max(hypot(along, across), changed / dt))
-        self._executed = [*self._executed, (along, across)][-round(PERIOD / dt + 1) :]
-        (first_along, first_across), span = self._executed[0], dt * max(len(self._executed) - 1, 1)
-        self.jerks.append(hypot(along - first_along, across - first_across) / span)
+        executed = complex(along, speed**2 * curvature)
+        self.accelerations.append(max(abs(executed), changed / dt))
+        self._executed = [*self._executed, executed][-round(PERIOD / dt + 1) :]
+        span = dt * max(len(self._executed) - 1, 1)
+        self.jerks.append(abs(executed - self._executed[0]) / span)
 
     def _along_heading(self) -> complex:
-        """Return the speed in the direction of the heading, as a complex number [m/s]."""
+        """Return the velocity along the heading as a complex number x + iy [m/s]."""
         return rect(self.speed, self.heading)
 
     @property
     def target_lane_index(self) -> LaneIndex:
-        """The lane that it is on."""
+        """The lane that the robot is on."""
         return self.lane_index
 
     plan_route_to = ControlledVehicle.plan_route_to

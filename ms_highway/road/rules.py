@@ -1,9 +1,9 @@
-"""Choose a model for each car of the traffic: what its answer may be worth, against the time of the model.
+"""Choose a model for each car of the traffic: the gain that its response may bring, against the time of the model.
 
-Proposals are judged first with everybody under the first model of the ladder. What the best of them would gain if it
-were not for a car bounds what any better prediction of this car can be worth: ``max_p (R(p) + c_i(p)) - max_p R(p)``,
-with R what proposal p earns and c_i the part of it that car i costs. The rules here see these bounds in place of an
-outcome. `ms_highway.choice.rule.Order` needs none, and `ms_highway.choice.budget.Budget` chooses by `Bounds`.
+Proposals are first scored with all cars under the first model of the ladder. How much more the best of them would earn
+without car i is an upper bound on the gain of any better prediction of this car: ``max_p (R(p) + c_i(p)) - max_p
+R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in it. The rules here receive these bounds in place
+of an outcome. `ms_highway.choice.rule.Order` needs none, and `ms_highway.choice.budget.Budget` chooses by `Bounds`.
 """
 
 from dataclasses import dataclass, field
@@ -21,7 +21,7 @@ from ms_highway.runtime.arrays import PerHuman, Scalar
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Bounds(Rule):
-    """Take the bounds as gains of the last model over the first; choose nothing.
+    """Take the bounds as gains of the last model over the first, without a choice.
 
     Attributes:
         ladder: models, cheapest first (static).

@@ -19,29 +19,30 @@ from ms_highway.road.rules import Bounds, Priced
 from ms_highway.runtime import retired
 
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
-"""What drives, as in ``config["driver"]``."""
+"""Values of ``config["driver"]``."""
 
-Wish = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
-COSTS = "say 'shipped', or give milliseconds from 0 by rung, such as {'tom': 0.5}"
-IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, {MODELS[0]} among them"
+OptionalPositive = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
+COSTS = "say 'shipped', or give milliseconds of at least 0 by rung, such as {'tom': 0.5}"
+IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, beginning with {MODELS[0]}"
 
 
 class RoadSettings(Struct, frozen=True):
     """How a robot drives a stock environment.
 
     Attributes:
-        driver: ``"priced"``, a rung for each car by price or budget; ``"priced:PRICE"`` and ``"budget:MS"``, the same
-            with the number; ``"fixed:RUNG"``, the same rung for all cars.
+        driver: ``"priced"`` chooses a rung for each car by ``price``, or by ``budget`` if there is one;
+            ``"priced:PRICE"`` and ``"budget:MS"`` do the same with the number given here; ``"fixed:RUNG"`` takes the
+            same rung for all cars.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
         costs: ``"shipped"``, or milliseconds that each rung adds to a plan per car, by name, 0 where left out. Episodes
-            at a price can be repeated exactly; a budget counts the time of decisions.
-        ladder: rungs to choose from, of `ms_highway.road.constants.MODELS` in their order.
-        desired_speed: [m/s]; None for what the scene rewards.
-        acceleration: total acceleration at most [m/s^2].
-        curvature: of the path at most [1/m].
-        intentions: whether others show which way they take: their ``route``, where they have one; highway-env's
-            ``observe_intentions`` shows agents the direction of its end.
+            at a price can be repeated exactly; a budget counts the measured time of decisions.
+        ladder: rungs to choose from, in the order of `ms_highway.road.constants.MODELS`.
+        desired_speed: [m/s]; None for the speed that the scene rewards.
+        acceleration: largest total acceleration [m/s^2].
+        curvature: largest curvature of the path [1/m].
+        intentions: whether the robot knows the ``route`` of each of the others that has one; highway-env's
+            ``observe_intentions`` shows agents only the direction of its end.
 
     Raises:
         ValueError: for a ladder in another order, unknown rungs, or an impossible driver.
@@ -49,20 +50,20 @@ class RoadSettings(Struct, frozen=True):
 
     driver: Annotated[str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")] = "priced"
     price: NotNegative = 1.0
-    budget: Wish = None
+    budget: OptionalPositive = None
     costs: Annotated[Literal["shipped"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
     ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = MODELS
-    desired_speed: Wish = None
+    desired_speed: OptionalPositive = None
     acceleration: Positive = 5.0
     curvature: Positive = 0.2
     intentions: bool = False
 
     @classmethod
     def read(cls, config: Mapping[str, Any] | None) -> "RoadSettings":
-        """Read a configuration, by default the default one.
+        """Read a configuration; without one, take the defaults.
 
         Raises:
-            ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+            ValueError: for anything unknown or impossible; it names the key, the value and the remedy.
         """
         config = {} if config is None else config
         if gone := retired.replacement(retired.DRIVERS, *re.findall(r"[\w:-]+", repr(config))):
@@ -79,7 +80,7 @@ class RoadSettings(Struct, frozen=True):
         """Return the kind of the driver, and its model, price or milliseconds.
 
         Raises:
-            ValueError: for an unknown driver, or a value that it cannot have.
+            ValueError: for an unknown driver or an impossible value.
         """
         message = f"config['driver'] is {self.driver!r}"
         if self.driver == "priced":
@@ -97,7 +98,7 @@ class RoadSettings(Struct, frozen=True):
     def rule(self, costs: Costs) -> Rule:
         """Return the rule that chooses the models.
 
-        Models are left out that a later one on the ladder replaces at no cost.
+        It leaves out models that cost at least as much as a later model on the ladder.
 
         Args:
             costs: of each of `ms_highway.road.constants.MODELS`.
@@ -115,7 +116,7 @@ class RoadSettings(Struct, frozen=True):
         """Return limits and wishes of plans.
 
         Args:
-            desired_speed: that the scene rewards, where no other is configured [m/s].
+            desired_speed: the speed that the scene rewards, unless another one is configured [m/s].
         """
         return RoadPlanning(self.desired_speed or desired_speed, GRIP_MARGIN * self.acceleration, self.curvature)
 

@@ -1,4 +1,4 @@
-"""Know highway-env's own environments: what they ask of their car, how to take its place, and what they overwrite."""
+"""Read goals and desired speeds of highway-env's own environments, replace their car, and undo their side effects."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -17,10 +17,10 @@ MERGE_END = 370.0  # m, where merge-v0 ends
 
 
 class GoalEnv:
-    """Base of environments that themselves say what they ask of a robot that drives their car.
+    """Base of environments that define the goal of the robot that drives their car.
 
     Attributes:
-        goal: where the robot has to be, and when; None if nowhere.
+        goal: of the robot; None without one.
         desired_speed: of the robot without a goal in time [m/s].
         success: whether the goal has been reached.
     """
@@ -31,9 +31,7 @@ class GoalEnv:
 
 
 def destination_of(env: Any, number: int = 0) -> RobotGoal:
-    """Return the node of the road network that a controlled vehicle has to reach, or where it has to be in time.
-
-    None if it has to be nowhere.
+    """Return the goal of a controlled vehicle, None without one.
 
     Args:
         env: a highway-env environment, or a wrapper of one, after a reset.
@@ -51,13 +49,13 @@ def destination_of(env: Any, number: int = 0) -> RobotGoal:
 def desired_speed_of(env: Any) -> float:
     """Return the speed that an environment rewards most [m/s].
 
-    In an intersection it is the speed limit; a `GoalEnv` says it.
+    In an intersection it is the speed limit; a `GoalEnv` defines it.
     """
     config = env.unwrapped.config
     action = config["action"].get("action_config", config["action"])
     if isinstance(env.unwrapped, GoalEnv):
         return env.unwrapped.desired_speed
-    if isinstance(env.unwrapped, IntersectionEnv):  # which rewards no more than 9 m/s, but grants 13 s only
+    if isinstance(env.unwrapped, IntersectionEnv):  # 9 m/s are rewarded, but take longer than 13 s
         return float(env.unwrapped.vehicle.lane.speed_limit)
     speeds = config.get("reward_speed_range") or action.get("target_speeds")
     speeds = [config.get("speed_limit") or USUAL_SPEED] if speeds is None else speeds
@@ -67,9 +65,9 @@ def desired_speed_of(env: Any) -> float:
 def success(env: Any) -> bool | None:
     """Return whether the goal of a highway-env environment is reached now; None where it has no goal.
 
-    exit: on the exit or its lane; intersection: every controlled car has arrived; roundabout: it has left the ring to
-    the north; merge: it has passed the ramp. A car that has crashed has no success. A u-turn has no goal that counts:
-    the road back is 191 m away, more than its 10 s allow. A `GoalEnv` says it.
+    exit: the car is on the exit or its lane; intersection: every controlled car has arrived; roundabout: the car has
+    left the ring to the north; merge: the car has passed the ramp. There is no success after a crash. A u-turn counts
+    as having no goal: the road back is 191 m away, more than its 10 s allow. A `GoalEnv` defines success.
     """
     env = env.unwrapped
     vehicles, road = env.controlled_vehicles, env.vehicle.lane_index[:2]
@@ -92,15 +90,15 @@ KEPT = (
     *("color", "route", "target_speeds", "check_collisions", "collidable", "solid", "MIN_SPEED", "MAX_SPEED"),
     *("LENGTH", "WIDTH", "diagonal"),
 )
-"""Attributes of a vehicle, beside its state, that its replacement keeps where the vehicle itself has them."""
+"""Instance attributes of a vehicle, beside its state, that its replacement keeps."""
 
 
 def replace_ego(env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0) -> Vehicle:
-    """Replace a controlled vehicle by another at the same place, in the same state and with the same route.
+    """Replace a controlled vehicle by another one in the same state and with the same route.
 
     Args:
         env: a highway-env environment, or a wrapper of one, after a reset.
-        make: builds the new vehicle from the old one.
+        make: returns the new vehicle, given the old one.
         number: of the controlled vehicle.
 
     Returns:
@@ -127,7 +125,7 @@ def replace_ego(env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0) -
 
 
 def _parts(whole: Any) -> Iterator[Any]:
-    """Yield an action or observation type, and those that it is made of."""
+    """Yield an action or observation type and all types that it contains."""
     yield whole
     for name in ("agents_action_types", "agents_observation_types", "observation_types"):
         for part in getattr(whole, name, ()):
@@ -135,11 +133,11 @@ def _parts(whole: Any) -> Iterator[Any]:
 
 
 OVERWRITTEN = {"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3}
-"""What the reset of an `IntersectionEnv` sets on the class of its traffic, for all environments of the process."""
+"""Class attributes of `IDMVehicle` that a reset of an `IntersectionEnv` sets, for all environments of the process."""
 
 
 def restore_traffic() -> None:
-    """Undo that: give highway-env's drivers their own values back, unless somebody else has set others."""
+    """Restore highway-env's values of the attributes in `OVERWRITTEN`, unless others than these have been set."""
     if OVERWRITTEN.items() <= vars(IDMVehicle).items():
         IDMVehicle.DISTANCE_WANTED = STANDSTILL
         IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = MAX_ACCELERATION, -COMFORTABLE_BRAKING

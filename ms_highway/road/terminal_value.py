@@ -1,70 +1,73 @@
-"""Value the end of plans: the lane that they reach, room to stop, and the speed that the lanes then allow."""
+"""Value the ends of plans: the lane that they reach, the room to stop, and the speed that traffic then allows."""
 
 from functools import reduce
+from typing import Any
 
 import jax
 from jax import numpy as jnp
 from jax.scipy.ndimage import map_coordinates
+from jaxtyping import Float
 
 from ms_highway.geometry.curve import interpolate
-from ms_highway.perception.scene import EachCar, EachFlag, Lane, Plans, Values
+from ms_highway.perception.scene import EachCar, EachFlag, PlanLanes, Plans
 from ms_highway.planning.car_following import FREE_GAP
 from ms_highway.road.constants import LANE
-from ms_highway.road.simulation import DrivenPlans
+from ms_highway.road.proposals import Profiles
+from ms_highway.road.simulation import DrivenPlans, target_of
 from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING_SPEED, Situation, lane_of
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.runtime.arrays import Numbers, Scalar
 
-LANES_BESIDE = 2  # lanes to each side of the robot's in the table of values
+Values = Float[Any, "lanes places speeds"]
+
+LANES_BESIDE = 2  # lanes on each side of the robot's lane in the table of values
 PLACES, SPEEDS = 144, 13  # in the table
-SLOWER, FASTER = 2, 1  # steps of speed in a second at most
+SLOWER, FASTER = 2, 1  # largest changes of speed in a second, in steps of speed
 
 
-def terminal_value(
-    now: Situation, driven: DrivenPlans, lanes: Lane, goal: Plans, target: Plans
-) -> tuple[Plans, EachCar, EachCar]:
-    """Return what follows plans is worth.
-
-    Args:
-        now: the situation.
-        driven: the plans.
-        lanes: that they go to, 0 to 2.
-        goal: lateral positions of these lanes after the plans [m].
-        target: lateral positions that the plans go to: others than the lanes' on a way round what cannot move [m].
+def terminal_value(now: Situation, driven: DrivenPlans, plans: Profiles) -> tuple[Plans, EachCar, EachCar]:
+    """Return the value of the time after plans.
 
     Returns:
-        What the lane that a plan reaches is worth, with the speed that nobody else limits; the cost of each of the
-        others, of missing room to stop and of the speed that it limits; and the metres missing to stop behind each.
+        The value of the lane that each plan reaches, including lost speed for which no other car is responsible; the
+        cost of each of the others, for missing room to stop and for the speed that it limits; and the distance that is
+        missing to stop behind each of them [m].
     """
-    weights, aside = now.weights, jnp.abs(goal - driven.states[:, -1, 1])
-    share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - aside / LANE, 0.0, 1.0))  # of its change of lane
-    urgent = urgency(now, 1)
+    lanes, weights, (s, d, *_) = plans.lane, now.weights, driven.states[:, -1].T
+    aside = jnp.abs(lane_of(now.scene.lanes, lanes, s) - d)
+    share = jnp.where(lanes == 1, 1.0, jnp.clip(1 - aside / LANE, 0.0, 1.0))  # of the lane change that is done
+    urgent = urgency(now)
     own = (
         weights.right * share * (lanes - 1.0)
         - weights.change * (lanes != 1)
-        - weights.goal * (urgent + share * (urgency(now, lanes) - urgent))
+        - weights.goal * (urgent[1] + share * (urgent[lanes] - urgent[1]))
     )
-    missing = missing_room(now, driven, target)
+    missing = missing_room(now, driven, jax.vmap(target_of, (None, 0, 0))(now, plans, s))
     slower, charged = speed_lost(now, driven, jnp.where(share > 0.5, lanes, 1))
     lost = weights.terminal * slower / now.planning.desired_speed
     others = weights.stopping * missing + jnp.where(charged, lost[:, None], 0.0)
     return own - jnp.where(charged.any(axis=-1), 0.0, lost), others, missing
 
 
-def urgency(now: Situation, lanes: Lane) -> Plans:
-    """Return the number of changes of lane that are left from each lane, less where there is room for them."""
+def urgency(now: Situation) -> Numbers:
+    """Return the number of lane changes that the goal asks for from each of three lanes, discounted by spare room."""
     scene, weights, left = now.scene, now.weights, jnp.abs(now.scene.changes)
     needed = left * jnp.maximum(scene.robot[3], weights.change_speed) * weights.change_seconds
-    return (left * jnp.exp(-jnp.maximum(scene.room - needed, 0.0) / weights.urgency_range))[lanes]
+    return left * jnp.exp(-jnp.maximum(scene.room - needed, 0.0) / weights.urgency_range)
 
 
-def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
-    """Return what is missing to stop behind each car ahead after a plan, or to the least gap within it [m].
+def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
+    """Return the distance that is missing to stop behind each car ahead after a plan, or to the least gap within it.
 
-    A car that joins the road, and those near it, may change to the next lane at once, without looking. Ignore gap
+    Cars that merge into the road, and those near them, may change to the next lane at once, without looking. Ignore gap
     violations that exist at the start, and static obstacles: there is no gap to keep.
+
+    Args:
+        now: the situation.
+        driven: the plans.
+        target: lateral positions that the plans steer to [m].
     """
     scene, planning, weights, (s, d, _, speed) = now.scene, now.planning, now.weights, driven.robot
-    reach, apart = scene.reach[:, 0], scene.reach[:, 1] + weights.beside
+    reach, apart = scene.reach[:, 0], scene.reach[:, 1] + weights.lateral_clearance
     gap = driven.s - s - scene.size[0] / 2
     led = (gap > 0) & (jnp.abs(driven.d - d) < apart[:, None]) & (driven.cosine > SAME_WAY) & scene.moving[:, None]
     close = jnp.where(led, jnp.maximum(weights.least_headway * speed + reach[:, None] - gap, 0.0), 0.0)
@@ -72,24 +75,29 @@ def missing_room(now: Situation, driven: DrivenPlans, goal: Plans) -> EachCar:
     end, (s, d, speed) = driven.end, (field[..., -1] for field in (s, d, speed))
     left, right = interpolate(scene.edges, driven.s[..., 0])
     joins = ((driven.d[..., 0] < left) | (driven.d[..., 0] > right)) & (end.cosine > SAME_WAY) & scene.present
-    near = jnp.abs(end.s[:, :, None] - end.s[:, None]) < weights.disturbed
+    near = jnp.abs(end.s[:, :, None] - end.s[:, None]) < weights.merge_range
     beside, middle = jnp.where((joins[:, None] & near).any(axis=-1), LANE, 0.0), s + scene.size[0] / 2
-    low, high = jnp.minimum(goal[:, None], d) - apart - beside, jnp.maximum(goal[:, None], d) + apart + beside
+    low, high = jnp.minimum(target[:, None], d) - apart - beside, jnp.maximum(target[:, None], d) + apart + beside
     front = (end.s > middle) & (end.d > low) & (end.d < high) & scene.present
     onward = end.speeds * end.cosine
     counts = front & ((end.cosine > CROSSING) | (end.speeds < STANDING_SPEED)) & (onward < speed)
     closing = jnp.maximum(speed - onward, 0.0)
     braking = planning.stopping * planning.grip - weights.lead_braking
-    needed = weights.room + weights.reaction * speed + closing**2 / (2 * braking)
+    needed = weights.stop_gap + weights.reaction_time * speed + closing**2 / (2 * braking)
     missing = jnp.where(counts, jnp.maximum(needed - end.s + middle + reach, 0.0), 0.0)
     return jnp.maximum(missing, jnp.maximum(close.max(axis=-1) - close[..., 0], 0.0))
 
 
-def speed_lost(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans, EachFlag]:
-    """Return the mean loss of speed after each plan [m/s], and which of the others limits it first.
+def speed_lost(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[Plans, EachFlag]:
+    """Return the mean loss of speed after each plan [m/s], and which of the others limits the speed first.
 
-    Plans end in lanes 0 to 2. All go on as points in their lanes, the others at the speed that they have then in the
-    median of all plans. The robot drives as well as it can: dynamic programming over lanes, places and speeds.
+    All cars go on as points in their lanes, the others at their median speed over all plans. The robot drives
+    optimally, by dynamic programming over lanes, places and speeds.
+
+    Args:
+        now: the situation.
+        driven: the plans.
+        lanes: in which the plans end, 0 to 2.
     """
     scene, weights, fastest = now.scene, now.weights, jnp.asarray(now.planning.desired_speed, float)
     s, speed, step = driven.states[:, -1, 0] + scene.size[0] / 2, driven.states[:, -1, 3], fastest / (SPEEDS - 1)
@@ -104,7 +112,7 @@ def speed_lost(now: Situation, driven: DrivenPlans, lanes: Lane) -> tuple[Plans,
 
 
 def _others_after(now: Situation, driven: DrivenPlans, centres: Plans) -> tuple[EachCar, EachCar, EachFlag]:
-    """Return where others are after each plan [m], how fast they go along the route [m/s], and in which lanes."""
+    """Return positions [m] and speeds [m/s] of others along the route after each plan, and in which lanes they are."""
     end = driven.end
     along = ((jnp.abs(end.cosine) > CROSSING) | (end.speeds < STANDING_SPEED)) & now.scene.present
     inside = jnp.abs(end.d[:, None] - centres[..., None]) < LANE / 2 + 0.5
@@ -112,9 +120,9 @@ def _others_after(now: Situation, driven: DrivenPlans, centres: Plans) -> tuple[
 
 
 def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
-    """Return minus the loss of speed that is left from each lane, place and speed after a plan [steps of speed].
+    """Return minus the loss of speed from each lane, place and speed on after a plan [steps of speed].
 
-    Places are as far apart as a step of speed goes in a second, so that all ways lead from place to place.
+    Places are as far apart as a step of speed leads in a second, so that the robot moves from place to place.
     """
     scene, weights, fastest = now.scene, now.weights, now.planning.desired_speed
     places, speeds = step * jnp.arange(PLACES), step * jnp.arange(SPEEDS)
@@ -129,15 +137,17 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     room_behind = jnp.minimum(weights.room_behind, weights.headway_behind * fastest)
     ahead = jnp.where((inside > 0.5)[:, None] & (ahead > -reach - room_behind), ahead - reach, FREE_GAP)
     free = ahead.min(axis=-1, keepdims=True)
-    onward = jnp.where(ahead == free, onward, FREE_GAP).min(axis=-1, keepdims=True)  # of whoever is next
+    onward = jnp.where(ahead == free, onward, FREE_GAP).min(axis=-1, keepdims=True)  # of the next car
     closing = jnp.maximum(speeds - jnp.maximum(onward, 0.0), 0.0)
-    coming = weights.away * jnp.maximum(-onward, 0.0)
-    needed = weights.room_ahead + weights.reaction * speeds + coming + closing**2 / (2 * weights.comfort_braking)
+    coming = weights.oncoming_time * jnp.maximum(-onward, 0.0)
+    needed = weights.room_ahead + weights.reaction_time * speeds + coming + closing**2 / (2 * weights.comfort_braking)
     loss = jnp.maximum(jnp.minimum(interpolate(now.caps, places), fastest)[:, None] / step - jnp.arange(SPEEDS), 0.0)
-    hindered = jnp.where((free > needed) & there[..., None], 0.0, weights.blocked)  # [seconds, lanes, places, speeds]
+    hindered = jnp.where(
+        (free > needed) & there[..., None], 0.0, weights.blocked_cost
+    )  # [seconds, lanes, places, speeds]
 
     def back(value: Values, after: tuple[Values, Values]) -> tuple[Values, None]:
-        """Return the values a second earlier: the best change of speed, then of lane into one that is free already."""
+        """Return the values a second earlier: the best change of speed, then the best change to a free lane."""
         value = jnp.pad(value - after[1] - loss, ((0, 0), (0, SPEEDS), (0, 0)), mode="edge")
         value = jnp.stack([value[:, speed : speed + PLACES, speed] for speed in range(SPEEDS)], axis=-1)
         value = jnp.pad(value, ((0, 0), (0, 0), (SLOWER, FASTER)), constant_values=-jnp.inf)

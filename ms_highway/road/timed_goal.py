@@ -1,4 +1,4 @@
-"""Define goals in time: a spot on a lane, when to be there and how fast; and how fast to go until then."""
+"""Define goals in time: a spot on a lane with intervals of time and speed, and the speed on the way there."""
 
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -13,35 +13,35 @@ from ms_highway.geometry.road_map import MAX_ROADS, Spot, road_map
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.driver import RoadDriver
 
-TIME_MARGIN = 2.0  # s, from the ends of the time to be there, at most
-LOOK_AHEAD = 1.0  # s, after which the speed on the way there is desired
-MAX_SPEED_GAIN = 3.0  # m/s, by which it is more than the present one at most
-SPEED_MARGIN = 0.5  # m/s, inside the interval of speeds
-GOAL_WEIGHT = 20.0  # weight of being in the lane in time: more than that others there are slow
-MIN_SPEED = 0.1  # m/s, that is desired
-SOON = 0.1  # s
+TIME_MARGIN = 2.0  # s, largest margin to the ends of the interval of time
+LOOK_AHEAD = 1.0  # s, after which the speed on the way there is taken
+MAX_SPEED_GAIN = 3.0  # m/s, largest excess of the desired speed over the present one
+SPEED_MARGIN = 0.5  # m/s, largest margin to the ends of the interval of speeds
+GOAL_WEIGHT = 20.0  # weight of lane changes to the spot, more than that of slow traffic in its lane
+MIN_SPEED = 0.1  # m/s, lowest desired speed
+SOON = 0.1  # s, shortest time to be there
 CLOSE_TIME, CLOSE_GAP = 1.0, 2.0  # s and m, gap below which a follower counts as close
 GENTLE_BRAKING, STOP_MARGIN = 1.5, 1.0  # m/s^2 and m, of braking before the spot
 
 
 @dataclass(frozen=True)
 class TimedGoal:
-    """A spot to be at within an interval of time.
+    """A spot on a lane where the robot has to be within intervals of time and speed.
 
     Attributes:
         spot: on a lane.
-        position: of it [m].
-        times: interval in which to be there [s].
+        position: of the spot [m].
+        times: interval of the time there [s].
         speeds: interval of the speed there [m/s].
     """
 
     spot: Spot
     position: Point
     times: tuple[float, float]
-    speeds: tuple[float, float] = (0.0, np.inf)
+    speeds: tuple[float, float]
 
     def distance(self, vehicle: Vehicle) -> float:
-        """Return how far the spot is ahead of a vehicle along its lanes [m]; negative behind it."""
+        """Return the distance to the spot along a vehicle's lanes [m], negative if the spot is behind it."""
         roads = road_map(vehicle.road.network)
         own, passed = roads.lanes[vehicle.lane_index], 0.0
         for lane in islice(roads.goal(self.spot).onward(own), MAX_ROADS):
@@ -49,19 +49,19 @@ class TimedGoal:
                 passed += float(lane.shape.local_coordinates(self.position)[0])
                 break
             passed += lane.length
-        else:  # it is behind
+        else:  # the spot is behind
             return self.spot.place - float(roads.lanes[self.spot.lane].shape.local_coordinates(vehicle.position)[0])
         return passed - float(own.shape.local_coordinates(vehicle.position)[0])
 
     def desired_speed(self, vehicle: Vehicle, now: float) -> float:
-        """Return the speed at which to go now to be there in time [m/s].
+        """Return the desired speed of a vehicle on its way to the spot [m/s].
 
         Of the constant accelerations that lead there in time, ``s = v t + a t^2 / 2``, and to an allowed speed there,
-        ``v + a t = 2 s / t - v``, it takes the least, and returns the speed a second later. Who follows closely is not
-        held up as long as the speed can still be reduced before the spot.
+        ``v + a t = 2 s / t - v``, take the smallest; return the speed after a second. The vehicle is no slower than a
+        close follower as long as it can still slow down before the spot.
 
         Args:
-            vehicle: that drives there.
+            vehicle: drives to the spot.
             now: the time [s].
         """
         left, speed = self.distance(vehicle), float(vehicle.speed)
@@ -71,7 +71,7 @@ class TimedGoal:
         ends = self.speeds[1] - within, self.speeds[0] + (within if self.speeds[0] > 0 else 0.0)
         soonest, latest = (2 * max(left, 0.0) / max(speed + end, MIN_SPEED) for end in ends)
         first, last = (max(time - now, SOON) for time in self.times)
-        if max(first, soonest) <= min(last, latest):  # some time allows an allowed speed
+        if max(first, soonest) <= min(last, latest):  # there is a time with an allowed speed
             first, last = max(first, soonest), min(last, latest)
         spare = min((last - first) / 2, TIME_MARGIN)
         time = min(max(left / max(speed, MIN_SPEED), first + spare), last - spare)
@@ -82,11 +82,11 @@ class TimedGoal:
         )
 
     def guide(self, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
-        """Let the next plan of a vehicle's driver be there in time; what follows that counts for nothing.
+        """Let a vehicle's driver plan to be there in time; the speed after that time has no value.
 
         Args:
             driver: of the vehicle.
-            vehicle: that drives there.
+            vehicle: drives to the spot.
             now: the time [s].
         """
         planning, weights = driver.planning, RoadWeights()
@@ -97,16 +97,16 @@ class TimedGoal:
 
 
 RobotGoal: TypeAlias = str | TimedGoal | None
-"""A node of the road network to drive to, or a goal in time, or nothing."""
+"""A node of the road network to drive to, a goal in time, or None."""
 
 
 def destination_for(goal: RobotGoal) -> str | Spot | None:
-    """Return where a goal lies, for `ms_highway.perception.observation.observe_road`."""
+    """Return the place of a goal, for `ms_highway.perception.observation.observe_road`."""
     return goal.spot if isinstance(goal, TimedGoal) else goal
 
 
 def _follower_speed(vehicle: Vehicle) -> float:
-    """Return the speed of who follows a vehicle closely in its lane [m/s], 0 without one."""
+    """Return the speed of a close follower in a vehicle's lane [m/s], 0 without one."""
     _, rear = vehicle.road.neighbour_vehicles(vehicle)
     if rear is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""Relate the road to the robot's route: where others are on it, who crosses it, what lies on it, how fast it may go."""
+"""Relate the traffic to the robot's route: positions on it, crossings, leading cars, obstacles and speed limits."""
 
 from typing import NamedTuple
 
@@ -7,26 +7,26 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
-from ms_highway.perception.scene import Flags, Lane, RoadScene, Steps, Traffic
+from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
 from ms_highway.planning.car_following import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 
 STANDING_SPEED = 1.0
-"""Speed up to which a car stands [m/s]."""
+"""Speed below which a car counts as standing [m/s]."""
 
 ROOM, WAITING = 0.4, 0.8
-"""Distance between bodies that pass, and between the robot that waits and those who cross [m]."""
+"""Distance between bodies that pass each other, and between the waiting robot and crossing cars [m]."""
 
 SHARING, SAME_WAY, CROSSING = 0.85, 0.8, 0.5
-"""Cosines of the angle between a car's path and the robot's route, from which it shares the lane, goes the same way
-and does not cross its way."""
+"""Cosines of the angle between a car's path and the robot's route from which the car shares the lane, goes the same
+way, and is no crossing car."""
 
-PASSED_MARGIN = 1.0  # m, behind the robot's rear axle, where nobody crosses its way any more
+PASSED_MARGIN = 1.0  # m behind the robot's rear axle, from which on nobody crosses its path any more
 BEND_BRAKING = 2.5  # m/s^2, before bends
-OBSTACLE_SIGHT = 30.0  # m ahead, in which obstacles are gone round
-KNOTS_IN_SIGHT = int((BEHIND + OBSTACLE_SIGHT + 10.0) / SPACING)  # of the route, 10 m more: on a loop, not the next lap
-STRIDE = 0.5  # m, between places on ways that may cross: knots move with cars, and lines would jump with knots
+OBSTACLE_SIGHT = 30.0  # m ahead within which the robot passes obstacles
+KNOTS_IN_SIGHT = int((BEHIND + OBSTACLE_SIGHT + 10.0) / SPACING)  # of the route, but not of the next lap of a loop
+STRIDE = 0.5  # m between places on crossing paths: knots move with cars, so waiting lines at knots would jump
 
 
 class Ways(NamedTuple):
@@ -51,35 +51,35 @@ class Crossings(NamedTuple):
     """Where paths of traffic cross the robot's route.
 
     Attributes:
-        places: on the paths [m].
-        s, d: of these places on the route [m]; d is far away where they do not go at an angle to the route, or lie
+        places: positions along the paths [m].
+        s, d: of these places on the route [m]; d is far away where a path is nearly parallel to the route or lies
             behind the robot, and for oncoming vehicles.
-        come: which vehicles come towards the robot in its lane.
-        line: position on the route where the front of the robot waits for those who cross it [m].
-        begin, last: positions on the path where they begin and end to [m]; far away where they never do.
+        oncoming: which vehicles come towards the robot in its lane.
+        line: position on the route where the front of the robot waits for crossing cars [m].
+        begin, last: positions on the path where the crossing begins and ends [m]; far away without one.
     """
 
     places: Steps
     s: Knots
     d: Knots
-    come: Flags
+    oncoming: Flags
     line: Traffic
     begin: Traffic
     last: Traffic
 
     @property
     def exist(self) -> Flags:
-        """Which of the paths cross the route at all."""
+        """Which of the paths cross the route."""
         return self.begin < FREE_GAP
 
 
 class Obstruction(NamedTuple):
-    """What cannot move in the robot's lane.
+    """The obstacles in the robot's lane, taken together.
 
     Attributes:
-        exists: whether there is anything.
-        sides: lateral positions at which the robot passes it on the left and on the right [m].
-        begin, end: positions between which it lies [m].
+        exists: whether there are any.
+        sides: lateral positions at which the robot passes them on the left and on the right [m].
+        begin, end: positions on the route between which they lie [m].
     """
 
     exists: Flag
@@ -89,16 +89,16 @@ class Obstruction(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What all plans of a step are made and judged with.
+    """What all plans of a step share.
 
     Attributes:
         scene: the road.
         planning: limits and wishes.
-        weights: what counts.
-        ways: of the traffic.
-        crossings: of these ways and the route.
-        leading: which vehicles are ahead of the robot, in its lane, and go its way.
-        caps: see `speed_caps`.
+        weights: of the score.
+        ways: paths of the traffic, relative to the route.
+        crossings: of these paths and the route.
+        leading: which vehicles drive ahead of the robot in its lane.
+        caps: highest speeds at the knots of the route, see `speed_caps`.
         obstruction: of the robot's lane.
     """
 
@@ -133,28 +133,28 @@ def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights)
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
-    Vehicles in the robot's lane, and those that merge behind the robot, are not crossing traffic where their ways part:
-    one of them follows the other. Nothing crosses behind the robot.
+    Vehicles in the robot's lane, and those that merge behind the robot, are not crossing traffic even if paths part
+    later: one of them follows the other. Nothing crosses behind the robot.
     """
     places = jnp.arange(-BEHIND, SPACING * ways.s.shape[-1] - BEHIND, STRIDE)
     s, d, apart, cosine = (
         jax.vmap(interpolate, (0, None))(field, places) for field in (ways.s, ways.d, jnp.abs(ways.d), ways.cosine)
     )
     now = int(BEHIND / STRIDE)
-    # Not abs(d): between knots, d may jump to its opposite.
+    # Not abs(d), since the sign of d may change between knots.
     inside = apart < RoadWeights.corridor
     along = inside & (cosine > SHARING)
     joins = along & (s < scene.robot[0]) & (places >= 0)
     shares = along[:, now] | joins.any(axis=-1)
-    come = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0]) & scene.moving
+    oncoming = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0]) & scene.moving
     aslant = (s > scene.robot[0] - PASSED_MARGIN) & (cosine < SHARING) & ~shares[:, None]
     across = inside & aslant
     line = lowest(s[:, 1:], across[:, 1:] & across[:, :-1]) - scene.sizes[:, 1] / 2 - WAITING
-    aside = jnp.where(aslant & ~come[:, None], jnp.sign(d) * apart, FREE_GAP)
-    return Crossings(places, s, aside, come, line, lowest(places, across), highest(places, across))
+    aside = jnp.where(aslant & ~oncoming[:, None], jnp.sign(d) * apart, FREE_GAP)
+    return Crossings(places, s, aside, oncoming, line, lowest(places, across), highest(places, across))
 
 
-def lane_of(values: Knots, lanes: Lane, s: Numbers) -> Numbers:
+def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
     """Interpolate values that each lane has at the knots of the route, for plans that go to one lane each."""
     return jax.vmap(lambda lane, s: interpolate(values[lane], s))(lanes, s)
 
@@ -168,9 +168,9 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Knots:
 
 
 def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
-    """Return what cannot move in the robot's lane, by the corners of bodies in the coordinates of its route.
+    """Find the obstacles in the robot's lane by the corners of bodies in the coordinates of its route.
 
-    Bodies are where they are, and where they will have slid to: ``v' = -v``. Those in the lane count together.
+    Bodies that slide, ``v' = -v``, occupy both their present and their final position.
     """
     along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
     slid = speed * jnp.array([0.0, 1.0])

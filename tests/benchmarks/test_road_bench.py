@@ -1,4 +1,4 @@
-"""Drivers in stock scenes and recordings: measures, faults in collisions, exports and the command."""
+"""Drivers in stock scenes and recordings: figures, faults in collisions, exports and the command."""
 
 import json
 
@@ -11,7 +11,6 @@ from commonroad.common.reader.file_reader_xml import XMLFileReader
 from commonroad.common.solution import CommonRoadSolutionReader
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.benchmarks.road import RECORDED
 from ms_highway.benchmarks.road.episodes import Block, run_episode, summary
@@ -23,15 +22,13 @@ from ms_highway.benchmarks.road.recorded import starts_of
 KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleration", "p50_ms", "p99_ms"}
 
 
-def watched(action, speed, *others, standing=()):
-    """Watch an ego on an empty highway, in its middle lane, among cars (x, y, speed) until it crashes."""
+def watched(action, speed, other):
+    """Watch an ego in the middle lane of an empty highway until it collides with another car (x, y, speed)."""
     env = gym.make("highway-fast-v0", config={"vehicles_count": 0, "simulation_frequency": 15}).unwrapped
     env.reset(seed=0)
     ego = MDPVehicle(env.road, [100.0, 4.0], 0.0, speed, target_speed=speed, target_speeds=[0, 20, 35])
-    env.road.vehicles = [ego, *(Vehicle(env.road, [x, y], 0.0, speed) for x, y, speed in others)]
+    env.road.vehicles = [ego, Vehicle(env.road, other[:2], 0.0, other[2])]
     env.controlled_vehicles = [ego]
-    env.road.objects = [Obstacle(env.road, list(place)) for place in standing]
-    env.road.vehicles[-1].crashed = bool(standing)
     watch = Watch(env)
     for each in [action, "IDLE", "IDLE"]:
         env.step(env.action_type.actions_indexes[each])
@@ -43,15 +40,15 @@ def watched(action, speed, *others, standing=()):
     ("action", "speed", "other", "at_fault"),
     [
         ("IDLE", 20.0, (75.0, 4.0, 35.0), False),  # rear-ended while it keeps its lane
-        ("LANE_RIGHT", 20.0, (86.0, 8.0, 32.0), True),  # right ahead of a faster car
-        ("IDLE", 20.0, (120.0, 4.0, 5.0), True),  # into the car ahead
+        ("LANE_RIGHT", 20.0, (86.0, 8.0, 32.0), True),  # cuts in ahead of a faster car
+        ("IDLE", 20.0, (120.0, 4.0, 5.0), True),  # runs into the car ahead
     ],
 )
-def test_only_a_rear_ended_ego_that_keeps_its_lane_is_not_at_fault(action, speed, other, at_fault):
+def test_only_an_ego_that_keeps_its_lane_and_is_rear_ended_is_not_at_fault(action, speed, other, at_fault):
     assert watched(action, speed, other).at_fault == at_fault
 
 
-def test_the_acceleration_on_a_circle_is_that_of_turning():
+def test_acceleration_and_jerk_on_a_circle_are_those_of_turning():
     angle, radius, speed = 0.5 * np.arange(50) / 15, 20.0, 10.0
     states = np.stack([radius * np.sin(angle), -radius * np.cos(angle), angle, np.full(50, speed)], axis=-1)
     motion = measured(states, 1 / 15)
@@ -97,7 +94,7 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """The directory of a drive and its episode, in which all follow by IDM."""
+    """The directory of an exported drive by IDM, its episode and the name of its start."""
     directory = tmp_path_factory.mktemp("exported")
     shifted = recordings.RECTANGLE.replace("</rec", "<originXShift>-1.5</originXShift></rec")
     cars = recordings.car(100, 60, 0) + recordings.car(101, 40, 3.5, shape=shifted)
@@ -107,7 +104,7 @@ def exported(tmp_path_factory):
     return directory / "idm" / "idm", run_episode(Block(RECORDED, "idm", "idm", (start,), directory), 0), start.name
 
 
-def test_an_exported_scenario_is_the_recording_with_the_others_as_they_drove(exported):
+def test_an_exported_scenario_is_the_recording_with_the_driven_motion_of_others(exported):
     directory, episode, name = exported
     scenario, problems = XMLFileReader(str(directory / f"{name}.xml")).open()
     assert list(problems.planning_problem_dict) == [7]

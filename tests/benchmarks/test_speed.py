@@ -1,4 +1,4 @@
-"""How fast the closed loop is: `ms-highway bench`."""
+"""Speed of the closed loop: `ms-highway bench`."""
 
 import json
 
@@ -7,7 +7,7 @@ from commands import run
 
 
 @pytest.mark.slow
-def test_the_command_times_every_rung_and_switching_live(tmp_path, capsys):
+def test_the_command_times_every_rung_and_switching(tmp_path, capsys):
     run(f"bench merger --set ladder=naive, --json {tmp_path / 'bench.json'}")
     measured = json.loads((tmp_path / "bench.json").read_text())["merger"]
     assert list(measured) == ["naive", "switching:0.6", "switching:0.1"]

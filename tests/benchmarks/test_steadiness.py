@@ -1,4 +1,4 @@
-"""How steady driving is: what a little noise in the start changes."""
+"""Steadiness of driving: what small noise changes."""
 
 import json
 
@@ -11,14 +11,14 @@ from ms_highway.experiments.comparison import Comparison
 NAIVE = Comparison({"merger": ["naive"]}, seeds=8, config={"ladder": ["naive"]})
 
 
-def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_robot_merges():
+def test_a_centimetre_of_noise_in_the_start_of_a_merger_is_forgotten_within_twenty_steps():
     small, usual = changes(NAIVE, "merger", "naive", [1e-3, 1e-2]).values()
     change = usual["change_m"]
     assert 5e-3 < change["1"]["p50"] < 2e-2  # the noise itself
     assert change["20"]["p50"] < change["5"]["p50"] < change["1"]["p50"]
     assert change["20"]["p95"] < 1e-2
     assert usual["growth"] < 1
-    for step in map(str, AFTER):  # the same noise, ten times as much
+    for step in map(str, AFTER):  # the same noise, ten times as large
         assert change[step]["p50"] == pytest.approx(10 * small["change_m"][step]["p50"], rel=0.3)
     assert 0 < small["reward"]["absolute"] < usual["reward"]["absolute"] < 1e-2
     assert usual["reward"]["low"] < usual["reward"]["mean"] < usual["reward"]["high"]
@@ -26,7 +26,7 @@ def test_a_centimetre_in_the_start_is_forgotten_within_twenty_steps_where_the_ro
 
 
 @pytest.mark.slow
-def test_the_command_shows_figures_of_each_noise_in_what_the_robot_sees(tmp_path, capsys, monkeypatch):
+def test_the_command_shows_figures_for_each_noise_in_observations(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "150")
     file = tmp_path / "noise.json"
     run(f"bench merger --noise 1e-5 0.001 --seen --seeds 2 --first-seed 7 --controllers naive --json {file}")

@@ -1,4 +1,4 @@
-"""Curves of all kinds: coordinates lead there and back, by NumPy as by JAX, also beyond the ends and in tight bends."""
+"""Coordinates of curves of all kinds are inverse to each other, in NumPy and in JAX, also beyond the ends."""
 
 from functools import cache
 
@@ -35,12 +35,12 @@ def curve(name):
 
 
 def samples_of(own):
-    """Places of a curve's samples along it [m]."""
+    """S of a curve's samples [m]."""
     return own.start + own.spacing * np.arange(len(own.x))
 
 
 def places(own, number=500):
-    """Places near a curve, some of them beyond its ends, and headings relative to it."""
+    """Random s, d and relative headings near a curve, some of them beyond its ends."""
     random = np.random.default_rng(0)
     s = random.uniform(own.start - 30.0, own.end + 30.0, number)
     farthest = min(6.0, 0.5 / np.abs(own.curvature).max(initial=0.01))
@@ -48,7 +48,7 @@ def places(own, number=500):
 
 
 def apart(own, s, d):
-    """Which places are nearest to where they were put: not those that another end or bend is nearer to."""
+    """Which places are unambiguous: no other part of the curve is nearer."""
     x, y, _ = own.place(s, d)
     beside = np.hypot(x[:, None] - own.x, y[:, None] - own.y)
     beside[np.abs(s[:, None] - samples_of(own)) < 15.0] = np.inf
@@ -56,7 +56,7 @@ def apart(own, s, d):
 
 
 @pytest.mark.parametrize("name", CURVES)
-def test_coordinates_lead_there_and_back_by_numpy_and_by_jax(name):
+def test_places_and_projections_are_inverse_in_numpy_and_in_jax(name):
     own = curve(name)
     s, d, turned = places(own)
     clear = apart(own, s, d)
@@ -79,7 +79,7 @@ def test_beyond_its_ends_a_curve_goes_straight_on(name):
         np.testing.assert_allclose(own.bend(np.array([end + side])), 0.0)
 
 
-def test_through_points_of_a_circle_the_curvature_is_its_own():
+def test_a_curve_through_points_of_a_circle_has_the_circles_curvature():
     angle = np.arange(0.0, 2.0, 0.5 / 15)
     own = Curve.through(15 * np.sin(angle), 15 - 15 * np.cos(angle), spacing=0.5)
     np.testing.assert_allclose(own.curvature, 1 / 15, rtol=0.01)

@@ -1,4 +1,4 @@
-"""Scenes of highway-env's own roads, seen from a driving car."""
+"""Scenes of highway-env's own roads, observed from a driving car."""
 
 from functools import cache
 from itertools import pairwise
@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.perception.observation import observe_road
@@ -20,17 +19,17 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning
 GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
 SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
 KINDS = {"leaders": np.int32, "owners": np.int32}
-KINDS |= dict.fromkeys(("open", "present", "moving"), bool)
+KINDS |= dict.fromkeys(("open", "moving"), bool)
 
 located, placed = jax.jit(Curve.project), jax.jit(jax.vmap(Curve.place))
 
 
 def with_ego(scene, lane=None, at=0.0):
-    """An IDM vehicle in place of the ego vehicle of a scene, at a place on a lane or where that one is."""
+    """An IDM vehicle instead of the ego of a scene, at the same place or at a place on a lane."""
     environment = gym.make(scene).unwrapped
     environment.reset(seed=0)
     old, road = environment.vehicle, environment.road
-    ego = IDMVehicle(road, old.position, old.heading, old.speed if isinstance(old, Vehicle) else 8.0)
+    ego = IDMVehicle(road, old.position, old.heading, old.speed)
     if lane:
         ego = IDMVehicle.make_on_lane(road, lane, at, speed=10.0)
     road.vehicles = [ego if car is old else car for car in road.vehicles]
@@ -42,7 +41,7 @@ def seen_from(scene, lane, at, goal=None):
 
 
 def among(ego, lane, at):
-    """Let there be nobody else than an IDM vehicle at a place on a lane."""
+    """Replace all other vehicles by one IDM vehicle at a place on a lane."""
     other = IDMVehicle.make_on_lane(ego.road, lane, at, speed=8.0)
     ego.road.vehicles = [ego, other]
     return other
@@ -50,7 +49,7 @@ def among(ego, lane, at):
 
 @cache
 def drive(scene, steps=80):
-    """What the ego sees of the road in every frame, its rear axle's pose, its lane, and the positions of all."""
+    """The ego's observation, the pose of its rear axle, its lane, and the positions of all, in every frame."""
     ego, goal, frames = with_ego(scene), GOALS.get(scene), []
     if goal:
         ego.plan_route_to(goal)
@@ -64,7 +63,7 @@ def drive(scene, steps=80):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_have_the_same_shapes(scene):
+def test_in_all_scenes_routes_are_drivable_positions_are_true_and_shapes_are_constant(scene):
     for seen, pose, _, positions in drive(scene)[::3]:
         route, edges = seen.route, seen.edges
         assert (route.x.shape, edges.shape, seen.paths.x.shape) == ((KNOTS,), (2, KNOTS), (TRAFFIC, TRAFFIC_KNOTS))
@@ -78,7 +77,7 @@ def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_h
         chords = np.diff(route.x) + 1j * np.diff(route.y)
         turns = np.angle(chords * np.exp(-0.5j * (route.heading[1:] + route.heading[:-1])))
         assert np.abs(chords) == pytest.approx(2.0, abs=0.02)
-        assert np.abs(turns).max() < 0.1 * 2.0 / 12, "as the curvature's steps allow"
+        assert np.abs(turns).max() < 0.1 * 2.0 / 12
         assert (edges[1] - edges[0] >= 3.9).all()
         np.testing.assert_allclose(located(route, *pose), seen.robot[:3], atol=0.02)
         x, y, _ = placed(seen.paths, *seen.states.T[:2])
@@ -87,7 +86,7 @@ def test_in_all_scenes_routes_can_be_driven_cars_are_where_they_are_and_arrays_h
 
 
 @pytest.mark.parametrize("scene", ["roundabout-v0", "intersection-v2", "merge-v0"])
-def test_a_route_does_not_wobble_while_it_is_driven(scene):
+def test_a_route_stays_the_same_while_it_is_driven(scene):
     for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene)):
         if lane == last or lane[:2] != last[:2]:
             route = before.route
@@ -95,7 +94,7 @@ def test_a_route_does_not_wobble_while_it_is_driven(scene):
             assert np.abs(aside).max() < 0.05
 
 
-def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_closed_to_the_cars_beside_it():
+def test_a_ramp_asks_for_a_change_to_the_left_before_its_end_and_is_closed_to_cars_beside_it():
     seen = seen_from("merge-v0", ("k", "b", 0), 60.0)
     x, (left, own, _) = seen.route.x, seen.open
     assert seen.changes[1] == -1
@@ -107,7 +106,7 @@ def test_a_ramp_that_ends_asks_for_a_change_to_the_left_before_its_end_and_is_cl
     assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
 
 
-def test_cars_before_an_intersection_may_go_several_ways():
+def test_cars_before_an_intersection_may_take_several_paths_unless_their_route_is_known():
     ego = with_ego("intersection-v0", ("o0", "ir0", 0), 80.0)
     among(ego, ("o2", "ir2", 0), 85.0).plan_route_to("o1")
     seen = observe_road(ego, "o1")
@@ -118,4 +117,4 @@ def test_cars_before_an_intersection_may_go_several_ways():
     assert shown.present.sum() == 1
     assert [shown.paths.x[0, -1] < -50.0, shown.paths.y[0, -1]] == [True, pytest.approx(-2.0, abs=0.1)]
     among(ego, ("ir2", "il3", 0), 10.0)
-    assert observe_road(ego, "o1").present.sum() == 1, "it has begun to turn"
+    assert observe_road(ego, "o1").present.sum() == 1  # the car has begun to turn

@@ -1,10 +1,10 @@
-"""How humans answer the robot on any road."""
+"""How humans respond to the robot on any road."""
 
 import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import NOBODY, PLANNING, judged, scene_of
+from roads import PLANNING, judged, scene_of
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
@@ -17,37 +17,36 @@ from ms_highway.road.best_responses import ACCELERATION_UNIT, Commuter, commuter
 TIMES = np.asarray(PLANNING.times)
 
 
-def robot_at(s, speed, d=0.0):
-    """World trajectory on a straight road."""
-    return jnp.stack(jnp.broadcast_arrays(*map(jnp.float32, (s, d, 0.0)), jnp.asarray(speed, jnp.float32)))
+CUT_IN = np.minimum(-4 + 2 * TIMES, 0)  # lateral positions
+
+
+def robot_from(place, d=0.0, acceleration=0.0):
+    """Trajectory of the robot on a straight road, at 20 m/s at first."""
+    s = place + 20 * TIMES + acceleration * TIMES**2 / 2
+    return jnp.stack(jnp.broadcast_arrays(*map(jnp.float32, (s, d, 0.0, 20 + acceleration * TIMES))))
 
 
 def keeping_velocity(scene):
-    """World trajectories of others who keep their velocity."""
-    return judged(scene, np.zeros((1, PLANNING.steps, 2)), [1], NOBODY)[0].world[0]
+    """Trajectories of others that keep their velocity."""
+    return judged(scene, np.zeros((1, PLANNING.steps, 2)), [1])[0].world[0]
 
 
 @jax.jit
-def answer(scene, robot, others):
+def respond(scene, robot, others):
     return ACCELERATION_UNIT * commuter_among(scene, PLANNING, 0, robot, others).best_response()
 
 
-AWAY = robot_at(-500 + 20 * TIMES, 20.0 + 0 * TIMES)
-
-
-def answered(scene, robot):
-    return np.asarray(answer(scene, robot, keeping_velocity(scene)))
-
-
-BUSY = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
+def response(scene, robot):
+    """Accelerations of the first car."""
+    return np.asarray(respond(scene, robot, keeping_velocity(scene)))
 
 
 def busy_human():
-    cut_in = robot_at(8 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
-    return jax.jit(commuter_among)(BUSY, PLANNING, 0, cut_in, keeping_velocity(BUSY))
+    scene = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
+    return jax.jit(commuter_among)(scene, PLANNING, 0, robot_from(8, CUT_IN), keeping_velocity(scene))
 
 
-def test_the_reward_is_the_commuters_on_a_straight_road():
+def test_the_reward_is_that_of_commuters_on_a_straight_road():
     human = busy_human()
     learned = linear_reward(commuter_weights(), 30.0)
     scene = Scene(jnp.zeros(1), 4.0, jnp.zeros((0, 2)), jnp.ones(2), jnp.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
@@ -75,17 +74,15 @@ def test_its_derivatives_are_exact():
         np.testing.assert_allclose(part, exact, atol=1e-4 * np.abs(exact).max())
 
 
-def test_a_human_behind_a_braking_robot_brakes_and_one_beside_a_cut_in_slows():
+def test_a_human_brakes_behind_a_braking_robot_and_slows_for_a_robot_that_cuts_in():
     scene = scene_of(cars=[(0.0, 0, 20.0)])
-    braking = robot_at(20 + 20 * TIMES - 2 * TIMES**2, 20 - 4 * TIMES)
-    assert answered(scene, braking).mean() < -1.0
-    cut_in = robot_at(10 + 20 * TIMES, 20.0 + 0 * TIMES, jnp.asarray(np.minimum(-4 + 2 * TIMES, 0)))
-    beside = robot_at(10 + 20 * TIMES, 20.0 + 0 * TIMES, -4.0)
-    assert -6.0 < answered(scene, cut_in)[:5].mean() < answered(scene, beside)[:5].mean() - 0.5
+    assert response(scene, robot_from(20, acceleration=-4.0)).mean() < -1.0
+    cut_in, beside = (response(scene, robot_from(10, d))[:5].mean() for d in (CUT_IN, -4.0))
+    assert -6.0 < cut_in < beside - 0.5
 
 
-def test_a_human_stops_behind_a_standing_car_that_it_would_drive_through():
+def test_a_human_stops_behind_a_standing_car():
     scene = scene_of(cars=[(-30.0, 0, 15.0), (2.0, 0, 0.0)])
-    speed = 15.0 + np.cumsum(answered(scene, AWAY)) * PLANNING.time_step
+    speed = 15.0 + np.cumsum(response(scene, robot_from(-500))) * PLANNING.time_step
     assert -30.0 + speed.sum() * PLANNING.time_step < 2.0 - 5.0
     assert speed.min() > -1e-3

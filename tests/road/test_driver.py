@@ -1,4 +1,4 @@
-"""The robot's driver on roads: what it records, how it chooses models, and what it does when a plan fails."""
+"""The robot's driver on roads: late plans, compilation, and plans that fail."""
 
 from dataclasses import replace
 
@@ -10,20 +10,18 @@ from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.constants import MODELS, RoadWeights
 from ms_highway.road.settings import RoadSettings
 
-COSTS = {"idm": 0.1, "tom": 3.0}
 SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
-PLANS = ("proposal", "last plan")
 
 
-def driver(name="fixed:naive", planning=PLANNING, costs=COSTS):
-    return RoadSettings.read({"driver": name, "costs": costs}).build(planning)
+def driver(name="fixed:naive", planning=PLANNING):
+    return RoadSettings.read({"driver": name, "costs": {"idm": 0.1, "tom": 3.0}}).build(planning)
 
 
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
-    late, usual = driver("budget:0"), driver("fixed:naive")
+    late, usual = driver("budget:0"), driver()
     steps = [late.step(SCENE) for _ in range(3)]
-    first, second = usual.step(SCENE), usual.step(SCENE)
+    first, second = (usual.step(SCENE) for _ in range(2))
     assert [step.status for step in steps] == ["late"] * 3
     assert [step.source for step in steps] == ["braking", "last plan", "last plan"]
     assert not any(step.failed for step in steps)
@@ -45,7 +43,7 @@ def test_nothing_compiles_after_the_first_step(caplog):
     assert not [record for record in caplog.records if "compilation" in record.getMessage()]
 
 
-def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_brakes():
+def test_if_plans_are_not_finite_the_robot_follows_the_rest_of_the_last_plan_and_then_brakes():
     unknown = np.where(np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states)
     robot = driver()
     assert robot.step(BLIND).source == "braking"
@@ -57,4 +55,4 @@ def test_where_a_plan_is_not_finite_the_rest_of_the_last_one_drives_and_then_bra
     for step, control in zip(steps, first.plan[1:], strict=False):
         np.testing.assert_allclose(step.control, control, atol=1e-6)
     np.testing.assert_array_equal(steps[-1].control, [0.0, -PLANNING.grip])
-    assert robot.step(SCENE).source in PLANS
+    assert robot.step(SCENE).source in ("proposal", "last plan")

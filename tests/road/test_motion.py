@@ -1,25 +1,16 @@
-"""How the robot moves in road coordinates: as highway-env's cars do, and within what tyres hold."""
+"""The robot moves in road coordinates like highway-env's cars."""
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 from highway_env.vehicle.kinematics import Vehicle
-from jax import numpy as jnp
 from roads import PLANNING, execute, scene_of
 
 from ms_highway.road.robot import steering_of
 from ms_highway.road.simulation import bodies
 
 LENGTH = Vehicle.LENGTH
-
-
-@jax.jit
-def driven(scene, planning, controls):
-    """States, controls within limits, and x, y and heading of the centre [steps, 3]."""
-    states, held = execute(scene, planning, controls)
-    return states, held, jnp.stack(bodies(scene, states), axis=-1)
 
 
 def of_highway_env(speed, controls, dt):
@@ -33,12 +24,14 @@ def of_highway_env(speed, controls, dt):
 
 
 @pytest.mark.parametrize("bend", [0.0, 1 / 20, -1 / 60])
-def test_in_fine_steps_the_robot_goes_where_highway_envs_car_goes_on_any_road(bend):
+def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_any_road(bend):
     often = replace(PLANNING, time_step=0.005)
     turns = np.stack([np.linspace(0.12, -0.06, 800), np.linspace(1.0, -2.0, 800)], axis=-1).astype(np.float32)
-    states, held, centres = driven(scene_of(bend, robot=(0.0, 0.0, 0.0, 6.0)), often, turns)
+    scene = scene_of(bend, robot=(0.0, 0.0, 0.0, 6.0))
+    states, held = execute(scene, often, turns)
+    centres = np.stack(bodies(scene, states), axis=-1)
     theirs = of_highway_env(6.0, held, 0.005)
     assert np.hypot(*theirs[-1, :2]) > 10.0
-    assert np.hypot(*(np.asarray(centres) - theirs[:, :3]).T[:2]).max() < 0.05
+    assert np.hypot(*(centres - theirs[:, :3]).T[:2]).max() < 0.05
     np.testing.assert_allclose(centres[:, 2], theirs[:, 2], atol=0.01)
     np.testing.assert_allclose(states[:, 3], theirs[:, 3], atol=1e-3)

@@ -1,4 +1,4 @@
-"""What lies in the robot's lane and cannot move, and plans that go round it."""
+"""Obstacles in the robot's lane, and plans that pass them."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def planned(scene, last=None):
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_back_to_its_lane(side):
+def test_the_robot_passes_an_obstacle_in_a_bend_on_the_shorter_side_and_returns_to_its_lane(side):
     scene = wrecked(scene_of(bend=1 / 60, robot=(0.0, 0.0, 0.0, 8.0), cars=[(24.0, -0.5 * side, 0.0)], limit=10.0), 0)
     states, last = [], no_plan(PLANNING)
     for _ in range(30):
@@ -35,14 +35,14 @@ def test_it_passes_on_the_side_where_the_way_is_shorter_in_a_bend_too_and_goes_b
         assert not plan.broken
         states.append(scene.robot)
         moved, _ = execute(scene, SLOW, np.asarray(plan.controls)[:1])
-        scene, last = replace(scene, robot=np.asarray(moved)[0]), plan.handed_on()
+        scene, last = replace(scene, robot=np.asarray(moved)[0]), plan.rest()
     s, d, *_ = np.array(states).T
     assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
     assert s[-1] > 40.0
     assert abs(d[-1]) < 0.3
 
 
-def test_a_plan_waits_behind_a_wreck_while_somebody_comes_and_leaves_room_to_go_round_it():
+def test_a_plan_waits_behind_a_wreck_for_an_oncoming_car_and_leaves_room_to_turn_round_the_wreck():
     plan = planned(coming(wrecked(country_road((26.0, 0, 0.0), (48.0, -1, 8.0)), 0), 1))
     x, y = np.asarray(plan.path)[:, :2].T
     assert abs(y).max() < 1.0

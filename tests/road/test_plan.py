@@ -13,21 +13,10 @@ from ms_highway.road.driver import plan_of as planned
 from ms_highway.road.plan import no_plan
 from ms_highway.road.simulation import bodies
 
-STEPS = PLANNING.steps
-MEMORY = no_plan(PLANNING)
-
-
-def everybody(name):
-    return np.full(TRAFFIC, MODELS.index(name), np.int32)
-
 
 def plan_of(scene, name="idm"):
-    return planned(scene, PLANNING, WEIGHTS, everybody(name), MEMORY)
-
-
-def accelerating(scene, *accelerations):
-    """The scene, with accelerations of others since the last look."""
-    return replace(scene, accelerations=np.pad(np.float32(accelerations), (0, TRAFFIC - len(accelerations))))
+    """The best plan if one model predicts everybody."""
+    return planned(scene, PLANNING, WEIGHTS, np.full(TRAFFIC, MODELS.index(name), np.int32), no_plan(PLANNING))
 
 
 def between(scene, left, right):
@@ -36,18 +25,22 @@ def between(scene, left, right):
 
 
 def asked(*cars):
-    """The goal asks for the right lane."""
+    """A road on which the goal asks for the right lane."""
     return replace(scene_of(cars=cars), changes=np.float32([2.0, 1.0, 0.0]), room=np.float32(60.0))
 
 
 SLOW, BESIDE = (25.0, 0, 12.0), [(place, lane, 14.0) for place in (0.0, 12.0) for lane in (-1, 1)]
 CIRCLE = scene_of(bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)])
-SCENES = {  # and, on straight roads, lanes to the right where the robot goes, and its speed then
+SCENES = {  # with the final lane of the robot, counted to the right, and its final speed
     "a free road": (scene_of(), 0, 29.2),
     "a slow car ahead": (scene_of(cars=[SLOW]), 1, 29.9),
     "a slow car ahead and cars on both sides": (scene_of(cars=[SLOW, *BESIDE]), 0, 14.3),
-    "a slow car ahead, and who comes": (between(coming(scene_of(cars=[SLOW, (120, -1, 20.0)]), 1), -1.5, 0.5), 0, 19.8),
-    "a slow car ahead, and nobody comes": (between(scene_of(cars=[SLOW]), -1.5, 0.5), -1, 29.9),
+    "a slow car ahead, and an oncoming car": (
+        between(coming(scene_of(cars=[SLOW, (120, -1, 20.0)]), 1), -1.5, 0.5),
+        0,
+        19.8,
+    ),
+    "a slow car ahead, and no oncoming car": (between(scene_of(cars=[SLOW]), -1.5, 0.5), -1, 29.9),
     "a goal to the right": (asked(), 1, 29.2),
     "a goal to the right among others": (asked(*((place, 1, 20.0) for place in (-12.0, 0.0, 12.0))), 0, 29.2),
     "standing cars in all lanes": (scene_of(cars=[(70.0, lane, 0.0) for lane in (-1, 0, 1)]), 0, 14.3),
@@ -56,7 +49,7 @@ SCENES = {  # and, on straight roads, lanes to the right where the robot goes, a
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_plans_go_where_they_should_and_keep_within_the_limits_of_the_car_under_every_model(name):
+def test_under_every_model_plans_reach_the_right_lane_within_the_limits_of_the_car(name):
     scene, lane, speed = SCENES[name]
     for model in MODELS:
         plan = plan_of(scene, model)
@@ -71,7 +64,7 @@ def test_plans_go_where_they_should_and_keep_within_the_limits_of_the_car_under_
             assert speed is None or states[-1, 3] == pytest.approx(speed, abs=0.5)
 
 
-def test_before_a_wall_of_cars_the_best_plan_brakes_hardest_and_says_that_it_breaks_a_constraint():
+def test_before_a_wall_of_cars_the_best_plan_brakes_hardest_and_is_marked_as_broken():
     plan = plan_of(scene_of(cars=[(28.0, lane, 0.0) for lane in (-1, 0, 1)]))
     assert plan.broken
     assert plan.controls[0, 1] < -0.95 * PLANNING.grip
@@ -86,9 +79,10 @@ def final_place(scene, name):
 
 
 def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_in():
-    kept = -14.0 + 26.0 * STEPS * PLANNING.time_step
+    kept = -14.0 + 26.0 * PLANNING.steps * PLANNING.time_step
     assert final_place(CUT_IN, "naive") == pytest.approx(kept, abs=0.05)
-    braking = final_place(accelerating(CUT_IN, -6.0), "tom")  # as its model says
+    observed = np.where(np.arange(TRAFFIC) == 0, -6.0, 0.0).astype(np.float32)  # as its model predicts
+    braking = final_place(replace(CUT_IN, accelerations=observed), "tom")
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
     assert final_place(beside, "tom") > braking + 1.0

@@ -1,4 +1,4 @@
-"""Proposals: driven within limits, in traffic that keeps its speed or follows as highway-env's does."""
+"""Proposals keep within the limits of the car, and traffic follows as in highway-env."""
 
 from dataclasses import replace
 
@@ -11,10 +11,10 @@ from roads import (
     NOBODY,
     PLANNING,
     PLANS,
+    behaving,
     driven_and_judged,
     execute,
     scene_of,
-    told,
     winding,
 )
 
@@ -28,10 +28,10 @@ STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
 
 
-def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, ordered=NOBODY, accelerations=0.0):
-    """All proposals, and how they turn out."""
-    plans = PLANS._replace(controls=np.tile(np.asarray(last, np.float32), (PROPOSALS, 1, 1)))
-    return plans, driven_and_judged(scene, PLANNING, told(follows, ordered, accelerations), plans)[0]
+def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, acceleration=0.0):
+    """All proposals, simulated."""
+    plans = PLANS._replace(controls=np.tile(last, (PROPOSALS, 1, 1)))
+    return driven_and_judged(scene, PLANNING, behaving(follows, acceleration), plans)[0]
 
 
 def before_a_bend(speed, ahead):
@@ -50,12 +50,11 @@ SCENES = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
-    wild = np.random.default_rng(0).normal(size=(STEPS, 2)).astype(np.float32) * [0.3, 10]
+    wild = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.3, 10]).astype(np.float32)
     scene = SCENES[name]
-    rollouts = proposed(scene, FOLLOWING, wild)[1]
+    rollouts = proposed(scene, FOLLOWING, wild)
     states, (curvature, acceleration) = np.asarray(rollouts.states), np.moveaxis(np.asarray(rollouts.controls), -1, 0)
-    start = np.full((PROPOSALS, 1), scene.robot[3])
-    before = np.concatenate([start, states[:, :-1, 3]], axis=1)
+    before = np.insert(states[:, :-1, 3], 0, scene.robot[3], axis=1)
     assert np.hypot(before**2 * curvature, acceleration).max() <= GRIP + 1e-4
     assert np.abs(curvature).max() <= PLANNING.curvature
     assert states[..., 3].min() > -1e-6
@@ -64,26 +63,25 @@ def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
 
 
 @pytest.mark.parametrize(("gap", "speed"), [(20.0, 20.0), (10.0, 10.0)])
-def test_who_follows_at_a_distance_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed):
+def test_a_plan_that_follows_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
-    plans, rollouts = proposed(scene, ordered=np.arange(TRAFFIC) == 0, accelerations=-6.0)
-    own = np.asarray(plans.follows & ~plans.closes & (plans.lane == 1))
+    rollouts, own = proposed(scene, acceleration=-6.0), PLANS.follows & ~PLANS.closes & (PLANS.lane == 1)
     assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
 
 
-def theirs(speed, wanted, distance, ahead):
-    """Acceleration of highway-env's IDMVehicle at a distance of centres to the car ahead, limited as its own is."""
+def theirs(speed, distance, ahead):
+    """Acceleration of highway-env's IDMVehicle, within its own limits, at a distance of centres to the car ahead."""
     road = Road(RoadNetwork.straight_road_network(1, speed_limit=50.0))
-    car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=wanted)
+    car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=speed)
     other = IDMVehicle(road, [100.0 + distance, 0.0], 0.0, ahead)
     return np.clip(car.acceleration(car, other), -IDMVehicle.ACC_MAX, IDMVehicle.COMFORT_ACC_MAX)
 
 
 @pytest.mark.parametrize(("speed", "ahead", "distance"), [(25.0, 22.0, 60.0), (22.0, 25.0, 30.0)])
-def test_predictions_of_who_follows_are_highway_envs_behind_others_and_behind_the_robot(speed, ahead, distance):
+def test_followers_are_predicted_as_highway_env_moves_them_behind_others_and_behind_the_robot(speed, ahead, distance):
     led = scene_of(cars=[(40.0, 1, speed), (40.0 + distance, 1, ahead)])
     led.leaders[0], led.gaps[0] = 1, distance
     behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
     for scene in (led, behind):
-        speeds = np.asarray(proposed(scene, FOLLOWING)[1].speeds)[LAST_PLAN]
-        assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, speed, distance, ahead), abs=5e-3)
+        speeds = np.asarray(proposed(scene, FOLLOWING).speeds)[LAST_PLAN]
+        assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, distance, ahead), abs=5e-3)

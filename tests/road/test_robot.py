@@ -1,4 +1,4 @@
-"""What the robot's car does with controls, whatever they are."""
+"""The robot's car keeps within its grip, whatever its driver does."""
 
 from types import SimpleNamespace
 
@@ -10,27 +10,12 @@ from highway_env.road.road import Road, RoadNetwork
 from ms_highway.road.robot import GRIP, RoadRobot
 
 
-class Wild:
-    """A driver that draws its controls, up to some curvature and acceleration either way."""
-
-    def __init__(self, curvature, acceleration):
-        self.random, self.largest, self.calls = np.random.default_rng(0), np.array([curvature, acceleration]), 0
-
-    def step(self, scene):
-        self.calls += 1
-        return SimpleNamespace(control=self.random.uniform(-1, 1, 2) * self.largest)
-
-
-def robot_on_a_road(speed, driver=None):
-    robot = RoadRobot(Road(RoadNetwork.straight_road_network(3, length=10_000)), [100.0, 4.0], 0.0, speed)
-    robot.drive_with(driver)
-    return robot
-
-
 @pytest.mark.parametrize("frequency", [5, 15])
 @pytest.mark.parametrize("speed", [0.0, 3.0, 16.0, 30.0])
 def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(speed, frequency):
-    robot, last = robot_on_a_road(speed, Wild(0.5, 20.0)), None
+    robot = RoadRobot(Road(RoadNetwork.straight_road_network(3, length=10_000)), [100.0, 4.0], 0.0, speed)
+    random, last = np.random.default_rng(0), None
+    robot.drive_with(SimpleNamespace(step=lambda _: SimpleNamespace(control=random.uniform(-1, 1, 2) * [0.5, 20.0])))
     for _ in range(100):
         robot.act()
         before, start = robot.velocity, robot.position.copy()

@@ -1,4 +1,4 @@
-"""Which model predicts whom on a road: what answers may be worth, against prices and budgets."""
+"""Choice of a model for each car on a road: bounds on gains, prices and budgets."""
 
 from dataclasses import replace
 
@@ -13,33 +13,26 @@ from ms_highway.road.driver import decided, proposed_for
 from ms_highway.road.plan import no_plan
 from ms_highway.road.settings import RoadSettings
 
-COSTS = Costs(0.004, np.array([0.0, 0.0001, 0.003]))
-GAINS = np.array([0.0, 5.0, 0.2, 30.0, 1e-3, 0.0, 2.0])
 
-
-def gains_of(scene):
-    nobody = np.zeros(TRAFFIC, np.int32)
-    return np.asarray(proposed_for(scene, PLANNING, WEIGHTS, nobody, no_plan(PLANNING)).worth)
-
-
-def test_the_answer_of_a_car_that_is_in_the_way_and_could_yield_is_worth_something():
+def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_prediction():
     """The goal asks for the lane in which a car comes from behind."""
     scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
     scene = replace(scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0))
-    gains = gains_of(scene)
+    naive = np.zeros(TRAFFIC, np.int32)
+    gains = proposed_for(scene, PLANNING, WEIGHTS, naive, no_plan(PLANNING)).worth
     assert gains[0] > 0
     np.testing.assert_array_equal(gains[1:], 0.0)
 
 
-def chosen(driver, costs, gains=GAINS, spent=0.0, ladder=MODELS):
+def chosen(driver, costs, gains, spent=0.0):
     """Numbers of the models that a driver's rule chooses."""
-    rule = RoadSettings.read({"driver": driver, "ladder": ladder}).rule(costs).deciding_in(lambda: spent)
-    rungs = decided(rule, None, first_memory(rule, len(gains)), gains.astype(np.float32)).memory.rungs
-    return np.array([MODELS.index(model.name) for model in rule.ladder])[rungs]
+    rule = RoadSettings.read({"driver": driver}).rule(costs).deciding_in(lambda: spent)
+    return np.asarray(decided(rule, None, first_memory(rule, len(gains)), gains.astype(np.float32)).memory.rungs)
 
 
 def test_a_higher_price_never_buys_a_more_expensive_model():
-    found = np.array([chosen(f"priced:{price}", COSTS) for price in np.geomspace(1, 1e6, 30)])
+    costs, gains = Costs(0.004, np.array([0.0, 0.0001, 0.003])), np.array([0.0, 5.0, 0.2, 30.0, 1e-3, 0.0, 2.0])
+    found = np.array([chosen(f"priced:{price}", costs, gains) for price in np.geomspace(1, 1e6, 30)])
     assert (np.diff(found, axis=0) <= 0).all()
     assert len(np.unique(found[:, 3])) == len(MODELS)
 

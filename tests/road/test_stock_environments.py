@@ -1,4 +1,4 @@
-"""Human drivers as the other vehicles of highway-env's own environments."""
+"""Human drivers as the other vehicles of stock environments."""
 
 from copy import deepcopy
 
@@ -23,13 +23,13 @@ def humans_in(name, seed=0, **config):
     config = {"other_vehicles_type": "ms_highway.vehicle.HumanVehicle"} | config
     environment = gym.make(name, config=config).unwrapped
     environment.reset(seed=seed)
-    if name == "merge-v0":  # where the ego brakes for nobody, and would be half as fast again as the limit
+    if name == "merge-v0":  # the ego would drive at 30 m/s and brake for nobody
         environment.vehicle.speed = environment.vehicle.target_speed = 20.0
     return environment
 
 
 def drive(environment, steps):
-    """Drive with an idle ego until the episode ends; the humans after each step."""
+    """Drive with an idle ego until the episode ends, and yield the humans after each step."""
     for _ in range(steps):
         _, _, terminated, truncated, _ = environment.step(IDLE)
         yield [car for car in environment.road.vehicles if isinstance(car, HumanVehicle)]
@@ -63,15 +63,17 @@ def test_a_human_on_a_ramp_merges_before_it_ends(kind):
         environment = humans_in("merge-v0", seed, other_vehicles_type=f"ms_highway.vehicle.{kind}")
         merging = environment.road.vehicles[-1]
         *_, _ = drive(environment, 25)
-        assert merging.position[0] > 320.0  # where the ramp ends there is an obstacle, at 310 m
+        assert merging.position[0] > 320.0  # past the obstacle at the end of the ramp, at 310 m
         assert merging.lane_index[:2] == ("c", "d")
         assert not merging.crashed
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_humans_plan_keep_to_what_tyres_hold_and_never_reverse_in_every_stock_environment(name):
-    planned = 0
-    for humans in drive(humans_in(f"{name}-v0", policy_frequency=5), 10):
+def test_in_every_stock_environment_humans_plan_within_tyres_never_reverse_and_can_be_copied(name):
+    environment, planned = humans_in(f"{name}-v0", policy_frequency=5), 0
+    environment.step(IDLE)
+    twin = deepcopy(environment)
+    for humans in drive(environment, 9):
         for human in (human for human in humans if human.last_step and not human.crashed):
             planned += 1
             assert human.last_step.status == "planned"
@@ -80,10 +82,13 @@ def test_humans_plan_keep_to_what_tyres_hold_and_never_reverse_in_every_stock_en
             assert total < 8.0 * 1.1  # the speed is that after it
             assert human.speed >= -1e-9
     assert planned > 0
+    *_, _ = drive(twin, 9)
+    for car, other in zip(environment.road.vehicles, twin.road.vehicles, strict=True):
+        np.testing.assert_allclose(car.position, other.position)
 
 
 def collisions(name, kind, seeds):
-    """Episodes of cars of one kind only, the ego too, in which some of them collide."""
+    """Number of episodes with a collision if all cars, the ego included, are of one kind."""
     environment, found = humans_in(name, other_vehicles_type=f"{kind.__module__}.{kind.__name__}"), 0
     for seed in range(seeds):
         environment.reset(seed=seed)
@@ -97,14 +102,3 @@ def collisions(name, kind, seeds):
 @pytest.mark.parametrize("name", ["roundabout-v0", "intersection-v0"])
 def test_humans_among_themselves_collide_less_often_than_highway_envs_drivers(name):
     assert collisions(name, HumanVehicle, 4) < collisions(name, IDMVehicle, 4)
-
-
-def test_an_environment_with_humans_in_it_can_be_copied():
-    environment = humans_in("highway-v0", vehicles_count=3, duration=4)
-    environment.step(IDLE)
-    twin = deepcopy(environment)
-    for _ in range(2):
-        environment.step(IDLE)
-        twin.step(IDLE)
-    for car, other in zip(environment.road.vehicles, twin.road.vehicles, strict=True):
-        np.testing.assert_allclose(car.position, other.position)

@@ -1,6 +1,6 @@
-"""Drive stock scenes of highway-env with this package's drivers and with peers, in the same episodes, and measure both.
+"""Compare drivers of this package and others in stock scenes of highway-env, from the same starts.
 
-Imports what `ms_highway.benchmarks` may import; its names, here, import nothing that computes.
+Imports what `ms_highway.benchmarks` may import. This module itself holds names only, and imports nothing heavy.
 """
 
 import re
@@ -11,22 +11,22 @@ SCENES = (
     *("intersection-v2", "intersection-v1", "intersection-v0", "two-way-v0", "u-turn-v1", "u-turn-v0"),
     *("racetrack-v1", "racetrack-v0"),
 )
-"""Stock scenes that are measured by default, in all versions, the newest first."""
+"""Stock scenes that are measured by default: all versions, the newest first."""
 
 OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 
 RECORDED = "recorded"
-"""The scene of recorded traffic, with kinds of traffic and drivers of its own."""
+"""Name of the scene of recorded traffic, which has kinds of traffic and a driver of its own."""
 
 RECORDED_ID = "ms_highway:ms-highway/recorded-v0"
 RECORDED_TRAFFIC = ("learned", "replay", "idm")
 EGOS = ("problem", "changing")
 
 INTENTIONS = "+intentions"
-"""End of the names of drivers that see which way others take."""
+"""Suffix of the names of drivers that know the routes of others."""
 
 HUMAN = "human"
-"""The driver that goes as the vehicle was recorded to whose place the ego takes."""
+"""Name of the driver that repeats the recorded drive of the vehicle that the ego replaces."""
 
 DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:tom", "idm")
 """Drivers that are measured by default."""
@@ -36,14 +36,14 @@ TRAFFIC = {
     "aggressive": "highway_env.vehicle.behavior.AggressiveVehicle",
     "commuter": "ms_highway.vehicle.CommuterVehicle",
 }
-"""Types of other vehicles, by name."""
+"""Types of other vehicles in stock scenes, by name."""
 
 
 def known_scenes(names: Iterable[str]) -> list[str]:
     """Return identifiers of scenes, each once; a name without a version stands for all versions, the newest first.
 
     Raises:
-        ValueError: for one that is not known.
+        ValueError: for an unknown scene.
     """
     scenes, every = [], (*SCENES, *OTHER_SCENES, RECORDED)
     for name in names:
@@ -55,5 +55,5 @@ def known_scenes(names: Iterable[str]) -> list[str]:
 
 
 def driver_config(name: str) -> dict:
-    """Return the configuration for `ms_highway.drive` of a driver of this package, such as ``priced:2+intentions``."""
+    """Return the configuration that `ms_highway.drive` takes for a driver's name, such as ``priced:2+intentions``."""
     return {"driver": name.removesuffix(INTENTIONS), "intentions": name.endswith(INTENTIONS)}

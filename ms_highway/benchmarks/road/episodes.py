@@ -29,24 +29,24 @@ from ms_highway.runtime import retired
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 UNPHYSICAL_ACCELERATION = 10.0
-"""Acceleration [m/s^2] that no tyres hold."""
+"""Acceleration that exceeds the grip of tyres [m/s^2]."""
 
-MAX_DURATION = 60.0  # s, after which an episode ends in scenes that have no end of their own: a car may stand still
+MAX_DURATION = 60.0  # s, after which an episode ends in scenes without a time limit
 FRAMES_PER_SECOND = 10  # of films, at most
-MAX_FILM_HEIGHT = 360  # px, of films: pages load them
+MAX_FILM_HEIGHT = 360  # px, as web pages load films
 
 OTHERS: dict[str, type[Peer]] = {"idm": Idm, HUMAN: Human}
-"""Wrappers of the drivers that are not this package's own, by name."""
+"""Wrappers of drivers from outside this package, by name."""
 
 
 class Block(NamedTuple):
-    """Episodes that belong together.
+    """Episodes of one driver in one scene.
 
     Attributes:
         scene: identifier of a stock environment, or `ms_highway.benchmarks.road.RECORDED`.
-        driver: name of what drives the ego.
+        driver: name of the driver.
         traffic: a name of `ms_highway.benchmarks.road.TRAFFIC`, or of ``RECORDED_TRAFFIC``.
-        starts: in recordings, of which the seeds are numbers.
+        starts: in recordings; seeds are their indices.
         exports: directory for drives in recordings, None to write none.
     """
 
@@ -62,11 +62,11 @@ class Block(NamedTuple):
 
 
 def check_driver(name: str) -> None:
-    """Refuse a driver that is not known.
+    """Refuse an unknown driver.
 
     Raises:
-        ModuleNotFoundError: if an agent needs what is not installed.
-        ValueError: naming those that are.
+        ModuleNotFoundError: for an agent, without stable-baselines3.
+        ValueError: for an unknown driver; it names the known ones.
     """
     gone = retired.replacement(retired.DRIVERS, *name.split("+"))
     if is_agent(name):
@@ -82,10 +82,10 @@ def check_driver(name: str) -> None:
 
 
 def make_driver(block: Block, **options: Any) -> gym.Env:
-    """Make an environment that drives itself: its ``step`` ignores the action.
+    """Make an environment with its driver; its ``step`` ignores the action.
 
     Args:
-        block: says what drives where.
+        block: scene, driver and traffic.
         options: of ``gym.make``.
     """
     scene, config = block.scene, {"other_vehicles_type": TRAFFIC.get(block.traffic)}
@@ -107,29 +107,29 @@ _kept_driver = cache(make_driver)
 def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> dict:
     """Drive one episode.
 
-    It is no success after a crash. Where the scene has a goal, `ms_highway.road.stock.success` decides at its end;
-    elsewhere, the ego has stayed on the road in all frames.
+    Success means: no crash, and the goal is reached at the end, see `ms_highway.road.stock.success`; in scenes without
+    a goal, no crash, and the ego stayed on the road in all frames.
 
     Args:
-        block: says what drives where.
+        block: scene, driver and traffic.
         seed: of the start.
-        env: what `make_driver` returned for the block; by default, one that this process keeps.
-        then: is called after every frame.
+        env: environment made by `make_driver` for the block; by default, one that this process keeps.
+        then: function to call after every frame.
 
     Returns:
-        * ``seed``, ``success``; ``crashed``, and ``at_fault`` if the ego has crashed and is at fault; ``off_road``,
-          whether it has left the road;
-        * ``steps`` of the environment, ``reward``, the sum over all of them;
-        * how it moved until the end, or until it crashed, see `ms_highway.benchmarks.road.measures.measured`;
+        * ``seed``; ``success``; ``crashed``; ``at_fault``, whether the ego crashed by its own fault; ``off_road``,
+          whether it left the road;
+        * ``steps`` of the environment; ``reward``, their sum;
+        * figures of the motion until the end or a crash, see `ms_highway.benchmarks.road.measures.measured`;
         * ``late``, the number of plans that were not ready within their budget;
-        * ``decisions``, the duration of each, without compilation [s]; ``sources``, their number by what drove then,
-          where the driver says so; ``rungs``, the number of cars that each rung predicted, summed over decisions.
+        * ``decisions``, the duration of each decision, without compilation [s]; ``sources``, the number of decisions by
+          what drove, if the driver tells; ``rungs``, how many cars each rung predicted, summed over decisions.
     """
     env = env or _kept_driver(block)
     env.reset(seed=seed, options={"config": block.starts[seed].config} if block.starts else None)
     inner: Any = env.unwrapped
     exported = Drive(inner) if block.exports else None
-    watch = Watch(inner, *([then] if then else []), *([exported.see] if exported else []))
+    watch = Watch(inner, *filter(None, (then, exported.see if exported else None)))
     rewards, roads, done = [], [], False
     longest = max(MAX_DURATION, inner.config.get("duration", 0.0))
     while not done:
@@ -163,10 +163,10 @@ def run_blocks(
 ) -> Iterator[tuple[Block, list[dict]]]:
     """Drive the same starts in all blocks; yield each block with its episodes, in the order of blocks and seeds.
 
-    Each block has a process of its own, on one core: some scenes change the class of the other vehicles for good.
+    Each block has its own process on one core, because some scenes permanently change the class of other vehicles.
 
     Args:
-        blocks: what drives where.
+        blocks: scenes, drivers and traffic.
         seeds: of the starts.
         films: directory for films of the first failure and the first success of each block.
         modules: to import in the processes.
@@ -206,7 +206,7 @@ def file_name(text: str) -> str:
 
 
 def film(block: Block, seed: int, path: Path) -> None:
-    """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, that plays at true speed.
+    """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, which plays at real speed.
 
     Raises:
         OSError: if it cannot be written.
@@ -233,18 +233,18 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
 
     * ``success``, ``off_road``: shares of the episodes in which the goal was reached, and the road was left;
     * ``collisions``, ``at_fault``: numbers of episodes in which the ego crashed, and was at fault;
-    * ``reward_per_step``, ``return``: mean reward over all steps of all episodes, and its sum per episode;
-    * ``mean_speed``: over all frames [m/s]; ``stood``: mean time slower than 1 m/s in an episode [s];
+    * ``reward_per_step``, ``return``: mean reward over all steps of all episodes, and mean sum of an episode;
+    * ``mean_speed``: over all frames [m/s]; ``stood``: mean time below 1 m/s in an episode [s];
     * ``max_acceleration``, ``max_acceleration_of_centre``: the largest of all episodes [m/s^2];
     * ``jerk``: root mean square over all frames [m/s^3];
-    * ``p50_ms``, ``p99_ms``: quantiles over all decisions of all episodes [ms];
+    * ``p50_ms``, ``p99_ms``: quantiles of the durations of all decisions [ms];
     * ``late``: share of the plans that were not ready within their budget;
-    * ``steps``: mean number per episode; ``goal_seconds``: mean duration of those that reached the goal, None without
-      any [s];
-    * ``sources``: shares of the decisions by what drove, where the driver says so;
+    * ``steps``: mean number per episode; ``goal_seconds``: mean duration of the successful episodes, None without any
+      [s];
+    * ``sources``: shares of the decisions by what drove, if the driver tells;
     * ``rungs``: shares of the cars that each rung predicted;
-    * ``episodes``, ``seeds``, ``traffic``, ``label``: their number, the first seed and how many, the type of the other
-      vehicles, and ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL_ACCELERATION`.
+    * ``episodes``: their number; ``seeds``: the first seed and how many; ``traffic``: type of the other vehicles;
+      ``label``: ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL_ACCELERATION`.
     """
     of = pd.DataFrame(episodes)
     p50, p99 = np.quantile(np.concatenate(of["decisions"]), [0.5, 0.99])

@@ -1,8 +1,8 @@
-"""Write drives in recordings as CommonRoad files, a scenario and a solution, for other tools to judge.
+"""Write drives in recordings as CommonRoad files, a scenario and a solution, which other tools can evaluate.
 
-The scenario is the recording with its road and planning problem, in which all other vehicles move as they moved in the
-episode. The solution is the drive of the ego: a state every 0.1 s of the kinematic single-track model (KS) of
-CommonRoad's vehicle 2, with steering angles that are computed from how the ego turned.
+The scenario is the recording with its road and planning problem; the other vehicles move as they did in the episode.
+The solution is the drive of the ego: a state every 0.1 s of the kinematic single-track model (KS) of CommonRoad's
+vehicle 2, whose steering angles are computed from the yaw rates of the ego.
 """
 
 from datetime import datetime
@@ -17,13 +17,13 @@ from ms_highway.recorded.commonroad import read_xml
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
 
-WHEELBASE = 2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, whose size the ego has
-EPOCH = "2000-01-01"  # date of solutions of recordings without one
-MIN_STEERING_SPEED = 0.5  # m/s, below which a motion does not determine the steering angle
+WHEELBASE = 2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, which is as large as the ego
+EPOCH = "2000-01-01"  # date of a solution if the recording has none
+MIN_STEERING_SPEED = 0.5  # m/s, lowest speed in the computation of steering angles
 
 
 class Drive:
-    """An episode of a recorded environment as it goes on.
+    """The states of all vehicles in an episode of a recorded environment, until now.
 
     Args:
         env: the environment, unwrapped, just reset; its recording is a file.
@@ -31,8 +31,7 @@ class Drive:
 
     def __init__(self, env: Any) -> None:
         self._env = env
-        self._ego: list[tuple[float, ...]] = []
-        self._others: dict[int, list[tuple[float, ...]]] = {}
+        self._states: dict[int | None, list[tuple[float, ...]]] = {}  # by number of the track, None for the ego
         self._sizes: dict[int | None, tuple[float, float]] = {}
         self.see()
 
@@ -44,12 +43,12 @@ class Drive:
         orientations = env.axes.headings([vehicle.heading for vehicle in everyone])
         for vehicle, (x, y), orientation in zip(everyone, points.tolist(), orientations.tolist(), strict=True):
             number = None if vehicle is env.vehicle else vehicle.track.number
-            own = self._ego if number is None else self._others.setdefault(number, [])
-            own.append((env.road.now, x, y, orientation, float(vehicle.speed)))
+            states = self._states.setdefault(number, [])
+            states.append((env.road.now, x, y, orientation, float(vehicle.speed)))
             self._sizes[number] = vehicle.LENGTH, vehicle.WIDTH
 
     def write(self, directory: Path, name: str) -> None:
-        """Write ``NAME.xml``, the scenario as it was driven, and ``NAME.solution.xml``, the ego's solution.
+        """Write ``NAME.xml``, the scenario of the episode, and ``NAME.solution.xml``, the ego's solution.
 
         Raises:
             ImportError: without the packages of the extra ``commonroad``.
@@ -70,12 +69,12 @@ class Drive:
         recording = Path(self._env.config["recording"])
         driven = self._driven(recording)
         identity = ScenarioID.from_benchmark_id(driven.attrib["benchmarkID"], driven.attrib["commonRoadVersion"])
-        date = datetime.fromisoformat(driven.get("date", EPOCH))  # of the recording: the same each time
+        date = datetime.fromisoformat(driven.get("date", EPOCH))  # equal drives give equal files
         with replacing(directory / f"{name}.xml") as path:
             ElementTree.ElementTree(driven).write(path, encoding="utf-8", xml_declaration=True)
         states = [
             KSState(int(step), np.array([x, y]), orientation=orientation, velocity=speed, steering_angle=angle)
-            for (step, x, y, orientation, speed), angle in zip(self._ego, self._steering(), strict=True)
+            for (step, x, y, orientation, speed), angle in zip(self._states[None], self._steering(), strict=True)
         ]
         own = PlanningProblemSolution(
             planning_problem_id=self._env.task.number,
@@ -89,24 +88,24 @@ class Drive:
             whole.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
 
     def _steering(self) -> list[float]:
-        """Return the steering angle of CommonRoad's vehicle at each state, from how the ego turned after it [rad]."""
-        _, _, _, orientations, speeds = np.array(self._ego).T
+        """Return the steering angle of CommonRoad's vehicle at each state, from the yaw rate of the next step [rad]."""
+        _, _, _, orientations, speeds = np.array(self._states[None]).T
         turned = np.diff(np.unwrap(orientations)) / (TIME_STEP * np.maximum(speeds[:-1], MIN_STEERING_SPEED))
         angles = np.arctan(WHEELBASE * turned).tolist()
         return [*angles, *(angles[-1:] or [0.0])]
 
     def _driven(self, recording: Path) -> ElementTree.Element:
-        """Return the XML of a recording in which the others go as they drove, in place of what was recorded."""
+        """Return the XML of a recording with the driven in place of the recorded motion of the others."""
         root = ElementTree.fromstring(read_xml(recording))
         for obstacle in root.findall("dynamicObstacle"):
             number = int(obstacle.attrib["id"])
-            if number not in self._others:
+            if number not in self._states:
                 root.remove(obstacle)
                 continue
             for old in [part for part in obstacle if part.tag in ("shape", "initialState", "trajectory")]:
                 obstacle.remove(old)
-            length, width = self._sizes[number]  # around the middle, from which states are seen
-            first, *later = (_state(row) for row in self._others[number])
+            length, width = self._sizes[number]  # without an offset: states are those of the centre
+            first, *later = (_state(row) for row in self._states[number])
             first.tag = "initialState"
             box = f"<rectangle><length>{length!r}</length><width>{width!r}</width></rectangle>"
             obstacle.extend([ElementTree.fromstring(f"<shape>{box}</shape>"), first])
@@ -116,7 +115,7 @@ class Drive:
 
 
 def _state(row: tuple[float, ...]) -> ElementTree.Element:
-    """Return an element of CommonRoad's XML: step of time, x, y, orientation and speed."""
+    """Return a state in CommonRoad's XML, given its time step, x, y, orientation and speed."""
     step, x, y, orientation, speed = row
     return ElementTree.fromstring(
         f"<state><position><point><x>{x!r}</x><y>{y!r}</y></point></position>"

@@ -1,4 +1,4 @@
-"""Measure how the ego moves in every frame of the simulation, and whose fault a collision is."""
+"""Measure the motion of the ego in every frame of the simulation, and its fault in collisions."""
 
 from collections import deque
 from collections.abc import Callable, Collection
@@ -9,27 +9,27 @@ from typing import Any, TypeAlias
 import numpy as np
 
 LOOK_BACK = 1.0  # s before a collision
-GAP = 0.5  # m between lanes where roads meet, at most
-COLLISION_REACH = 2.0  # m between cars that have just collided, at most: highway-env pushes them apart
+GAP = 0.5  # m, largest gap between lanes where roads meet
+COLLISION_REACH = 2.0  # m, largest distance of cars that have just collided: highway-env pushes them apart
 LANE_OFFSET = 1.0  # m
 STANDING_SPEED = 1.0  # m/s
-SAME_WAY = 0.7  # cosine of the angle between two headings, at least
+SAME_WAY = 0.7  # smallest cosine of the angle between headings of vehicles that go the same way
 
 Lane: TypeAlias = tuple[str, str, int] | None
-"""Index of a lane in a road network, or none."""
+"""Index of a lane in a road network, or None."""
 
 
 def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict:
-    """Return how a car moved: numbers by name.
+    """Return figures of a car's motion by name.
 
     The acceleration of a frame is the larger of two: the change of ``speed * (cos(heading), sin(heading))``, and
-    ``hypot(change of speed, speed * change of heading)``, both per second. That of the centre is the change of the
-    distance that the position moves in a frame; highway-env adds the slip angle to the heading there.
+    ``hypot(change of speed, speed * change of heading)``, both per second. The acceleration of the centre is the second
+    difference of its positions; it includes the slip angle of highway-env.
 
     Args:
-        states: x, y, heading and speed before the first frame and after each.
-        time_step: of a frame [s].
-        crashed: whether the car crashed in the last frame; it may then have been pushed.
+        states: x, y, heading and speed before the first frame and after each frame.
+        time_step: duration of a frame [s].
+        crashed: whether the car crashed in the last frame, which may have moved it.
     """
     x, y, heading, speed = np.asarray(states, dtype=float).T
     heading = np.unwrap(heading)
@@ -50,16 +50,16 @@ def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dic
 
 
 class Watch:
-    """Watch the ego of a highway-env environment from a reset on, in every frame of the simulation.
+    """Watch the ego of a highway-env environment in every frame of the simulation.
 
     Args:
         env: the environment, unwrapped, just reset.
-        *then: are called after every frame.
+        *then: functions to call after every frame.
 
     Attributes:
         crashed: whether the ego has crashed.
-        at_fault: whether it has, and is at fault, see `is_at_fault`.
-        off_road: whether its centre was off its lane, by more than may be where two roads meet, in any frame before.
+        at_fault: whether the ego has crashed by its own fault, see `is_at_fault`.
+        off_road: whether its centre has been off its lane by more than `GAP`, before a crash.
     """
 
     def __init__(self, env: Any, *then: Callable[[], None]) -> None:
@@ -78,10 +78,10 @@ class Watch:
             for each in then:
                 each()
 
-        env.road.step = watched  # of this road only: a reset makes another
+        env.road.step = watched  # only of this road: a reset makes a new one
 
     def motion(self) -> dict:
-        """Return how the ego moved until now, or until it crashed, see `measured`."""
+        """Return the figures of the ego's motion until now, or until it crashed, see `measured`."""
         return measured(np.array(self._states), self._time_step, self.crashed)
 
     def _see(self) -> None:
@@ -99,28 +99,28 @@ class Watch:
 
 
 def _gap(one: Any, other: Any) -> float:
-    """Return the distance of the circles around two cars [m], negative where they overlap."""
+    """Return the distance between the circumscribed circles of two cars [m], negative if they overlap."""
     return float(np.linalg.norm(one.position - other.position) - (one.diagonal + other.diagonal) / 2)
 
 
 def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
-    """Return whether the ego is at fault in a collision; it is, unless it was rear-ended while keeping its lane.
+    """Return whether the ego is at fault in a collision: always, unless it was rear-ended while it kept its lane.
 
-    It was rear-ended if all of this holds:
+    The ego was rear-ended if
 
-    * the other goes the same way, within about 45 degrees;
-    * the ego's centre is ahead of the other's front, along the other's heading;
-    * the point of the other that is closest to the ego's centre is behind that centre, along the ego's heading.
+    * the other goes the same way, within about 45 degrees,
+    * the ego's centre is ahead of the other's front, along the other's heading, and
+    * the point of the other that is closest to the ego's centre is behind this centre, along the ego's heading.
 
-    It kept its lane if it followed one all the time, and the lane's number did not change while the road was
-    the same. A car that stands on the road when it is hit is thus at fault, as is one that was pushed out of the way by
-    a crash in its side.
+    The ego kept its lane if it followed a lane all the time, and the lane's number did not change on the same road.
+    Therefore a car that stands on the road when it is hit is at fault, and so is a car that was pushed out of its lane
+    from the side.
 
     Args:
         ego: a vehicle of highway-env.
-        other: the vehicle or object that it touches, None if that is not known.
-        lanes: that the ego followed in the frames of the last second before the collision, None where it was more than
-            `LANE_OFFSET` from the centre of the closest one, or slower than `STANDING_SPEED`.
+        other: the vehicle or object that the ego touches, None if it is unknown.
+        lanes: lane of the ego in each frame of the last second before the collision; None where the ego was farther
+            than `LANE_OFFSET` from its centre, or slower than `STANDING_SPEED`.
     """
     if other is None or cos(ego.heading - other.heading) < SAME_WAY:
         return True

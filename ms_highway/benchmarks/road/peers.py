@@ -1,4 +1,4 @@
-"""Drivers that are not this package's: highway-env's IDM and MOBIL, trained agents, and the humans of recordings."""
+"""Drivers from outside this package: highway-env's IDM and MOBIL, trained agents, and the humans of recordings."""
 
 from time import perf_counter
 from typing import Any
@@ -13,16 +13,16 @@ from ms_highway.envs.agents import check_spaces, policy_of
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.environment import RecordedEnv
 from ms_highway.recorded.traffic import GuidedVehicle
-from ms_highway.road.driven import unheeded
+from ms_highway.road.driven import placeholder_action
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.road.timed_goal import TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 
 
 class Peer(gym.Wrapper):
-    """Drive the ego of a stock environment; the action that `step` is given is ignored.
+    """Drive the ego of a stock environment; the action of `step` is ignored.
 
-    ``info["road"]`` has the duration of the decisions of a step [s] in ``decisions``.
+    ``info["road"]`` has the durations of the decisions of a step in ``decisions`` [s].
 
     Args:
         env: the environment.
@@ -30,7 +30,7 @@ class Peer(gym.Wrapper):
     Attributes:
         inner: the environment without its wrappers.
         seen: the last observation.
-        decisions: duration of those of the present step that the ego takes by itself, frame by frame [s].
+        decisions: durations of decisions in this step that the ego itself makes in its frames [s].
     """
 
     seen: Any
@@ -56,11 +56,11 @@ class Peer(gym.Wrapper):
         return self.seen, *outcome, info | {"road": {"decisions": [*self.decisions] or [seconds]}}
 
     def begin(self) -> None:
-        """Prepare for an episode that has just been reset."""
+        """Prepare an episode after its reset."""
 
     def choose(self) -> Any:
-        """Return the action of the coming step: by default, one for an ego that steers by itself."""
-        return unheeded(self.inner.action_type)
+        """Return the action of the coming step, by default a placeholder for an ego that drives itself."""
+        return placeholder_action(self.inner.action_type)
 
 
 class Agent(Peer):
@@ -81,15 +81,15 @@ class Agent(Peer):
         self.policy = policy_of(name)
 
     def choose(self) -> Any:
-        """Return the agent's action after the last observation."""
+        """Return the agent's action for the last observation."""
         return self.policy(self.seen)
 
 
 class IdmEgo(OfferedSpeeds, IDMVehicle):
-    """highway-env's IDM and MOBIL in the place of the ego, with what rewards look for in an `MDPVehicle`.
+    """highway-env's IDM and MOBIL as the ego, with the attributes of an `MDPVehicle` that rewards read.
 
     Attributes:
-        decisions: list to which it appends the duration of each of its decisions [s].
+        decisions: list to which the ego appends the duration of each of its decisions [s].
     """
 
     decisions: list[float]
@@ -98,19 +98,19 @@ class IdmEgo(OfferedSpeeds, IDMVehicle):
         """Follow and change lanes; the action is ignored."""
         start = perf_counter()
         super().act(action)
-        if action is None:  # once a frame, and not when the environment hands its action on
+        if action is None:  # in a frame, not when the environment passes on its action
             self.decisions.append(perf_counter() - start)
 
 
 class Idm(Peer):
-    """Let highway-env's IDM and MOBIL drive the ego, as they drive the others: on a route to the goal, if there is one.
+    """Let highway-env's IDM and MOBIL drive the ego, on a route to the goal if there is one.
 
     They decide in every frame. The desired speed is that of `ms_highway.road.stock.desired_speed_of`, as for this
-    package's drivers; IDM keeps the speed limits of lanes by itself. A timed goal sets the desired speed instead.
+    package's drivers; IDM obeys the speed limits of lanes by itself. A timed goal overrides the desired speed.
     """
 
     def begin(self) -> None:
-        """Put an `IdmEgo` in the place of the ego."""
+        """Replace the ego by an `IdmEgo`."""
         speed = desired_speed_of(self.env)
         ego: Any = replace_ego(
             self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
@@ -122,10 +122,10 @@ class Idm(Peer):
             ego.route = [("0", "1", last - 1), ("1", "2", last), ("2", "exit", 0)]
         elif isinstance(goal, str):
             ego.plan_route_to(goal)
-            ego.route[0] = (*ego.lane_index[:2], None)  # any lane will do
+            ego.route[0] = (*ego.lane_index[:2], None)  # on any lane
 
     def choose(self) -> Any:
-        """Let the ego decide, at the speed that reaches a timed goal in time."""
+        """Let the ego decide; with a timed goal, set the speed that reaches it in time."""
         goal = destination_of(self.inner)
         if isinstance(goal, TimedGoal):
             self.inner.vehicle.target_speed = goal.desired_speed(self.inner.vehicle, self.inner.time)
@@ -133,17 +133,17 @@ class Idm(Peer):
 
 
 class Human(Peer):
-    """Drive as the recorded vehicle that the ego replaces, and then straight on.
+    """Drive like the recorded vehicle that the ego replaces, and then straight on.
 
     Raises:
-        ValueError: from a reset, for a planning problem, where the ego replaces no vehicle.
+        ValueError: from a reset, if the ego of a planning problem replaces no vehicle.
     """
 
     def begin(self) -> None:
-        """Put a vehicle that moves to given states in the place of the ego."""
+        """Replace the ego by a vehicle that moves to given states."""
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
-            raise ValueError("the driver human goes as a recorded vehicle did; say --egos changing")
+            raise ValueError("the driver human repeats the drive of a recorded vehicle; say --egos changing")
         self._track: Any = env.scenario.track(env.task.track)
         replace_ego(env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
 

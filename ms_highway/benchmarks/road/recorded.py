@@ -1,4 +1,4 @@
-"""Choose what to drive in recordings: their planning problems or lane changes."""
+"""Choose the starts of episodes in recordings: planning problems, or vehicles that change lanes."""
 
 from functools import partial
 from pathlib import Path
@@ -8,12 +8,12 @@ from ms_highway.recorded.commonroad import scenario_files
 from ms_highway.recorded.scenario import SHIPPED, RecordedTrack, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import straight_road
 
-LONG_ENOUGH = 2.5  # s, that a vehicle has to be seen
-CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: from its middle, within which a vehicle is in it; and moved aside
+LONG_ENOUGH = 2.5  # s, shortest track of a vehicle
+CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: largest final offset from its middle, and smallest lateral motion
 
 
 class RecordedStart(NamedTuple):
-    """Where an episode begins.
+    """The start of an episode.
 
     Attributes:
         name: for logs and files.
@@ -27,7 +27,7 @@ class RecordedStart(NamedTuple):
 
     @property
     def config(self) -> dict:
-        """What the environment's configuration says of it."""
+        """Its part of the environment's configuration."""
         return {"recording": self.recording, "ego": self.ego}
 
 
@@ -36,8 +36,7 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
 
     Args:
         data: the directory.
-        egos: ``problem``, the planning problems of each; ``changing``, all vehicles that end in another lane than they
-            began in.
+        egos: ``problem`` for all planning problems, ``changing`` for all vehicles that change lanes.
 
     Raises:
         ValueError: if there is no recording, or no start in any.
@@ -47,7 +46,7 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
         scenario = open_recording(recording)
         if egos == "changing":
             for track in filter(partial(_changes_lane, scenario), scenario.tracks):
-                place = tuple(track.samples[0, 1:3].round(2))  # files of a group may share tracks
+                place = tuple(track.samples[0, 1:3].round(2))  # files of the same group may share tracks
                 start = RecordedStart(f"{scenario.name}_{track.number}", recording, track.number)
                 starts.setdefault((scenario.group, track.number, place), start)
             continue
@@ -56,12 +55,14 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
             starts[recording, problem.number] = RecordedStart(name, recording, f"problem:{problem.number}")
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
-        raise ValueError(f"--data: there is no {what} in {data or 'the recording of the package'}; give another place")
+        raise ValueError(
+            f"--data: there is no {what} in {data or 'the recording of the package'}; give another directory"
+        )
     return list(starts.values())
 
 
 def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
-    """Return whether a vehicle ends in another lane than it began in."""
+    """Return whether the first and the last lane of a vehicle differ."""
     samples = track.samples
     if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
         return False
