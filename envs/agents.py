@@ -1,6 +1,7 @@
 """Let agents and planners of one's own drive instead of a controller, so that both can be compared."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from os import PathLike, fspath
 from pathlib import Path
@@ -156,6 +157,6 @@ class AgentDrives(gym.Wrapper):
             raise ValueError(f"the agent {self.name!r} chose {chosen!r}; the actions are {self.env.action_space}")
         self._seen, reward, terminated, truncated, info = self.env.step(chosen)
         timing = info.get("timing", Timing(0.0, 0.0, 0.0))
-        info["timing"] = Timing(timing.planning_seconds, timing.decision_seconds + seconds, timing.compile_seconds)
+        info["timing"] = replace(timing, decision_seconds=timing.decision_seconds + seconds)
         usual = {"model": self.name, "models": (self.name,), "gains": {}, "status": "planned", "choice_failed": False}
         return self._seen, reward, terminated, truncated, {**usual, **info}

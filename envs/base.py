@@ -82,15 +82,15 @@ class InteractionEnv(GameEnv):
     * ``control_limit``: bounds on curvature [1/m] and acceleration [m/s^2] of plans; ``"unlimited"``; or None for the
       scenario's bounds, in released semantics for no bounds.
     * ``grip``: the total acceleration that tyres hold, across and along [m/s^2], such as
-      `ms_highway.game.scenario.GRIP`. It limits plans and executed controls, without reversing. None sets no limit, as
+      `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without reversing; None sets no limit, as
       in the paper, but stands for ``GRIP`` in physical semantics. It does not apply where the agent drives.
     * ``solver``: how plans under models that do not respond are improved: ``"gradient"``, the paper's; ``"newton"``; or
       ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop (`ms_highway.game.stopping`).
     * ``horizon``: number of planned controls, of robot and humans.
     * ``time_step``: duration of a step of plans and of the environment [s].
     * ``iterations``: number of gradient steps of a plan; None for what suits the horizon.
-    * ``step_size``: length of a gradient step per unit of gradient; None for what suits the horizon. A longer one gives
-      a warning, see `ms_highway.game.planning_settings.PlanningSettings`.
+    * ``step_size``: length of a gradient step per unit of gradient; None for what suits the horizon; a longer one gives
+      a warning. See `ms_highway.game.planning_settings.PlanningSettings`.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an array [cars, 4] of x, y, heading and

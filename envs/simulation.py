@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from math import isnan
 from typing import Any, NamedTuple
 
 import jax
@@ -81,7 +80,7 @@ def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSett
     if isinstance(settings, OrderSettings):
         names, table = [model.name for model in loop.models], settings.table(*shape, random)  # type: ignore[arg-type]
         rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(shape[0]), len(table) - 1)]
-    price = np.float32(0.0 if isnan(settings.price) else settings.price)
+    price = np.nan_to_num(np.float32(settings.price))  # an order has none
     return Episodes(start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers)
 
 
@@ -134,8 +133,8 @@ class FunctionalEnv:
         self.observation_space, self.action_space = env.observation_space, env.action_space
         self.steps = env.episode_steps
         settings, controller, kind = env.settings, env.settings.controller, env.action_type
-        self.agent_drives = isinstance(kind, ContinuousAction)
-        if not ((type(kind) is ContinuousAction and kind.size == 2) or isinstance(kind, Autopilot)):
+        self.agent_drives = type(kind) is ContinuousAction and kind.size == 2
+        if not (self.agent_drives or isinstance(kind, Autopilot)):
             known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
             raise ValueError(f"config['action'] is {env.config['action']}; what is simulated is {known}")
         if type(env.observation_type) not in (CarStates, SceneStates):

@@ -36,7 +36,7 @@ class Option(NamedTuple):
 
 def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
     """Return an option; append its default, if any, to its help text."""
-    if default is not None:
+    if default is not None and default != []:
         shown = default if isinstance(default, (str, float, int)) else " ".join(map(str, default))
         text += f" (default: {shown})"
     return Option(name, {"help": text, "default": default, **more})
