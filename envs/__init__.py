@@ -1,8 +1,8 @@
 """The environments: scenarios of a robot with one human or several, and one to record driving in.
 
-``import ms_highway`` registers with Gymnasium the ids ``ms-highway/stay-back-v1``, ``merger-v1``, ``give-way-v1`` and
-``dense-merge-v1``, in which cars keep to what tyres hold, the same at version 0; ``crossing-crowd-v0`` and
-``demonstration-v0``; and what the wings add. Imports `ms_highway.vehicle` and what stands below it.
+``import ms_highway`` registers these ids with Gymnasium: ``ms-highway/stay-back-v1``, ``merger-v1``, ``give-way-v1``
+and ``dense-merge-v1``, in which cars keep to what tyres hold; the same scenes at version 0; ``crossing-crowd-v0`` and
+``demonstration-v0``; and those of other packages. Imports `ms_highway.vehicle` and the packages below it.
 """
 
 import re
@@ -63,7 +63,7 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
         DenseMergeV1Env,
     )
 }
-"""The environments by name of their scenario."""
+"""The environments by the names of their scenarios."""
 
 SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
 """The scenarios by name."""
@@ -73,23 +73,27 @@ PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
 
 VERSIONED = re.compile(r".*-v\d+")
-"""Names of scenarios that are versions of others; other scenarios are at version 0."""
+"""Names of scenarios that end in a version; the other scenarios are at version 0."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
-"""The Gymnasium id of the `DemonstrationEnv`, with the prefix that lets spawned workers find it."""
+"""The Gymnasium id of the `DemonstrationEnv`; its prefix lets spawned workers find it."""
 
 
 def scenario_name(name: str) -> str:
-    """Return the name of a scenario that is given by its name or its id: ``merger`` for ``ms-highway/merger-v0``.
+    """Return the name of the scenario with a name or an id: ``merger`` for ``ms-highway/merger-v0``.
 
     Raises:
         ValueError: for an unknown scenario, and for an id without a version.
     """
-    bare = name.rpartition("/")[2]
-    known = bare.removesuffix("-v0").replace("-", "_") if bare.endswith("-v0") else bare
-    if known in ENVIRONMENTS and (bare == name or VERSIONED.fullmatch(bare)):
-        return known
+    for known in ENVIRONMENTS:
+        if name == known or name.rpartition("/")[2] == _versioned(known):
+            return known
     raise ValueError(f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
+
+
+def _versioned(scenario: str) -> str:
+    """Return the last part of a scenario's id: ``merger-v0`` for ``merger``."""
+    return scenario if VERSIONED.fullmatch(scenario) else f"{scenario.replace('_', '-')}-v0"
 
 
 def environment_id(scenario: str) -> str:
@@ -98,25 +102,23 @@ def environment_id(scenario: str) -> str:
     Raises:
         ValueError: for an unknown scenario.
     """
-    scenario = scenario_name(scenario)
-    version = "" if VERSIONED.fullmatch(scenario) else "-v0"
-    return f"ms_highway:ms-highway/{scenario.replace('_', '-')}{version}"
+    return f"ms_highway:ms-highway/{_versioned(scenario_name(scenario))}"
 
 
 def add_scenario(environment: type[InteractionEnv]) -> str:
-    """Make a scenario of one's own known by its name, to Gymnasium, comparisons and videos of this process.
+    """Add a scenario of one's own by its name, for Gymnasium and for comparisons and videos of this process.
 
-    Added again, a scenario takes the place of the one that had its name. Where its class stands in a module, the
-    specification of its environments can be JSON.
+    It replaces an added scenario of the same name. The specification of its environments can be written as JSON if its
+    class can be imported from a module.
 
     Args:
-        environment: its class, with a `Scenario` whose name is one word in lower case.
+        environment: class of its environments, with a `Scenario` whose name is one word in lower case.
 
     Returns:
         The Gymnasium id.
 
     Raises:
-        ValueError: if the name is one of the package's, or no such word.
+        ValueError: if the package has a scenario of this name, or if it is not such a word.
     """
     name = environment.scenario.name
     check_name("a scenario", name, PACKAGE_SCENARIOS)
@@ -124,8 +126,8 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     bare_id = environment_id(name).removeprefix("ms_highway:")
     gymnasium.registry.pop(bare_id, None)
     module, word = environment.__module__, environment.__qualname__
-    stands = getattr(sys.modules.get(module), word, None) is environment
-    entry_point = f"{module}:{word}" if stands else cast(EnvCreator, environment)
-    vector = f"ms_highway.envs.vector:{bare_id.removeprefix('ms-highway/')}"
+    importable = getattr(sys.modules.get(module), word, None) is environment
+    entry_point = f"{module}:{word}" if importable else cast(EnvCreator, environment)
+    vector = f"ms_highway.envs.vector:{_versioned(name)}"
     gymnasium.register(bare_id, entry_point=entry_point, vector_entry_point=vector)
     return environment_id(name)

@@ -1,6 +1,7 @@
-"""Let agents and planners of one's own drive in place of a controller, beside which they are compared."""
+"""Let agents and planners of one's own drive instead of a controller, so that both can be compared."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from os import PathLike, fspath
 from pathlib import Path
@@ -16,7 +17,7 @@ from ms_highway.envs.configuration import Config
 from ms_highway.envs.game_env import Timing
 
 Policy: TypeAlias = Callable[[Any], Any]
-"""From an observation to an action."""
+"""A function from an observation to an action."""
 
 FILE_END = ".zip"  # of agents that stable-baselines3 saves
 
@@ -26,7 +27,7 @@ class AddedAgent(NamedTuple):
 
     Attributes:
         source: policy, object with a method ``predict``, or file.
-        config: of environments that it drives in: its action and its observation.
+        config: action and observation of environments that it drives in.
     """
 
     source: Any
@@ -38,7 +39,7 @@ AGENTS: dict[str, AddedAgent] = {}
 
 
 def is_agent(name: str) -> bool:
-    """Return whether a name is that of an added agent, or of a file that stable-baselines3 has saved."""
+    """Return whether a name is an added agent's, or that of a file that stable-baselines3 saves."""
     return name in AGENTS or name.endswith(FILE_END)
 
 
@@ -77,7 +78,7 @@ def _agent(name: str) -> Any:
 
 @cache
 def saved_policy(file: str) -> Any:
-    """Return the policy of an agent of stable-baselines3 that takes observations as they are; opening it may run code.
+    """Return the policy of an agent that stable-baselines3 has saved; opening the file may run any code in it.
 
     Raises:
         ModuleNotFoundError: without stable-baselines3, or another package that the agent needs.
@@ -103,7 +104,7 @@ def saved_policy(file: str) -> Any:
 
 
 def check_spaces(name: str, env: gym.Env) -> None:
-    """Make sure that an agent that says which spaces it knows drives in an environment of these.
+    """Check that an environment has the spaces that an agent was trained for, if the agent names them.
 
     Raises:
         ValueError: naming the space that differs.
@@ -117,17 +118,17 @@ def check_spaces(name: str, env: gym.Env) -> None:
 
 
 class AgentDrives(gym.Wrapper):
-    """An environment in which an agent drives, as a controller does: the only action is 0.
+    """An environment in which an agent drives as a controller does; the only action is 0.
 
-    ``info`` has the keys that it has under a controller: ``model``, the agent's name, or the model that it chooses;
-    ``timing``, whose decision includes the agent's own seconds; and ``gains``, which are empty.
+    ``info`` has the same keys as under a controller: ``model``, the agent's name or the model that it chooses;
+    ``timing``, whose decision time includes the agent's; and ``gains``, which are empty.
 
     Args:
         env: the environment.
         name: of the agent.
 
     Raises:
-        ValueError: if the agent knows other spaces.
+        ValueError: if the agent was trained for other spaces.
     """
 
     def __init__(self, env: gym.Env, name: str) -> None:
@@ -142,20 +143,20 @@ class AgentDrives(gym.Wrapper):
         return self._seen, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, Config]:
-        """Let the agent choose an action, and do it.
+        """Let the agent choose an action, and take it.
 
         Raises:
-            ValueError: if the agent's action is none of the environment's.
+            ValueError: if the environment's action space does not contain the agent's action.
         """
         start = perf_counter()
         chosen = self.policy(self._seen)
         seconds = perf_counter() - start
-        if isinstance(self.env.action_space, spaces.Box):  # also takes lists, and numbers in double precision
+        if isinstance(self.env.action_space, spaces.Box):  # agents may return lists or double precision
             chosen = np.asarray(chosen, self.env.action_space.dtype)
         if not self.env.action_space.contains(chosen):
             raise ValueError(f"the agent {self.name!r} chose {chosen!r}; the actions are {self.env.action_space}")
         self._seen, reward, terminated, truncated, info = self.env.step(chosen)
         timing = info.get("timing", Timing(0.0, 0.0, 0.0))
-        info["timing"] = Timing(timing.planning_seconds, timing.decision_seconds + seconds, timing.compile_seconds)
+        info["timing"] = replace(timing, decision_seconds=timing.decision_seconds + seconds)
         usual = {"model": self.name, "models": (self.name,), "gains": {}, "status": "planned", "choice_failed": False}
         return self._seen, reward, terminated, truncated, {**usual, **info}

@@ -1,4 +1,4 @@
-"""The environment that all scenarios share: a road, humans, a robot, and who drives it."""
+"""Define the environment of all scenarios: a road, humans, a robot, and what drives them."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -32,77 +32,77 @@ from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
 
 class InteractionEnv(GameEnv):
-    """A robot among human drivers, on the stage of a `ms_highway.game.scenario.Scenario`.
+    """A robot among human drivers in a `ms_highway.game.scenario.Scenario`.
 
-    Every human plans for its own reward and believes that all others keep their velocity, the robot too. In scenarios
-    with streams, their rewards are drawn for every episode: some humans yield more readily than others, and some hardly
-    at all; the robot succeeds if it ends in the target lane and never collides.
+    Every human plans for its own reward and believes that all other cars, the robot included, keep their velocity. In
+    scenarios with streams, the humans' rewards are drawn for every episode, so that some humans yield more readily than
+    others. There, the robot succeeds if it ends in the target lane and never collides.
 
-    Configuration, beside highway-env's own; defaults that are not named here are the scenario's. All changes, by
-    ``reset`` or ``configure``, act from the next reset on, and ``config`` is that of the episode until then;
-    before the first reset and after an episode's end, ``configure`` changes ``config`` and spaces at once:
+    The configuration has highway-env's keys and those below. A default that is not named here is the scenario's.
+    Changes act from the next reset on, and ``config`` describes the current episode until then. Before the first reset
+    and after the end of an episode, ``configure`` changes ``config`` and spaces at once:
 
     * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
       "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
       by accelerations of +-5 m/s^2, front-wheel angles of +-0.1 rad and speeds from 0 to 40 m/s unless
       ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise.
-    * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default,
-      for naive, turn and tom), a learned value of computation does, with ``"values"``, ``"shipped"`` or a file of
-      ``ms-highway values learn``; ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``, the
-      paper's Algorithm 1 does (`ms_highway.choice.quadratic.Quadratic`); ``{"type": "budget", "milliseconds": 20}``,
-      what gains most in this time; ``{"type": "nearest", "count": 2}``, the top of the ladder for the nearest humans;
-      ``{"type": "fixed", "model": "tom"}``; ``{"type": "schedule", "models": ["tom", "tom", "naive"]}``, a model per
-      step, the last one kept, and ``"period"``, the same repeated; ``{"type": "random", "shares": {"naive": 0.7, "tom":
-      0.3}}``, drawn when the episode starts; or a short name of them, such as ``"tom"`` or ``"learned:1"``, see
-      `ms_highway.envs.registry.controller_config`. Any of them with ``"belief": True`` infers from what a human does
-      which model predicts it (`ms_highway.planning.hypotheses`), and counts on no response that it does not show.
+    * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default)
+      chooses by a learned value of computation, from naive, turn and tom; its ``"values"`` are ``"shipped"`` or a file
+      of ``ms-highway values learn``. ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``
+      chooses by the paper's Algorithm 1 (`ms_highway.choice.quadratic.Quadratic`); ``{"type": "budget",
+      "milliseconds": 20}`` chooses what gains most within this time; ``{"type": "nearest", "count": 2}`` predicts the
+      nearest humans by the top of the ladder. ``{"type": "fixed", "model": "tom"}`` always takes the same model;
+      ``{"type": "schedule", "models": ["tom", "tom", "naive"]}`` takes a model per step and keeps the last one;
+      ``"period"`` repeats them; ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}`` draws them when the
+      episode starts. A short name stands for each, such as ``"tom"`` or ``"learned:1"``, see
+      `ms_highway.envs.registry.controller_config`. With ``"belief": True``, any of them infers from each human's
+      behaviour which model predicts that human (`ms_highway.planning.hypotheses`), and counts on no response that the
+      human does not show.
     * ``ladder``: names of human models, cheapest first, or ``"best"`` (`ms_highway.planning.ladders`).
-    * ``costs``: T(M), the time that planning under model M counts [s]: ``"published"``, the paper's (default with one
-      human); ``"shipped"``, what plans take on one core (default with several, and in physical scenarios);
-      ``"measured"`` on this machine in the first step; or seconds by model (``tom@8`` in proportion). Among several
-      humans, one is predicted by M, all others by the first rung: T is additive. With ``"shipped"``, budgets choose by
-      measured times: the same seed may be another episode, see ``info["clocked"]``.
+    * ``costs``: T(M), the seconds that count for a plan under model M: ``"published"``, the paper's (default with one
+      human); ``"shipped"``, measured on one core (default with several humans, and in physical scenarios);
+      ``"measured"``, on this machine in the first step; or seconds by model, of which ``tom@8`` takes its share. Among
+      several humans, T(M) is of a plan that predicts one human by M and the others by the first rung, and T is
+      additive. With ``"shipped"``, budgets choose by measured times, so that episodes of one seed may differ.
     * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within what tyres hold; or
       ``"released"``, the paper's released code; see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
-      demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; None for what
-      belongs to the semantics (learned and published). What a human is after in the scenario beyond driving, such as
-      its lane, stays unless weights name it. A learned reward has no weight of ``collision``.
-    * ``humans``: their number, from 2 to 20 in scenarios with streams.
-    * ``beliefs``: which rewards the robot assumes of several humans: ``"learned"``, for all the one that theirs are
-      drawn around, or ``"true"``, for each its own. A controller's ``"belief"`` is about models, not rewards.
-    * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"`` yield, but keep
-      their velocity; ``"always"``, make room for it (`ms_highway.loop.human_drivers`); or ``"mixed"``, each of
-      them never or always, drawn when the episode starts.
+      demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; or None for the
+      reward of the semantics: published in released semantics, or else learned. Aims of the scenario, such as a human's
+      target lane, stay unless weights name them. A learned reward has no weight of ``collision``.
+    * ``humans``: number of humans, from 2 to 20 in scenarios with streams.
+    * ``beliefs``: which rewards the robot assumes of several humans: ``"learned"``, for all the reward that theirs are
+      drawn around; or ``"true"``, for each its own. A controller's ``"belief"`` is about models, not rewards.
+    * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"``, keep their
+      velocity and never yield; ``"always"``, make room for the robot (`ms_highway.loop.human_drivers`); or
+      ``"mixed"``, one of the last two, drawn for each human when the episode starts.
     * ``human_driver``: what drives the humans instead of plans for their reward: a name of `ms_highway.add_driver`, or
       ``"keyboard"``: the arrow keys drive the first human, in a window (``render_mode="human"``).
     * ``way_out``: whether the robot keeps a way out from humans who do not yield, see `ms_highway.planning.way_out`.
     * ``control_limit``: bounds on curvature [1/m] and acceleration [m/s^2] of plans; ``"unlimited"``; or None for the
-      scenario's, in released semantics for no bounds.
-    * ``grip``: the total acceleration that tyres hold, of steering and speeding up or braking together [m/s^2], such as
-      `ms_highway.game.scenario.GRIP`: plans are cut down to it and what is executed keeps to it, without reversing;
-      None sets no such limit, as in the paper; in physical semantics it stands for ``GRIP``. It does not apply where
-      the agent drives.
-    * ``solver``: how plans under models that do not respond are improved: ``"gradient"``, the paper's, ``"newton"``, or
-      for horizons of seconds ``"convex_newton"``, up a smooth reward with room to stop (`ms_highway.game.stopping`).
+      scenario's bounds, in released semantics for no bounds.
+    * ``grip``: the total acceleration that tyres hold, across and along [m/s^2], such as
+      `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without reversing; None sets no limit, as
+      in the paper, but stands for ``GRIP`` in physical semantics. It does not apply where the agent drives.
+    * ``solver``: how plans under models that do not respond are improved: ``"gradient"``, the paper's; ``"newton"``; or
+      ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop (`ms_highway.game.stopping`).
     * ``horizon``: number of planned controls, of robot and humans.
     * ``time_step``: duration of a step of plans and of the environment [s].
     * ``iterations``: number of gradient steps of a plan; None for what suits the horizon.
-    * ``step_size``: length of a gradient step per unit of gradient; None for what suits the horizon; longer ones are
-      warned of. See `ms_highway.game.planning_settings.PlanningSettings`.
+    * ``step_size``: length of a gradient step per unit of gradient; None for what suits the horizon; a longer one gives
+      a warning. See `ms_highway.game.planning_settings.PlanningSettings`.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
-    ``reset`` takes ``options={"initial_states": ...}``, an array [cars, 4] of x, y, heading, speed in SI units, robot
-    first, then the humans, then the scripted cars, instead of drawn starts.
+    ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an array [cars, 4] of x, y, heading and
+    speed in SI units, of the robot, the humans and the scripted cars in this order.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push each
-    other nor stop. ``notebooks/REFERENCE.md`` tells what ``info`` holds. Its ``control``, what the robot did, may go
-    beyond the default ranges of actions; divided by the ends of wider ones, such as
-    `ms_highway.envs.demonstration.ACTION`, it is the ``ContinuousAction`` that does the same within ``speed_range``.
+    other nor stop. ``notebooks/REFERENCE.md`` lists the keys of ``info``. The executed ``control`` may exceed the
+    default ranges of actions: divided by the ends of wider ranges, such as `ms_highway.envs.demonstration.ACTION`, it
+    is the ``ContinuousAction`` that does the same within ``speed_range``.
 
     Attributes:
-        settings: of the configuration.
-        game: that the robot believes in; another one is played, by the humans too, from the next reset on.
+        game: that the robot believes in; robot and humans play a game that is assigned from the next reset on.
         weights: of every human's own reward.
         seconds: T(M) by model, by which rules choose; empty until it is measured [s].
         history: the record of every step, None where the robot does not plan, and its reward.
@@ -116,7 +116,7 @@ class InteractionEnv(GameEnv):
 
     @classmethod
     def default_config(cls) -> Config:
-        """highway-env's configuration with the scenario's own."""
+        """Return highway-env's default configuration with the scenario's keys."""
         scenario, several = cls.scenario, bool(cls.scenario.streams)
         return {
             **super().default_config(),
@@ -146,7 +146,7 @@ class InteractionEnv(GameEnv):
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
-        """See `GameEnv.checked_config`; ladder and controller are spelt out, and an autopilot's fit each other."""
+        """See `GameEnv.checked_config`; also spell out ladder and controller, and check that they fit each other."""
         config = super().checked_config(changes, config)
         if isinstance(config["controller"], str):
             config["controller"] = controller_config(config["controller"])
@@ -156,11 +156,12 @@ class InteractionEnv(GameEnv):
         if config["action"]["type"] == "HumanModelAction" and not controller.predicts:
             raise ValueError(f"{place}, with which no model is chosen; leave it out, or the action HumanModelAction")
         if config["action"]["type"] == "Autopilot":
+            start = settings.start(settings.seconds, 1, np.random.default_rng())
             try:
-                controller.check(settings.start(settings.seconds, 1, np.random.default_rng()))
+                controller.check(start)
             except ValueError as error:
                 raise ValueError(f"{place}: {error}") from error
-            settings.warn_of_other_values(cls.scenario)
+            settings.warn_of_other_values(cls.scenario, start)
         return config | {"ladder": [model.name for model in settings.models]}
 
     def _read(self) -> None:
@@ -169,14 +170,14 @@ class InteractionEnv(GameEnv):
         self.seconds = {} if self.settings.measures else self._counted
 
     def _reset(self) -> None:
-        """Build the road, place the cars, and say who drives them."""
+        """Build the road, place the cars, and give them drivers."""
         states, self.weights = self.draw_episode(self.np_random)
         given = self.options.get("initial_states")
         if given is not None:
             states, shape = np.array(given, dtype=float), (self.cars, 4)
             if states.shape != shape or not np.isfinite(states).all():
-                message = f"{self.scenario.name} needs an array {shape} of finite numbers"
-                raise ValueError(f"options['initial_states'] is {states.tolist()}; {message}")
+                remedy = f"{self.scenario.name} needs an array {shape} of finite numbers"
+                raise ValueError(f"options['initial_states'] is {states.tolist()}; {remedy}")
         humans, driver = self.settings.humans, HUMAN_DRIVERS.get(self.settings.human_driver or "")
         human = driver if isinstance(driver, type) else HumanVehicle
         kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
@@ -194,7 +195,7 @@ class InteractionEnv(GameEnv):
         return 1 + self.settings.humans + len(self.scenario.cars[2:])
 
     def draw_episode(self, random: Random) -> tuple[State, HumansWeights]:
-        """Draw the start of every car in SI units, and what every human drives for; see `draw_episode`."""
+        """Draw the start of every car in SI units, and the weights of every human's reward."""
         return draw_episode(self.scenario, random, self.game.humans)
 
     def draw_drivers(self, random: Random) -> Int[Any, "humans"]:
@@ -206,19 +207,18 @@ class InteractionEnv(GameEnv):
 
     def _drive(self) -> None:
         """Give the cars their drivers."""
-        cars, game = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
-        names = (None, *self.settings.drivers)
+        cars, truth = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
         for place, (human, number) in enumerate(zip(self.humans, self.draw_drivers(self.np_random), strict=True)):
-            own, name = swap_roles(game, place), names[number]
+            own, name = swap_roles(truth, place), (None, *self.settings.drivers)[number]
             function = HUMAN_DRIVERS.get(name, keyboard_control) if name else None
-            if not isinstance(function, type):  # or else a vehicle of this class drives by itself
+            if not isinstance(function, type):  # a vehicle of a given class drives by itself
                 driver = FunctionDriver(own, name, function) if name and function else fixed(own)
                 human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
-            self._drive_robot(game if self.settings.beliefs == "true" else self.game)
+            self._drive_robot(truth if self.settings.beliefs == "true" else self.game)
 
     def _drive_robot(self, game: Game) -> None:
-        """Give the robot its driver, with unknown costs if they are yet to be measured."""
+        """Give the robot its driver, with unknown costs before they are measured."""
         settings, order = self.settings, None
         if isinstance(self.action_type, HumanModelAction):
             order = Order(np.zeros((1, 1), int), settings.models)
@@ -227,7 +227,7 @@ class InteractionEnv(GameEnv):
         self.robot.drive_with(driver, self.road.vehicles[1:])
 
     def measure(self) -> None:
-        """Measure planning times on the ladder with the cars where they are; high ones for budgets."""
+        """Measure T(M) of the ladder with the cars where they are: the median, or the 99 % quantile for budgets."""
         settings, models = self.settings, self.settings.models
         quantile = 0.5 if settings.controller.budget is None else 0.99
         costs = measure_costs(self.game, models, self.car_states, quantile=quantile, way_out=settings.way_out)
@@ -236,7 +236,7 @@ class InteractionEnv(GameEnv):
         self._counted = self._counted or self.seconds
 
     def counted_seconds(self, names: Sequence[str]) -> float | None:
-        """Return T of a plan in which humans are predicted by these models [s]; None where it is not known."""
+        """Return T of a plan that predicts the humans by these models [s]; None where it is not known."""
         if not self._counted.keys() >= {*names}:
             return None
         base = self._counted[self.settings.models[0].name] if len(names) > 1 else 0.0
@@ -265,7 +265,7 @@ class InteractionEnv(GameEnv):
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
         if not self.seconds and isinstance(self.action_type, Autopilot):
-            self.measure()  # in the first step, as JAX must not begin before it
+            self.measure()  # not at the reset: JAX must not start before the first step, so that processes can fork
             if self.robot.controller is not None and self.settings.controller.chooses:
                 self._drive_robot(self.robot.controller.game)
         super()._simulate(action)
@@ -273,26 +273,26 @@ class InteractionEnv(GameEnv):
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
             self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.thought))
-        self.history.append((step, sum(self._terms.values())))
+        self.history.append((step, self._reward(action)))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
-        """Describe the last step, see `InteractionEnv`."""
+        """Describe the last step, see ``notebooks/REFERENCE.md``."""
         info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
         if self.steps:
-            steps = [getattr(human, "last_step", None) for human in self.humans]  # other vehicles have none
+            steps = [getattr(human, "last_step", None) for human in self.humans]  # highway-env's vehicles have none
             info["human_status"] = tuple(step and step.status for step in steps)
             if streams:
                 info["success"] = info["is_success"] = self.success
         if step is None:
             return info
         info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
-        info["timing"] = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
+        timing = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
+        info |= {"timing": timing, "gains": step.highest_gains()}
         asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        info["gains"] = step.highest_gains()
         known = {"belief": step.belief, "counted_seconds": self.counted_seconds(step.thought)}
         info |= {name: value for name, value in known.items() if value is not None}
         if streams:

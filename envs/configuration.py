@@ -1,7 +1,7 @@
-"""Read configurations: errors name key, value, place and remedy.
+"""Read configurations; every error names the key, its value, its place and a remedy.
 
-Configurations are read by msgspec into frozen structs. The annotations of their fields hold types and limits, and a
-`msgspec.Meta` with a ``description`` says what to give instead: it ends the sentence ``config['grip'] is -1; ...``.
+msgspec reads configurations into frozen structs. The annotations of their fields state types and limits. The
+``description`` of a `msgspec.Meta` is the remedy: it ends an error such as ``config['grip'] is -1; ...``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -55,7 +55,7 @@ Parts = Annotated[list[Any], Meta(min_length=1, description="give a list of obse
 
 
 def keys_of(kind: type[Any]) -> Config:
-    """Return the keys that a type of actions or observations of highway-env has; it says nothing of their values."""
+    """Return the keys of one of highway-env's types of actions or observations; it does not restrict their values."""
     return dict.fromkeys({*signature(kind).parameters} - {"env", "kwargs"}, Any)
 
 
@@ -77,14 +77,14 @@ TYPES: Types = {
         "TupleObservation": {"observation_configs": Parts},
     },
 }
-"""Types of actions and observations, and what the values of their keys must be."""
+"""Types of actions and observations, their keys, and the annotation of each key's values."""
 
 
 def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> None:
-    """Refuse keys that are not known.
+    """Refuse unknown keys.
 
     Raises:
-        ValueError: naming the first one, and the nearest that is known.
+        ValueError: for the first unknown key; it suggests the most similar known key.
     """
     known = sorted(known)
     for key in given:
@@ -95,32 +95,30 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
 
 
 def check_name(what: str, name: object, taken: Iterable[str]) -> None:
-    """Refuse a name that is no word in lower case, or that something else has.
+    """Refuse a name that is taken, or that is not one word in lower case.
 
     Raises:
-        ValueError: naming the remedy.
+        ValueError: for such a name.
     """
-    taken = list(dict.fromkeys(taken))
-    if not isinstance(name, str) or not (name.isidentifier() and name.islower()) or name in taken:
+    taken = dict.fromkeys(taken)
+    if not (isinstance(name, str) and name.isidentifier() and name.islower()) or name in taken:
         remedy = f"choose one word in lower case other than {', '.join(taken)}"
         raise ValueError(f"{what} cannot be called {name!r}; {remedy}")
 
 
 def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind:
-    """Return a struct of the values of a configuration; NumPy's numbers and arrays count as Python's.
+    """Return the values of a configuration as a struct; NumPy's numbers and arrays count as Python's.
 
     Args:
-        kind: a struct; its ``__post_init__`` may raise a ValueError, which is passed on.
-        place: of the values, such as ``"config['controller']"``.
+        kind: class of the struct; a ValueError of its ``__post_init__`` is passed on.
+        place: where the values stand, such as ``"config['controller']"``.
         values: by key.
-        strict: whether texts of numbers are refused.
+        strict: whether a number must not be given as a text.
 
     Raises:
-        ValueError: naming key, value, place and remedy, for anything unknown, missing or impossible.
+        ValueError: for anything unknown, missing or impossible.
     """
-    values = as_json(values)
-    if not isinstance(values, dict):
-        raise ValueError(f"{place} is {values!r}; it must be a dictionary")
+    values = as_dictionary(place, values)
     known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
     refuse_unknown(place, values, [*known, tag] if tag else known)
     for key, each in known.items():
@@ -132,13 +130,25 @@ def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind
         raise (error.__cause__ or error) from None
 
 
+def as_dictionary(place: str, values: Any) -> Config:
+    """Return a mapping as a dictionary of types that JSON has, see `as_json`.
+
+    Raises:
+        ValueError: for anything but a mapping.
+    """
+    values = as_json(values)
+    if not isinstance(values, dict):
+        raise ValueError(f"{place} is {values!r}; it must be a dictionary")
+    return values
+
+
 def as_json(values: Any) -> Any:
-    """Return values in types that JSON has: NumPy's numbers and arrays, mappings and paths in Python's own."""
+    """Convert values to types that JSON has: NumPy's numbers and arrays, mappings and paths to Python's own types."""
     return to_builtins(values, enc_hook=_builtin)
 
 
 def _builtin(value: Any) -> Any:
-    """Return in Python's own types what is of NumPy, a mapping or a path; anything else as a text, to be refused."""
+    """Convert a value of NumPy, a mapping or a path; turn any other object into a text, which a check refuses."""
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -147,8 +157,11 @@ def _builtin(value: Any) -> Any:
 
 
 def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
-    """Check the value of a key; say what to give instead: a description, the choices, or what msgspec expects."""
-    value = as_json(value)
+    """Check the value of a key against an annotation.
+
+    Raises:
+        ValueError: with the annotation's description, its choices, or else what msgspec expects, as the remedy.
+    """
     try:
         convert(value, annotation, strict=strict)
     except ValidationError as error:
@@ -162,12 +175,12 @@ def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
 
 
 def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
-    """Check an action or observation type and, of a tuple, its parts.
+    """Check an action or observation type, with the parts of a ``TupleObservation``.
 
     Raises:
         ValueError: for an unknown type or key, or an impossible value.
     """
-    if not isinstance(values, Mapping) or values.get("type") not in list(known):
+    if not isinstance(values, dict) or values.get("type") not in list(known):
         raise ValueError(f"{place} is {values!r}; its 'type' must be one of {', '.join(known)}")
     keys = known[values["type"]]
     refuse_unknown(place, values, ["type", *keys])
@@ -178,5 +191,5 @@ def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
 
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
-    """Return a struct of those keys of a whole configuration that highway-env does not have, see `read`."""
+    """Read the keys of a struct from a whole configuration, see `read`; the other keys are highway-env's."""
     return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})

@@ -1,6 +1,6 @@
-"""What all environments of the package share with those of highway-env: a configuration that is checked, and spaces."""
+"""Define the base of all environments: highway-env's environment with a checked configuration and checked actions."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import product
 from typing import Any, ClassVar
@@ -19,6 +19,7 @@ from ms_highway.envs.configuration import (
     Config,
     Positive,
     Types,
+    as_dictionary,
     as_json,
     check,
     check_type,
@@ -26,7 +27,6 @@ from ms_highway.envs.configuration import (
     refuse_unknown,
 )
 from ms_highway.envs.spaces import (
-    SPEED_RANGE,
     Autopilot,
     CarStates,
     CarTracks,
@@ -39,10 +39,11 @@ from ms_highway.envs.spaces import (
 from ms_highway.envs.viewer import Viewer, enable_pictures
 from ms_highway.game.scenario import TIME_STEP
 
-OWN = (Autopilot, HumanModelAction, CarStates, CarTracks, SceneStates, TupleObservation)
-OWN_TYPES = {kind.__name__: kind for kind in OWN}
+OWN_TYPES = {
+    kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks, SceneStates, TupleObservation)
+}
 SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
-"""What the values of highway-env's own keys must be, by the type of their default."""
+"""Annotations of the values of highway-env's own keys, by the type of their default."""
 
 UNUSED = {
     "other_vehicles_type": "'human_driver' says what drives the humans, and 'traffic' what drives recorded cars",
@@ -50,16 +51,19 @@ UNUSED = {
     "render_agent": "render_mode says whether to draw",
     "neighbour_vehicles_connected_lanes": "all lanes of these roads are one road",
 }
-"""highway-env's own keys that have no effect here, and what has."""
+"""highway-env's own keys that have no effect here, and the reason or a key that has the effect."""
 
-STEERING_RANGE = [-0.1, 0.1]  # rad, of the front wheels: at 20 m/s, 0.1 rad turns with 8 m/s^2, what tyres hold
+USUAL_RANGES = {
+    "steering_range": [-0.1, 0.1],  # rad, of the front wheels: at 20 m/s, 0.1 rad takes the 8 m/s^2 that tyres hold
+    "speed_range": [0.0, 40.0],  # m/s, highway-env's highest speed
+}
 
 
 class ConfiguredEnv(AbstractEnv):
-    """An environment of highway-env whose configuration is checked, all of it, before anything changes.
+    """A highway-env environment that checks its whole configuration before it changes anything.
 
     Attributes:
-        settings: of the configuration, of the class's ``settings_type``.
+        settings: the keys that highway-env does not have, read into the class's ``settings_type``.
     """
 
     settings_type: ClassVar[Any]
@@ -71,7 +75,7 @@ class ConfiguredEnv(AbstractEnv):
     config: Config
     metadata: Config
     action_space: Any
-    _running, _stale = False, False  # whether an episode runs; whether a step needs a reset before it
+    _running, _stale = False, False  # whether an episode runs; whether the next step needs a reset first
     _coming: Config | None = None  # the configuration of the next episode
     _spec: EnvSpec | None = None
 
@@ -81,7 +85,7 @@ class ConfiguredEnv(AbstractEnv):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Gymnasium's specification; its arguments have only types that JSON has."""
+        """Gymnasium's specification, whose arguments are converted to types that JSON has."""
         return self._spec
 
     @spec.setter
@@ -92,25 +96,23 @@ class ConfiguredEnv(AbstractEnv):
 
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
-        """Return the whole configuration, by default the default one, after changes.
+        """Return the whole configuration after changes of a configuration, by default of the default one.
 
-        A nested mapping changes only the keys that it names, unless its ``type`` differs or it is a reward: then it
-        replaces what stood there.
+        A nested mapping changes only the keys that it names. It replaces the old mapping if its ``type`` differs or if
+        it is the humans' reward.
 
         Raises:
-            ValueError: naming key, value, place and remedy, for anything unknown or impossible.
+            ValueError: for anything unknown or impossible.
         """
-        changes = {} if changes is None else changes
-        if not isinstance(changes, Mapping):
-            raise ValueError(f"the configuration is {changes!r}; it must be a dictionary")
+        changes = as_dictionary("the configuration", {} if changes is None else changes)
         defaults = cls.default_config() if config is None else config
         refuse_unknown("config", changes, defaults)
         whole: Config = {**defaults, **changes}
         for key, value in changes.items():
-            if isinstance(value, Mapping):
-                before: Changes = defaults[key] if isinstance(defaults[key], Mapping) and key != "human_reward" else {}
+            before = defaults[key]
+            if isinstance(value, dict) and isinstance(before, dict) and key != "human_reward":
                 same_type = value.get("type", before.get("type")) == before.get("type")
-                whole[key] = {**before, **value} if same_type else dict(value)
+                whole[key] = {**before, **value} if same_type else value
         read_own(cls.settings_type, whole)
         for key, default in super().default_config().items():
             check(f"config[{key!r}]", whole[key], SCALARS.get(type(default), Any))
@@ -120,19 +122,19 @@ class ConfiguredEnv(AbstractEnv):
         frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
         for key in ("simulation_frequency", "policy_frequency"):
             if not np.isclose(changes.get(key, frequency), frequency):
-                message = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
-                raise ValueError(f"config[{key!r}] is {whole[key]!r}; {message}")
+                remedy = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
+                raise ValueError(f"config[{key!r}] is {whole[key]!r}; {remedy}")
             whole[key] = frequency
         for key, known in cls.types.items():
             check_type(f"config[{key!r}]", whole[key], known)
-        if "steering_range" in cls.types["action"][whole["action"]["type"]]:
-            whole["action"] = {"steering_range": STEERING_RANGE, **whole["action"]}
+        if "speed_range" in cls.types["action"][whole["action"]["type"]]:
+            whole["action"] = {**USUAL_RANGES, **whole["action"]}
         return whole
 
     def configure(self, config: Config | None) -> None:
-        """Change the configuration, all of it or nothing; during an episode, from the next reset on.
+        """Make all changes of the configuration, or none; those made during an episode act from the next reset on.
 
-        When no episode runs, the spaces follow at once, and the next step needs a reset before it.
+        When no episode runs, the spaces change at once, and the next step needs a reset before it.
 
         Raises:
             ValueError: for an unknown key or an impossible value.
@@ -145,14 +147,14 @@ class ConfiguredEnv(AbstractEnv):
             self.config, self._coming = config, None
             self._read()
             super().configure(None)
-            if hasattr(self, "road"):  # or else it is only being made
+            if hasattr(self, "road"):  # not yet in highway-env's constructor
                 road, self.road = self.road, None  # spaces must not depend on the cars of the last episode
                 self.define_spaces()
                 self.road, self._stale = road, True
 
     @contextmanager
     def _all_or_nothing(self) -> Iterator[None]:
-        """Leave everything as it was if the block fails."""
+        """Restore all attributes if the block fails."""
         before = self.__dict__.copy()
         try:
             yield
@@ -166,15 +168,15 @@ class ConfiguredEnv(AbstractEnv):
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
         """Set the frames per second of a video that plays at true speed."""
-        self.metadata = dict(self.metadata)  # or else highway-env would write them into the class's own
+        self.metadata = dict(self.metadata)  # highway-env would write into the dictionary that all environments share
         super().update_metadata(video_real_time_ratio)
 
     def define_spaces(self) -> None:
-        """Set observation and action type; an action space that did not change keeps its random generator."""
+        """Set types and spaces of observations and actions; an unchanged action space keeps its random generator."""
         before = self.action_space
         self.action_type = self.type_of(action_factory, self.config["action"])
         if isinstance(self.action_type, ContinuousAction):
-            limit_speed(self.action_type, as_json(self.config["action"].get("speed_range", SPEED_RANGE)))
+            limit_speed(self.action_type, self.config["action"]["speed_range"])
         self.action_space = self.action_type.space()
         if before == self.action_space:
             self.action_space = before
@@ -183,7 +185,7 @@ class ConfiguredEnv(AbstractEnv):
         self.observation_space = finite(self.observation_type.space())
 
     def type_of(self, factory: Any, config: Config) -> Any:
-        """Return a type of actions or observations: the package's own, else what a factory of highway-env makes."""
+        """Make a type of actions or observations: one of the package, or else by a factory of highway-env."""
         if "observation_shape" in config:  # highway-env needs a tuple; JSON has only lists
             config = {**config, "observation_shape": tuple(config["observation_shape"])}
         kind = OWN_TYPES.get(config["type"])
@@ -193,8 +195,8 @@ class ConfiguredEnv(AbstractEnv):
         """Start an episode.
 
         Args:
-            seed: seeds all that is drawn.
-            options: ``"config"``: changes of the configuration, of which all are made or none; others see the class.
+            seed: of all random draws.
+            options: ``"config"``, changes of the configuration, of which all are made or none; the class may have more.
 
         Raises:
             ValueError: for unknown options or an impossible configuration.
@@ -209,28 +211,29 @@ class ConfiguredEnv(AbstractEnv):
             start = super().reset(seed=seed)
         self._running, self._stale = True, False
         if self.config["manual_control"]:
-            self.action_type.act(self.action_type.last_action)  # keys that nobody touches also mean something
+            self.action_type.act(self.action_type.last_action)  # an action even before the first key is pressed
         return start
 
     def get_available_actions(self) -> Sequence[Any]:
         """Return the actions available now: all discrete actions, or highway-env's selection of meta-actions."""
-        if isinstance(self.action_space, spaces.MultiDiscrete):
-            return [*product(*map(range, self.action_space.nvec))]
-        if isinstance(self.action_type, DiscreteMetaAction) or not isinstance(self.action_space, spaces.Discrete):
-            return super().get_available_actions()
-        return range(self.action_space.n)
+        space = self.action_space
+        if isinstance(space, spaces.MultiDiscrete):
+            return [*product(*map(range, space.nvec))]
+        if isinstance(space, spaces.Discrete) and not isinstance(self.action_type, DiscreteMetaAction):
+            return range(space.n)
+        return super().get_available_actions()
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.
 
         Raises:
-            ValueError: for an action that is impossible; nothing has moved then.
+            ValueError: for an impossible action, before anything moves.
             ResetNeeded: if the configuration has changed since the last episode.
         """
         if self._stale:
             raise ResetNeeded("the configuration has changed since the last episode; call reset before step")
-        chosen = isinstance(self.action_type, Autopilot)
-        if action is not None and not (self.action_space.contains(action) if chosen else np.isfinite(action).all()):
+        own = isinstance(self.action_type, Autopilot)  # highway-env clips its actions to their space
+        if action is not None and not (self.action_space.contains(action) if own else np.isfinite(action).all()):
             raise ValueError(f"action {action!r} is impossible; give one of {self.action_space}")
         *outcome, info = super().step(action)
         self._running = not any(outcome[2:])

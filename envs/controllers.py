@@ -1,11 +1,11 @@
-"""Define what the configuration of a controller says, and read that of orders, whose models are known beforehand.
+"""Define the settings of controllers, and those of orders, whose models are known when the episode starts.
 
-`ms_highway.envs.registry` has the controllers that choose online, and all by type and short name.
+`ms_highway.envs.registry` defines the controllers that choose online, and finds all by type and short name.
 """
 
 import re
 from math import nan
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -34,22 +34,19 @@ Shares = Annotated[
 ]
 
 
-Ladder: TypeAlias = tuple[HumanModel, ...]
-
-
 class Start(NamedTuple):
     """What a rule is built from when an episode starts.
 
     Attributes:
         ladder: human models to choose from, cheapest first.
-        costs: of plans with them, NaN where no rule needs them.
+        costs: of plans with them, NaN where unknown.
         semantics: of the scenario.
-        humans: their number.
-        steps: of the episode.
-        random: what is drawn from.
+        humans: number of humans.
+        steps: number of steps of the episode.
+        random: source of the draws.
     """
 
-    ladder: Ladder
+    ladder: tuple[HumanModel, ...]
     costs: Costs
     semantics: Semantics
     humans: int
@@ -58,10 +55,10 @@ class Start(NamedTuple):
 
 
 class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", omit_defaults=True):
-    """What a controller's configuration says.
+    """Base of the settings of controllers, read from their configuration.
 
     Attributes:
-        belief: whether it infers which model predicts each human, see `ms_highway.choice.belief`.
+        belief: whether the controller infers which model predicts each human, see `ms_highway.choice.belief`.
         chooses: whether a rule chooses from the ladder.
         predicts: whether the robot plans with predictions of human models.
         price: lambda, NaN where no rule chooses at one.
@@ -74,7 +71,7 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
 
     @classmethod
     def parse(cls, text: str) -> Config:
-        """Return what the second part of a short name says: the first field, and the ``values`` after a colon."""
+        """Read the part of a short name behind its type: the first field, and the ``values`` after a colon."""
         first = [name for name in cls.__struct_encode_fields__ if name != "belief"][:1]
         given = dict(zip([*first, "values"], text.split(":", 1), strict=False))
         return {name: value for name, value in given.items() if value}
@@ -84,12 +81,12 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
         """Time of a cycle [s], None without one."""
         return None
 
-    def learned(self, semantics: Semantics, humans: int, ladder: Ladder) -> Values | None:
-        """Return the learned values by which it chooses from a ladder; None without any."""
+    def learned(self, start: Start) -> Values | None:
+        """Return the learned values that choose from the ladder; None without any."""
         return None
 
     def names(self) -> tuple[str, ...]:
-        """The names of the human models that are known when the episode starts."""
+        """Return the names of the human models of an order."""
         return ()
 
     def rule(self, start: Start) -> Any:
@@ -97,28 +94,29 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
         raise NotImplementedError
 
     def check(self, start: Start) -> None:
-        """Make sure that it drives the robot.
+        """Check that the controller can drive the robot.
 
         Raises:
             ValueError: for an agent, and for a rule that does not fit the ladder, the costs or a belief.
         """
-        drivable(self.rule(start), self.belief)
+        if self.predicts:
+            drivable(self.rule(start), self.belief)
 
     def driver(self, game: Game, start: Start, way_out: bool, order: Order | None = None) -> Controller:
         """Return what drives the robot in an episode.
 
         Args:
-            game: as the robot believes it.
+            game: that the robot believes in.
             start: what the rule is built from.
             way_out: whether the robot keeps a way out, see `ms_highway.planning.way_out`.
-            order: stands in for the rule, where an agent chooses the models.
+            order: used instead of the rule where an agent chooses the models.
         """
         rule = self.rule(start) if order is None else order
         return Driver(game, rule, budget=self.budget, way_out=way_out, belief=self.belief)
 
 
 class OrderSettings(ControllerSettings, frozen=True):
-    """Plans each step with models that are known when the episode starts."""
+    """Base of the settings of orders, whose models are known when the episode starts."""
 
     chooses: ClassVar[bool] = False
 
@@ -128,7 +126,7 @@ class OrderSettings(ControllerSettings, frozen=True):
                 raise ValueError(f"{PLACE} names {name!r}; the human models are {model_names()}")
 
     def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
-        """Return the names of the humans' models in every step, [steps, humans], or one for all humans, [steps, 1]."""
+        """Return the names of the humans' models in every step, [steps, humans] or, the same for all, [steps, 1]."""
         return np.array(self.names())[:, None]
 
     def rule(self, start: Start) -> Any:
@@ -139,7 +137,7 @@ class OrderSettings(ControllerSettings, frozen=True):
 
 
 class NamedSettings(ControllerSettings, frozen=True):
-    """Something of a user's drives that is known by its name, and predicts no human."""
+    """Base of the settings of a user's drivers and agents, which are known by name and predict no human."""
 
     chooses: ClassVar[bool] = False
     predicts: ClassVar[bool] = False
@@ -158,9 +156,6 @@ class DriverSettings(NamedSettings, frozen=True, tag="driver"):
         if self.name not in function_names():
             remedy = f"add it with ms_highway.add_driver: there are {', '.join(function_names())}"
             raise ValueError(f"{PLACE} names the driver {self.name!r}; {remedy}")
-
-    def check(self, start: Start) -> None:
-        """See `ControllerSettings.check`: nothing to check."""
 
     def driver(self, game: Game, start: Start, way_out: bool, order: Order | None = None) -> Controller:
         """See `ControllerSettings.driver`."""
@@ -192,7 +187,7 @@ class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
 
 
 class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
-    """A model per step, the last one is kept; ``tom/naive`` stands for a model of each human."""
+    """A model per step, of which the last is kept; ``tom/naive`` names one model for each human."""
 
     models: Models
 
@@ -213,7 +208,7 @@ class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
         """See `OrderSettings.table`.
 
         Raises:
-            ValueError: where a step names several models, but not as many as there are humans.
+            ValueError: if a step names several models, but not one for each human.
         """
         rows = [step.split("/") for step in self.models]
         if wrong := {len(row) for row in rows} - {1, humans}:
@@ -231,13 +226,13 @@ class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
 
 
 class RandomSettings(OrderSettings, frozen=True, tag="random"):
-    """A model for every human and step, drawn when the episode starts."""
+    """A model for every human and step, drawn when the episode starts with given shares."""
 
     shares: Shares
 
     @classmethod
     def parse(cls, text: str) -> Config:
-        """See `ControllerSettings.parse`; it is like ``naive=0.7,tom=0.3``."""
+        """See `ControllerSettings.parse`; the text is like ``naive=0.7,tom=0.3``."""
         shares = {name: share for name, _, share in (part.partition("=") for part in text.split(","))}
         if len(shares) <= text.count(","):
             raise ValueError(f"the shares {text!r} name a model twice; name each once")

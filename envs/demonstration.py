@@ -1,4 +1,4 @@
-"""Demonstration: a car to be driven, by a person or a program, among others that do not react."""
+"""Demonstration: a person or a program drives a car among others that do not react."""
 
 from collections.abc import Mapping
 from math import atan, pi
@@ -23,29 +23,29 @@ from ms_highway.runtime.arrays import Car, Control, State, Times, Vector
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, states_of
 
 DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}
-"""Number of cars around a driver, by name of the density of traffic."""
+"""Number of other cars, by name of the density of traffic."""
 
 LANES = 3
 OTHERS = max(DENSITIES.values())
-ABSENT = np.array([-1000.0, 0.0, 0.0, 0.0])  # state of cars that are not there: far behind, where they do not count
+ABSENT = np.array([-1000.0, 0.0, 0.0, 0.0])  # state of absent cars: so far behind that they do not count
 
 LATERAL_SPREAD = 0.5  # m, standard deviation of the start from the middle of a lane
-OFF_ROAD_SHARE, OFF_ROAD_DEPTH = 0.2, 1.0  # of episodes start with the car's side up to so many metres off the road
+OFF_ROAD_SHARE, OFF_ROAD_DEPTH = 0.2, 1.0  # share of episodes that start off the road; m, by how much at most
 HEADING_SPREAD, SPEED_SPREAD = 0.04, 2.5  # rad and m/s, standard deviations
 
 ACTION = {"type": "ContinuousAction", "acceleration_range": [-50.0, 50.0], "steering_range": [-pi / 4, pi / 4]}
-"""Actions that reach all controls within the limits of plans, see `ms_highway.game.scenario.PHYSICAL_LIMIT`."""
+"""Actions that reach all controls within `ms_highway.game.scenario.PHYSICAL_LIMIT`."""
 
 KEYBOARD_ACTION = {"type": "ContinuousAction", "acceleration_range": [-6.0, 14.0], "steering_range": [-0.07, 0.07]}
-"""Actions to be chosen by arrow keys, which highway-env takes for 0.7 of the range.
+"""Actions for arrow keys; highway-env takes a pressed key for 0.7 of the range.
 
-Without a key, the engine makes up for the friction at 20 m/s; with one, the car gains or loses 7 m/s^2, or turns at
-11 degrees per second.
+Without a key, the engine balances the friction at 20 m/s. With one, the car gains or loses 7 m/s^2, or turns at 11
+degrees per second.
 """
 
 
 def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
-    """Build the game of the driver, for weights by name, on three lanes of the paper's scenes."""
+    """Build the game of a driver with these weights by name, on three lanes like those of the paper's scenes."""
     lanes = np.arange(LANES) * LANE_WIDTH
     scene = Scene(lanes, LANE_WIDTH, target_lane=lanes[0])
     return driving_game(scene, SPEED_LIMIT, weights, grip=None)
@@ -59,9 +59,9 @@ class DemonstrationSettings(Struct, frozen=True):
 
 
 class DemonstrationEnv(GameEnv):
-    """A car to drive along a road of three lanes, among cars on routes that nothing changes.
+    """A car to drive on a road of three lanes, among cars whose routes are fixed when the episode starts.
 
-    Configuration, beside highway-env's own, of which changes act from the next reset on:
+    The configuration has highway-env's keys and these; changes act from the next reset on:
 
     * ``density``: of the traffic, ``sparse``, ``medium`` or ``dense``, see `ms_highway.envs.demonstration.DENSITIES`.
     * ``action``: ranges of highway-env's ``ContinuousAction``; `KEYBOARD_ACTION` suits a person.
@@ -73,9 +73,9 @@ class DemonstrationEnv(GameEnv):
     reward: cars neither push each other nor stop, and ``info["collision_effect"]`` says so.
 
     Attributes:
-        game: that the driver plays.
-        routes: of the other cars, [others, times, 4]; absent ones stand far behind. They go on beyond the end of the
-            episode for as long as a plan looks ahead.
+        game: of the driver.
+        routes: of the other cars, [others, times, 4]; absent cars stand far behind. They extend beyond the end of the
+            episode by the horizon of a plan.
     """
 
     settings_type = DemonstrationSettings
@@ -84,7 +84,7 @@ class DemonstrationEnv(GameEnv):
 
     @classmethod
     def default_config(cls) -> Config:
-        """highway-env's configuration with this environment's own."""
+        """Return highway-env's default configuration with this environment's keys."""
         return super().default_config() | {
             "observation": {"type": "CarTracks"},
             "action": dict(ACTION),
@@ -158,17 +158,17 @@ def draw_routes(
     lanes: Vector,
     driver: Car,
 ) -> np.ndarray:
-    """Return states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear of each other.
+    """Draw states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear of each other.
 
-    At first, they keep clear of a driver as well. Each goes along its lane at its speed; some change to the lane beside
-    it, along a quintic.
+    At the start, they also keep clear of the driver. Each car follows its lane at its own speed; some change to the
+    adjacent lane along a quintic.
 
     Args:
-        random: what they are drawn with.
-        cars: how many.
+        random: source of the draws.
+        cars: number of cars.
         times: of the states [s].
-        lanes: lateral position of each lane's centre, two or more.
-        driver: state of the driver in the beginning; the routes start near it.
+        lanes: lateral positions of the lanes' centres, two or more.
+        driver: state of the driver at the start; the routes start near it.
     """
     while True:
         routes: list[np.ndarray] = []

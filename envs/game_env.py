@@ -1,4 +1,4 @@
-"""What the environments share: configuration, road and cones, car 0's reward by feature, and what a step took."""
+"""Define the base of environments that play a game: road and cones, car 0's reward by feature, times of a step."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -44,7 +44,7 @@ def straight_road(game: Game) -> RoadNetwork:
 
 @dataclass(frozen=True)
 class Timing:
-    """What the robot's step took on this machine. Any two compare equal: measured times are no part of what happened.
+    """Measured times of the robot's step. Any two compare equal, so that episodes can be compared without their times.
 
     Attributes:
         planning_seconds: wall time of the plan, compilation excluded.
@@ -64,21 +64,21 @@ class Cone(Obstacle):
 
 
 class GameEnv(ConfiguredEnv):
-    """An environment of a fixed duration, whose reward is that of car 0 after the step, feature by feature.
+    """An environment of a fixed duration, whose reward is car 0's in a game after the step, feature by feature.
 
     Cars are not solid: a collision only costs reward, as in the paper, and ``info["collision_effect"]`` says so.
 
     Attributes:
-        game: whose reward.
+        game: defines car 0's reward.
         collision: whether car 0 has collided in the last step.
     """
 
     game: Game
 
     def _place(self, cars: list[Any]) -> None:
-        """Put cars on the road, the first of them to be driven."""
+        """Put cars on the road; actions drive the first one."""
         for car in cars:
-            car.solid = False  # collisions are seen, without effect
+            car.solid = False  # a collision is noticed, but has no effect
         self.road.vehicles, self.controlled_vehicles, self.collision = cars, cars[:1], False
         self._terms = dict.fromkeys(self.game.robot.names, 0.0)
 
@@ -89,7 +89,7 @@ class GameEnv(ConfiguredEnv):
 
     @property
     def episode_steps(self) -> int:
-        """Length of an episode that nothing ends early."""
+        """Number of steps of an episode that nothing ends early."""
         return round(self.config["duration"] * self.config["policy_frequency"])
 
     def _simulate(self, action: Any = None) -> None:

@@ -1,4 +1,4 @@
-"""What a person sees: the road from above, plans and predictions on it, and a panel with what the robot thinks."""
+"""Draw the road from above with plans and predictions, and a panel that shows what the robot thinks."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -10,7 +10,7 @@ import numpy as np
 import pygame
 from highway_env.road.graphics import LaneGraphics, RoadGraphics
 
-from ms_highway.choice.rule import Order
+from ms_highway.envs.spaces import HumanModelAction
 from ms_highway.envs.viewer import (
     ASPHALT,
     CONE,
@@ -28,28 +28,27 @@ from ms_highway.envs.viewer import (
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.driver import Driver
 from ms_highway.planning.ladders import PACKAGE_MODELS, cheapest_first
 from ms_highway.runtime.arrays import Belief, Car, Controls
 
 MARGIN = 16  # px
 TEXT_WIDTH, CHART = 440, 42  # px, width of the panel's left part, height of a chart
 LARGE, MEDIUM, SMALL = 24, 15, 13  # px, sizes of texts
-NAMED = 60  # px, width from which on a part of a bar is named
-WORST = -10.0  # reward below which the curve is cut: a collision would dwarf everything
+NAMED = 60  # px, width from which a part of a bar shows its name
+WORST = -10.0  # lowest reward of the chart, as a collision would dwarf everything else
 
 
 class InteractionViewer(Viewer):
     """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x ``screen_height``.
 
-    Predicted paths have the colours of the models that predict them; among several humans, so have the humans.
+    Predicted paths have the colours of their models; among several humans, the humans have them, too.
     """
 
     panel_height = 150  # px
-    longest = 0.0  # s, longest planning time in all films that share this scale
+    longest = 0.0  # s, longest planning time of all films that share the scale of planning times
 
     def display(self) -> None:
-        """Draw everything; the view follows the robot along the road and keeps the road in place."""
+        """Draw everything; the view follows the robot along the road, but not to the side."""
         surface, env, step = self.sim_surface, self.env, self.env.robot.last_step
         lanes, half = np.asarray(env.game.scene.lanes, float), float(env.game.scene.lane_width) / 2
         ends = lanes.min() - half, lanes.max() + half
@@ -115,7 +114,7 @@ class InteractionViewer(Viewer):
             self._write(line, MEDIUM, topleft=(MARGIN, top + 46 + 24 * place))
 
     def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
-        """Draw the model with what it means; of several humans, how many each model predicts."""
+        """Name the only human's model and what it means, or the number of humans that each model predicts."""
         alone = len(step.models) == 1
         for name in step.models if alone else dict.fromkeys((*step.ladder, *step.models)):
             count = "" if alone else f"{step.models.count(name)} "
@@ -124,14 +123,11 @@ class InteractionViewer(Viewer):
             self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
     def _thoughts(self, step: ControlStep) -> tuple[str, str]:
-        """Return two lines: the times; why the only human's model plans, the way to the cones, the plan's status."""
-        controller, cones = self.env.robot.controller, self.env.distance_to_cones
-        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds}
-        remarks = []
-        if isinstance(controller, Driver):
-            times["budget"] = controller.budget or 0.0
-            if len(step.models) == 1 and not isinstance(controller.rule, Order):
-                remarks.append(_reason(step))
+        """Return two lines: times; the reason for the only human's model, the way to the cones, the plan's status."""
+        controller, cones, remarks = self.env.settings.controller, self.env.distance_to_cones, []
+        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": controller.budget}
+        if len(step.models) == 1 and controller.chooses and not isinstance(self.env.action_type, HumanModelAction):
+            remarks.append(_reason(step))
         if self.env.scenario.streams and cones < np.inf:
             remarks.append(f"cones in {cones:.0f} m")
         if step.status != "planned":
@@ -140,7 +136,7 @@ class InteractionViewer(Viewer):
         return ", ".join(taken), "    ".join(remarks)
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
-        """Draw the probabilities of the models of every human, side by side, behind its number."""
+        """Draw a bar for every human, behind its number: the probabilities of the models, side by side."""
         width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
         for place, shares in enumerate(belief):
             left = start = MARGIN + place * width
@@ -155,7 +151,7 @@ class InteractionViewer(Viewer):
     def _draw_chart(
         self, box: pygame.Rect, heading: str, values: Sequence[float], low: float, high: float
     ) -> list[pygame.Rect]:
-        """Draw a heading above, a line below, and both ends on the left; return the bar of every step's value."""
+        """Draw a chart's heading, its lowest line and the ends of its scale; return the bar of every step's value."""
         self._write(heading, SMALL, FAINT, topleft=(box.left, box.top - 20))
         for end, y in ((high, box.top), (low, box.bottom)):
             self._write(f"{end:.3g}", SMALL, FAINT, midright=(box.left - 8, y))
@@ -168,7 +164,7 @@ class InteractionViewer(Viewer):
         ]
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
-        """Draw a bar per step in the colours of the humans' models: its height is the time of planning for one."""
+        """Draw a bar per step in the colours of the humans' models; with one human, its height is the planning time."""
         humans = len(steps[0].models)
         values, heading, high = [float(humans)] * len(steps), "humans that each model predicts", float(humans)
         if humans == 1:
@@ -181,7 +177,7 @@ class InteractionViewer(Viewer):
                 self.sim_surface.fill(model_color(model), (bar.left, top, bar.width, bar.bottom - top))
 
     def _draw_curve(self, box: pygame.Rect, rewards: Sequence[float]) -> None:
-        """Draw the reward of each step, cut at its `WORST`; the line at 0 is drawn where it lies within."""
+        """Draw the reward of each step, cut off at `WORST`, and a line at 0 if it is within the chart."""
         low = max(min(rewards), WORST)
         high = max(*rewards, low + 1.0)
         heading = f"reward of each step, {np.mean(rewards):+.2f} on average"
@@ -195,13 +191,13 @@ class InteractionViewer(Viewer):
     def _write(
         self, text: str, size: int, color: Color = INK, ground: Color | None = None, **place: Any
     ) -> pygame.Rect:
-        """Write a text at the place of a corner, side or the centre of its rectangle, which is returned."""
+        """Write a text whose rectangle has a corner, side or centre at this place; return the rectangle."""
         label = words(text, size, color, ground)
         return self.sim_surface.blit(label, label.get_rect(**place))
 
 
 def _reason(step: ControlStep) -> str:
-    """Say why this model plans: the gains that were estimated, net of the price of planning."""
+    """Return the reason for this model: the estimated gains, net of the price of planning."""
     gains = step.highest_gains()
     if step.choice_failed:
         return f"choice failed: {step.model} to be safe"

@@ -1,4 +1,4 @@
-"""Let a person drive a human by the arrow keys, in the window of the environment."""
+"""Let a person drive a human by the arrow keys in the environment's window."""
 
 import numpy as np
 import pygame
@@ -13,10 +13,10 @@ HEADING_RATE = 0.4  # rad/s
 
 
 def keyboard_control(game: Game, state: State) -> Control:
-    """Return the control of car 0 by the keys that are pressed: up and down for speed, left and right for the heading.
+    """Return the control of car 0 for the pressed keys: up and down for speed, left and right for the heading.
 
     Raises:
-        OSError: without a window.
+        OSError: if there is no window.
     """
     if not pygame.display.get_init() or pygame.display.get_surface() is None:
         raise OSError("there is no window to press keys in; make the environment with render_mode='human'")

@@ -1,4 +1,4 @@
-"""Define the controllers that choose models online; know all by type and by short name; add rules of one's own."""
+"""Define the controllers that choose models online; find all by type and short name; add rules of one's own."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,20 +22,18 @@ from ms_highway.envs.controllers import (
     ControllerSettings,
     DriverSettings,
     FixedSettings,
-    Ladder,
     PeriodSettings,
     RandomSettings,
     ScheduleSettings,
     Start,
 )
-from ms_highway.game.scenario import Semantics
 from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction, function_names
 from ms_highway.planning.ladders import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
 BELIEF = "+belief"
 EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
-ONE_STEP = "one_step"  # name of the gains of budgets that Algorithm 1 estimates
+ONE_STEP = "one_step"  # stands for gains that Algorithm 1 estimates
 
 Cooldown = Annotated[int, Meta(ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}")]
 File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
@@ -66,7 +64,7 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     """A learned value of computation chooses, at a price per second of planning.
 
     Attributes:
-        values: ``"shipped"`` or a file of `ms_highway.choice.values`; ``""`` and None mean shipped.
+        values: ``"shipped"`` or a file of `ms_highway.choice.values`; ``""`` and None mean ``"shipped"``.
     """
 
     price: NotNegative = field(name="lambda")
@@ -75,33 +73,32 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     def __post_init__(self) -> None:
         load_values(self.values or SHIPPED_VALUES)
 
-    def learned(self, semantics: Semantics, humans: int, ladder: Ladder) -> Values:
+    def learned(self, start: Start) -> Values:
         """See `ControllerSettings.learned`."""
-        return _learned(self.values, semantics, humans, ladder)
+        return _learned(self.values, start)
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        learned = self.learned(start.semantics, start.humans, start.ladder)
-        return learned.rule(start.ladder, start.costs, self.price)
+        return self.learned(start).rule(start.ladder, start.costs, self.price)
 
 
-def _learned(values: str | None, semantics: Semantics, humans: int, ladder: Ladder) -> Values:
-    """Return the values of a file, or those that the package has for a number of humans and semantics.
+def _learned(values: str | None, start: Start) -> Values:
+    """Return the values of a file, or the shipped values for a number of humans and semantics.
 
-    Among several humans, those of physical semantics know fewer models; the others serve longer ladders.
+    Among several humans, those of physical semantics know fewer models; longer ladders take those of the paper's.
     """
-    found = load_values(values or SHIPPED_VALUES, shipped_kind(semantics, humans))
-    if not values and humans > 1 and not {model.name for model in ladder} <= {*found.ladder}:
+    found = load_values(values or SHIPPED_VALUES, shipped_kind(start.semantics, start.humans))
+    if not values and start.humans > 1 and not {model.name for model in start.ladder} <= {*found.ladder}:
         return load_values(SHIPPED_VALUES, "several")
     return found
 
 
 class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
-    """What gains most within the time of a cycle.
+    """The models that together gain most within the time of a cycle.
 
     Attributes:
-        milliseconds: of a cycle, decision and plan.
-        values: that tell the gains: ``"one_step"`` for those of Algorithm 1, or what `LearnedSettings` takes.
+        milliseconds: time of a cycle, which is a decision and a plan.
+        values: where the gains come from: ``"one_step"`` for Algorithm 1, or the same as in `LearnedSettings`.
     """
 
     milliseconds: Positive
@@ -116,13 +113,13 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
         """See `ControllerSettings`."""
         return self.milliseconds * 1e-3
 
-    def learned(self, semantics: Semantics, humans: int, ladder: Ladder) -> Values | None:
+    def learned(self, start: Start) -> Values | None:
         """See `ControllerSettings.learned`."""
-        return None if self.values == ONE_STEP else _learned(self.values, semantics, humans, ladder)
+        return None if self.values == ONE_STEP else _learned(self.values, start)
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        learned = self.learned(start.semantics, start.humans, start.ladder)
+        learned = self.learned(start)
         if learned is None:
             gains: Any = OneStepGains(Quadratic(start.costs, 0.0, start.ladder))
         else:
@@ -131,7 +128,7 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
 
 
 class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
-    """The top rung for the nearest humans, and the first for all others."""
+    """The top rung for the nearest humans, and the first rung for all others."""
 
     count: Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
 
@@ -156,23 +153,23 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {
         RandomSettings,
     )
 }
-"""The controllers by type: those of the package, and those that `add_rule` adds."""
+"""The controllers of the package and those that `add_rule` adds, by type."""
 
 OURS, RESERVED = tuple(CONTROLLERS), (*HUMAN_DRIVERS, KEYBOARD, "usual", "mixed")
 
 
 def add_rule(settings: type[ControllerSettings]) -> None:
-    """Make a decision rule of one's own known by its name, to configurations and commands of this process.
+    """Add a decision rule of one's own by its name, for configurations and commands of this process.
 
-    Its short name is ``near:6`` with its first field, a number or a text, and ``near`` where all of them have defaults;
-    a rule that needs more than one has none. A first field ``price`` that is named ``lambda`` makes it a rule that
-    chooses at a lambda. Added again, a rule takes the place of the one that had its name.
+    The short name of a rule ``near`` is ``near:6`` if it has one field, a number or a text, and ``near`` if all fields
+    have defaults. A rule that needs more than one field has no short name. A first field ``price`` that is named
+    ``lambda`` makes it a rule that chooses at a lambda. A rule replaces an added rule of the same name.
 
     Args:
-        settings: class of the rule's settings, whose ``rule`` makes it, and whose tag is its name.
+        settings: class of the rule's settings; its ``rule`` makes the rule, and its tag is the name.
 
     Raises:
-        ValueError: if the class is no such one, or the name is taken or no word in lower case.
+        ValueError: if the class makes no rule, or the name is taken or not one word in lower case.
     """
     if (
         not (isinstance(settings, type) and issubclass(settings, ControllerSettings))
@@ -185,19 +182,19 @@ def add_rule(settings: type[ControllerSettings]) -> None:
 
 
 def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
-    """Make an agent or a planner known by a name, to ``compare``, ``video`` and ``bench road`` of this process.
+    """Add an agent or a planner by a name, for ``compare``, ``video`` and ``bench road`` of this process.
 
-    Files that stable-baselines3 has saved need not be added: their paths stand for them in every command.
+    A file that stable-baselines3 has saved need not be added: every command takes its path as a name.
 
     Args:
         name: one word in lower case.
         agent: a function from an observation to an action; an object with stable-baselines3's ``predict(observation,
             deterministic=True)``; or the path of a file that stable-baselines3 has saved.
-        config: what the environments that it drives in are configured with: ``action`` and ``observation``. By default,
-            the action is the one of its action space, and the observation is the environment's own.
+        config: ``action`` and ``observation`` in the configuration of environments that it drives in. By default, the
+            action suits the agent's action space, and the observation is the environment's default.
 
     Raises:
-        ValueError: if the name is taken or no such word, or for another key of ``config``.
+        ValueError: if the name is taken or not one word in lower case, or for another key of ``config``.
         TypeError: if it is no agent.
     """
     check_name("an agent", name, [*CONTROLLERS, *MODELS, *HUMAN_DRIVERS])
@@ -212,8 +209,8 @@ def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
     """Add a driver of the real humans by a name; `ms_highway.register` adds a model by which the robot predicts them.
 
     It drives every human of an environment with ``config={"human_driver": name}``, in commands with
-    ``--set human_driver=NAME``; added again, it takes the place of the one of that name. A function also drives the
-    robot, as the controller ``name``: its arguments are then the game of the robot, and the state with the humans next.
+    ``--set human_driver=NAME``. It replaces an added driver of the same name. A function also drives the robot, as the
+    controller ``name``: it then takes the game of the robot, and a state in which the humans follow the robot.
 
     Args:
         name: one word in lower case.
@@ -225,7 +222,7 @@ def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
             episodes (``ms-highway sweep``); a class of vehicles does not.
 
     Raises:
-        ValueError: if the name is taken or no such word, or the driver is neither.
+        ValueError: if the name is taken or not one word in lower case, or if the driver is neither.
     """
     check_name("a human driver", name, [*RESERVED, *CONTROLLERS, *MODELS, *AGENTS])
     if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
@@ -235,18 +232,8 @@ def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
 
 
 def priced_types() -> list[str]:
-    """Return the types of the controllers that choose models online, by a rule at a lambda."""
+    """Return the types of the controllers whose rule chooses at a lambda."""
     return [name for name, kind in CONTROLLERS.items() if "lambda" in kind.__struct_encode_fields__]
-
-
-def robot_config(name: str) -> Config:
-    """Return the configuration of an environment in which a controller or an agent of this name drives.
-
-    Raises:
-        ValueError: if there is none.
-    """
-    config = controller_config(name)
-    return agent_config(name) if config["type"] == "agent" else {"controller": config}
 
 
 def fixed_order_types() -> list[str]:
@@ -254,11 +241,17 @@ def fixed_order_types() -> list[str]:
     return [name for name, kind in CONTROLLERS.items() if issubclass(kind, (FixedSettings, ScheduleSettings))]
 
 
+def robot_config(name: str) -> Config:
+    """Return the configuration of an environment that a controller or an agent drives; see `controller_config`."""
+    config = controller_config(name)
+    return agent_config(name) if config["type"] == "agent" else {"controller": config}
+
+
 def controller_settings(config: Any) -> Any:
-    """Return the `ControllerSettings` of a controller's configuration, or of its short name.
+    """Return the `ControllerSettings` of a controller's configuration or short name.
 
     Raises:
-        ValueError: naming the key, the value and the remedy, for anything unknown or impossible.
+        ValueError: for anything unknown or impossible.
     """
     if isinstance(config, str):
         config = controller_config(config)
@@ -272,14 +265,16 @@ def controller_settings(config: Any) -> Any:
 def controller_config(text: str) -> Config:
     """Return the configuration that a controller's short name stands for.
 
-    These are the human models, such as ``tom`` or ``tom@8+warm``; ``switching:0.1``, ``horizon:0.1`` and
-    ``learned:0.1`` with a lambda, and ``learned:0.1:FILE`` with values of one's own; ``budget:20`` with the
-    milliseconds of a cycle and learned gains, ``budget:20:FILE`` with those of a file, and ``budget:20:one_step`` with
-    those of Algorithm 1; ``nearest:2``, theory of mind about the two nearest humans; ``schedule:tom=6,naive``, tom for
-    six steps and then naive; ``period:tom=1,naive=3``, tom in every fourth step and naive in between; and
-    ``random:naive=0.7,tom=0.3``, for every human and step a model that is drawn with these shares; the name of a
-    function of `ms_highway.add_driver`; and that of an agent of `add_agent`, or a file of stable-baselines3. With
-    ``+belief`` at the end, such as ``tom+belief``, any of them counts on no response that a human does not show.
+    * ``tom``, ``tom@8+warm``: always this human model.
+    * ``switching:0.1``, ``horizon:0.1``, ``learned:0.1``: choose at a lambda; ``learned:0.1:FILE``: by a file's values.
+    * ``budget:20``, ``budget:20:FILE``, ``budget:20:one_step``: what gains most in so many milliseconds, by shipped
+      values, a file's values or Algorithm 1.
+    * ``nearest:2``: theory of mind about the two nearest humans.
+    * ``schedule:tom=6,naive``: tom for six steps, then naive; ``period:tom=1,naive=3``: tom in every fourth step.
+    * ``random:naive=0.7,tom=0.3``: a model drawn with these shares for every human and step.
+    * The name of a function of `ms_highway.add_driver` or of an agent of `add_agent`, or a file of stable-baselines3.
+
+    With ``+belief`` at the end, such as ``tom+belief``, any of them counts on no response that a human does not show.
 
     Raises:
         ValueError: if it stands for none.

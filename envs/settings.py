@@ -1,4 +1,4 @@
-"""The settings of an `ms_highway.envs.base.InteractionEnv`: what its configuration says."""
+"""Read the configuration of an `ms_highway.envs.base.InteractionEnv`."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -25,7 +25,7 @@ from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
 
 HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "published"}
-"""The humans' reward that belongs to each semantics."""
+"""The default of the humans' reward, by semantics."""
 
 YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
 """The human drivers for each way to yield."""
@@ -46,7 +46,7 @@ MAX_HORIZON = 100  # steps
 
 
 class Settings(Struct, frozen=True):
-    """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not have, see there."""
+    """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not have; see there."""
 
     controller: Any
     ladder: Annotated[Literal["best"] | tuple[str, ...], Meta(description=LADDER_REMEDY)]
@@ -74,14 +74,14 @@ class Settings(Struct, frozen=True):
     terminate_on_collision: bool
 
     def __post_init__(self) -> None:
-        if not isinstance(self.controller, ControllerSettings):  # as it is in copies
+        if not isinstance(self.controller, ControllerSettings):  # copies already have one
             force_setattr(self, "controller", controller_settings(self.controller))
         horizon, time_step, chosen = self.horizon, self.time_step, gradient_steps(self.planning)[0]
         if chosen > MAX_ITERATIONS:
             why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"
             raise ValueError(f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give 'iterations'")
         if self.duration < time_step:
-            why = f"an episode has one time step at least, {time_step:g} s"
+            why = f"an episode has at least one time step of {time_step:g} s"
             raise ValueError(f"config['duration'] is {self.duration!r}; {why}")
         if self.human_driver is not None:
             known = [name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING]
@@ -101,7 +101,7 @@ class Settings(Struct, frozen=True):
             raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
 
     def check(self, scenario: Scenario) -> None:
-        """Check what depends on the scenario; warn of gradient steps that overshoot.
+        """Check the number of humans against the scenario; warn of gradient steps that overshoot.
 
         Raises:
             ValueError: for an impossible number of humans.
@@ -115,9 +115,9 @@ class Settings(Struct, frozen=True):
             why = f"{plans} overshoot with steps longer than {longest:.2g}; leave it out to have one chosen"
             warn(f"config['step_size'] is {self.step_size:g}: {why}", stacklevel=2)
 
-    def warn_of_other_values(self, scenario: Scenario) -> None:
-        """Warn of learned values from another scenario, semantics, solver or horizon than they are to choose in."""
-        values = self.controller.learned(self.semantics, self.humans, self.models)
+    def warn_of_other_values(self, scenario: Scenario, start: Start) -> None:
+        """Warn of learned values that come from another scenario, semantics, solver or horizon than they serve here."""
+        values = self.controller.learned(start)
         if values is None:
             return
         known = values.provenance
@@ -136,7 +136,7 @@ class Settings(Struct, frozen=True):
 
     @property
     def planning(self) -> PlanningSettings:
-        """How far ahead, how often and by which gradient steps robot and humans plan."""
+        """Horizon, time step and gradient steps of the robot's and the humans' plans."""
         return PlanningSettings(self.horizon, self.time_step, self.iterations, self.step_size)
 
     @property
@@ -151,7 +151,7 @@ class Settings(Struct, frozen=True):
 
     @property
     def seconds(self) -> dict[str, float]:
-        """T(M) by name [s], also of models in an order as far as it is known; none where it is to be measured."""
+        """T(M) by name [s] of the models of ladder and order, as far as it is known; empty where it is measured."""
         named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS[shipped_kind(self.semantics, self.humans)]}
         given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
         known = dict(given)
@@ -165,17 +165,23 @@ class Settings(Struct, frozen=True):
         return known
 
     def start(self, seconds: Mapping[str, float], steps: int, random: np.random.Generator) -> Start:
-        """Return what a rule is built from: T(M) by name, NaN where it is yet unknown, the steps, and what draws."""
+        """Return what a rule is built from.
+
+        Args:
+            seconds: T(M) by name, as far as it is known.
+            steps: number of steps of the episode.
+            random: source of the draws.
+        """
         costs = Costs.of([seconds.get(model.name, np.nan) for model in self.models], self.humans)
         return Start(self.models, costs, self.semantics, self.humans, steps, random)
 
     @property
     def measures(self) -> bool:
-        """Whether choices depend on planning times that are measured: the same seed may then be another episode."""
+        """Whether rules choose by measured planning times, so that a seed may give different episodes."""
         return self.costs == "measured" or (self.costs == "shipped" and self.controller.budget is not None)
 
     def game(self, scenario: Scenario) -> Game:
-        """Build the game of a scenario, in which all humans have the reward that theirs are drawn around."""
+        """Build the game of a scenario, in which every human has the reward that the drawn ones vary around."""
         limit = self.control_limit
         if limit is None and self.semantics != "released":
             limit = scenario.control_limit

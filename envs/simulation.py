@@ -1,8 +1,7 @@
-"""Simulate an environment in JAX: build the common loop, draw episodes, and step one environment by pure functions."""
+"""Simulate environments in JAX: build the loop of their episodes, draw episodes, and step by pure functions."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from math import isnan
 from typing import Any, NamedTuple
 
 import jax
@@ -31,19 +30,19 @@ STEP = (
     *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
     *("_is_truncated", "episode_steps", "car_states", "success", "measure", "counted_seconds"),
 )
-"""Names of the methods and properties of an environment that a simulation replaces by its own code."""
+"""Methods and properties of an environment that a simulation does not call, so that no subclass may change them."""
 
 
 def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerSettings]) -> Loop:
-    """Return the loop that all episodes of an environment share; a fixed order stands in for the rule.
+    """Return the loop that all episodes of an environment share; a fixed order takes the place of the rule.
 
     Args:
         environment: what is simulated.
-        controllers: of the robot, whose models are known to the loop.
+        controllers: of the robot; the loop holds the models that they name.
 
     Raises:
-        ValueError: for costs that are to be measured, and for environments that do something of their own in a step,
-            or tell the robot the true rewards.
+        ValueError: for environments that override a part of a step or tell the robot the true rewards, for controllers
+            that do not predict, and for costs that must be measured.
     """
     kind, settings = type(environment), environment.settings
     if own := [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]:
@@ -67,13 +66,13 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
 
 
 def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSettings, random: Random) -> Episodes:
-    """Draw an episode as the environment draws it at a reset, without an axis of episodes.
+    """Draw an episode as the environment does at a reset; its arrays have no axis of episodes.
 
     Args:
         environment: what is simulated.
         loop: of `shared_loop`.
         settings: of the robot's controller.
-        random: what is drawn from.
+        random: source of the draws.
     """
     start, weights = environment.draw_episode(random)
     drivers, shape = environment.draw_drivers(random), (environment.episode_steps, environment.settings.humans)
@@ -81,21 +80,21 @@ def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSett
     if isinstance(settings, OrderSettings):
         names, table = [model.name for model in loop.models], settings.table(*shape, random)  # type: ignore[arg-type]
         rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(shape[0]), len(table) - 1)]
-    price = np.float32(0.0 if isnan(settings.price) else settings.price)
+    price = np.nan_to_num(np.float32(settings.price))  # an order has none
     return Episodes(start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers)
 
 
 def stack_episodes(drawn: Sequence[Episodes]) -> Episodes:
-    """Put drawn episodes together."""
+    """Stack drawn episodes along a first axis."""
     return jax.tree.map(lambda *parts: np.array(parts), *drawn)
 
 
 class EnvState(NamedTuple):
-    """The state of environments, each array with an axis of them, which has length 1 in a `FunctionalEnv`.
+    """The state of a `FunctionalEnv`; every array has a first axis of length 1, as functions of batches take it.
 
     Attributes:
-        now: what episodes carry from step to step.
-        episodes: their own numbers.
+        now: what the episode carries from step to step.
+        episodes: the numbers that were drawn for it.
         step: number of steps done.
     """
 
@@ -107,14 +106,14 @@ class EnvState(NamedTuple):
 class FunctionalEnv:
     """One environment as pure functions of JAX, which can be jitted, vmapped and scanned.
 
-    To step a thousand of them, `ms_highway.envs.vector.InteractionVectorEnv` is faster: it computes a human model for
-    those environments only that use it.
+    To step a thousand environments, `ms_highway.envs.vector.InteractionVectorEnv` is faster: it computes a human model
+    only for the environments that use it.
 
     Attributes:
-        environment: of Gymnasium, which is simulated; it draws the episodes.
+        environment: the environment of Gymnasium that is simulated; it draws the episodes.
         observation_space, action_space: its spaces.
         loop, costs: what its episodes share.
-        steps: length of an episode that nothing ends early.
+        steps: number of steps of an episode that nothing ends early.
         agent_drives: whether the actions are the robot's controls.
 
     Args:
@@ -134,8 +133,8 @@ class FunctionalEnv:
         self.observation_space, self.action_space = env.observation_space, env.action_space
         self.steps = env.episode_steps
         settings, controller, kind = env.settings, env.settings.controller, env.action_type
-        self.agent_drives = isinstance(kind, ContinuousAction)
-        if not ((type(kind) is ContinuousAction and kind.size == 2) or isinstance(kind, Autopilot)):
+        self.agent_drives = type(kind) is ContinuousAction and kind.size == 2
+        if not (self.agent_drives or isinstance(kind, Autopilot)):
             known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
             raise ValueError(f"config['action'] is {env.config['action']}; what is simulated is {known}")
         if type(env.observation_type) not in (CarStates, SceneStates):
@@ -160,7 +159,7 @@ class FunctionalEnv:
         """Start an episode that is drawn by a key of `jax.random`; return its state and the observation.
 
         Raises:
-            AttributeError: where an episode is drawn by other methods than `ms_highway.game.starts.TracedRandom` has.
+            AttributeError: if the environment draws by a method that `ms_highway.game.starts.TracedRandom` lacks.
         """
         episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
         state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
@@ -171,7 +170,7 @@ class FunctionalEnv:
     ) -> tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
         """Return state, observation, reward, terminated, truncated and info after an action.
 
-        An episode does not begin anew by itself. Numbers of models beyond the ladder count as its nearest rung.
+        No episode is reset automatically. The number of a model beyond the ladder counts as the nearest rung.
 
         Raises:
             ValueError: for an action of another shape than the action space's.
@@ -192,10 +191,10 @@ class FunctionalEnv:
         """Return the models of the humans, or the robot's controls, for a step of n environments.
 
         Args:
-            schedules: of the episodes.
-            steps: number of steps done.
-            now: states of all cars.
-            actions: of the agent.
+            schedules: of the episodes [n, steps, humans].
+            steps: number of steps done [n].
+            now: states of all cars [n, cars, 4].
+            actions: of the agent, n of its action space.
         """
         scheduled = schedules[np.arange(len(schedules)), steps.clip(max=self.steps - 1)]
         if self.agent_drives:
@@ -206,7 +205,7 @@ class FunctionalEnv:
         return Given(scheduled)
 
     def outcome(self, records: Records, steps: Any) -> tuple[Any, Any, Any, Any]:
-        """Return observations, rewards, terminated and truncated of n environments after so many steps of each."""
+        """Return observations, rewards, terminated and truncated of n environments that have done these steps [n]."""
         reward = records.reward
         if self._price:
             reward = reward - self._price * self.costs.total(records.planned)
@@ -214,5 +213,5 @@ class FunctionalEnv:
         return self.observe(records.states, steps), reward, terminated, steps >= self.steps
 
     def observe(self, states: State, steps: Any) -> Any:
-        """Return the observations of states [n, cars, 4] after so many steps of each environment."""
+        """Return the observations of states [n, cars, 4] of environments that have done these steps [n]."""
         return self.environment.observation_type.of(states, 1 - steps / self.steps)

@@ -1,4 +1,4 @@
-"""What an agent sees and does: all cars in the order of their roles, and who drives the robot."""
+"""Define what an agent observes, all cars in the order of their roles, and which actions it has."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -17,7 +17,6 @@ from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import State, Vector
 from ms_highway.vehicle import BicycleVehicle
 
-SPEED_RANGE = (0.0, 40.0)  # m/s, the highest is highway-env's
 SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
 
@@ -25,11 +24,11 @@ class CarStates(ObservationType):
     """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
 
     The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
-    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Who drives further than 100 m still
-    sees where it is.
+    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Positions beyond 100 m are not
+    clipped.
     """
 
-    REACHED: ClassVar[tuple[float, float]] = 400.0, 1000.0  # m/s and m to the side, at most: cars speed up by 50 m/s^2
+    REACHED: ClassVar[tuple[float, float]] = 400.0, 1000.0  # m/s and m to the side, which 50 m/s^2 does not exceed
 
     def __init__(self, env: Any, **_: Any) -> None:
         super().__init__(env)
@@ -39,11 +38,11 @@ class CarStates(ObservationType):
         self.low, self.high = (np.tile(np.float32(end), (env.cars, 1)) for end in self.ends(reached))
 
     def ends(self, reached: Vector) -> tuple[Any, Any]:
-        """Return the lowest and the highest value of each column, from what states reach, scaled."""
+        """Return the lowest and the highest value of each column, given the scaled values that states reach."""
         return -reached, reached
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
-        """Return the columns, arrays [..., cars], of states [..., cars, 4] and the share of the episode's time left."""
+        """Return the columns [..., cars] of states [..., cars, 4], given the share of the episode's time left."""
         xp = states.__array_namespace__()
         x, y, heading, speed = xp.moveaxis(states, -1, 0)
         cosine, sine = xp.cos(heading), xp.sin(heading)
@@ -56,22 +55,22 @@ class CarStates(ObservationType):
         return spaces.Box(self.low, self.high, dtype=np.float32)
 
     def observe(self) -> np.ndarray:
-        """Return what is observed now."""
+        """Return the observation of the present state."""
         return self.of(self.env.car_states, np.array(1 - self.env.steps / self.env.episode_steps))
 
     def of(self, states: State, time_left: Any) -> Any:
-        """Return the observations of states [..., cars, 4], computed by NumPy or JAX, within the bounds."""
+        """Return the observations of states [..., cars, 4], in NumPy or JAX, clipped to the bounds of the space."""
         xp = states.__array_namespace__()
         rows = xp.stack(self.columns(states, time_left), axis=-1)
         return xp.clip(rows, self.low, self.high).astype(np.float32)
 
 
 class SceneStates(CarStates):
-    """All that an agent needs of a scene, [cars, 9], in the order of robot, humans and scripted cars.
+    """Everything that an agent needs to know of a scene, [cars, 9]: robot, humans and scripted cars.
 
-    ``presence``, 1, or 0 for a car that is not there; ``x, y, vx, vy, cos_h, sin_h`` as in `CarStates`;
-    ``cone_distance``, from the car's front to the first cone ahead in its lane, divided by 100 m, 1 where there is none
-    so near; and ``time_left``, the share of the episode's time that is left, the same in all rows.
+    ``presence``, 1, or 0 for an absent car; ``x, y, vx, vy, cos_h, sin_h`` as in `CarStates`; ``cone_distance``, from
+    the car's front to the first cone ahead in its lane, divided by 100 m and at most 1; and ``time_left``, the share of
+    the episode's time that is left, the same in all rows.
     """
 
     REACHED = 80.0, 100.0
@@ -99,9 +98,9 @@ def cone_distances(scene: Scene, states: State) -> Any:
 
 
 class CarTracks(CarStates):
-    """``presence, x, y, heading, speed`` of the driver and of all others, [cars, 5], in SI units, not scaled.
+    """``presence, x, y, heading, speed`` of the driver and of all other cars, [cars, 5], in SI units, not scaled.
 
-    Always as many rows as there may be cars; rows of absent cars are zero. ``env.present`` says which cars are there.
+    There is a row for every car that there may be; rows of absent cars are zero. ``env.present`` says which are there.
     """
 
     BOUND = 1e4  # m, rad or m/s; never reached
@@ -116,7 +115,7 @@ class CarTracks(CarStates):
 
 
 class TupleObservation(observations.TupleObservation):
-    """Several observations at once, of highway-env's types and of this package's."""
+    """Several observations at once, of types of highway-env and of this package."""
 
     def __init__(self, env: Any, observation_configs: Sequence[Any], **_: Any) -> None:
         super().__init__(env, [])
@@ -124,10 +123,10 @@ class TupleObservation(observations.TupleObservation):
 
 
 def finite(space: spaces.Space) -> spaces.Space:
-    """Replace infinite bounds of a space, which some of highway-env's observations have, by the ends of its type.
+    """Replace infinite bounds of a space, which some of highway-env's observations have, by the limits of its dtype.
 
     Raises:
-        ValueError: for a space of nothing, which a ``TimeToCollision`` has before a car without target speeds.
+        ValueError: for the space of a ``TimeToCollision`` without shape, which a car without target speeds causes.
     """
     if isinstance(space, spaces.Tuple):
         return spaces.Tuple([finite(part) for part in space])
@@ -142,13 +141,13 @@ def finite(space: spaces.Space) -> spaces.Space:
 def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | None) -> None:
     """Let a type of actions keep its car within a range of speeds [m/s]; None sets no limits.
 
-    No subclass does, as highway-env's keyboard drives its own class only.
+    This changes the object instead of its class, as highway-env's keyboard drives no subclass.
     """
-    kind.speed_range, kind.get_action = speed_range and tuple(speed_range), partial(_limited_action, kind)
+    kind.speed_range, kind.get_action = speed_range, partial(_limited_action, kind)
 
 
 def _limited_action(kind: actions.ContinuousAction, action: np.ndarray) -> dict[str, float]:
-    """Return the control of an action, less what would lead beyond the range of speeds."""
+    """Return the control of an action, whose acceleration is limited to stay within the range of speeds."""
     control, vehicle = actions.ContinuousAction.get_action(kind, action), kind.controlled_vehicle
     friction = getattr(vehicle, "friction", 0.0)
     limited = _within_speeds(kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction)
@@ -156,7 +155,7 @@ def _limited_action(kind: actions.ContinuousAction, action: np.ndarray) -> dict[
 
 
 def _within_speeds(kind: actions.ContinuousAction, acceleration: Any, speed: Any, friction: Any) -> Any:
-    """Limit accelerations that would lead beyond the range of speeds within a step [m/s^2]."""
+    """Limit accelerations that would leave the range of speeds within a step [m/s^2]."""
     if kind.speed_range is None:
         return acceleration
     xp, frequency = speed.__array_namespace__(), kind.env.config["simulation_frequency"]
@@ -165,7 +164,7 @@ def _within_speeds(kind: actions.ContinuousAction, acceleration: Any, speed: Any
 
 
 def executed_controls(kind: actions.ContinuousAction, dynamics: Dynamics, action: Any, cars: Any) -> Any:
-    """Return the controls (omega, acceleration) [..., 2] of actions [..., 2] of cars [..., 4], as a vehicle's."""
+    """Return the controls (omega, acceleration) [..., 2] that cars [..., 4] execute for actions [..., 2]."""
     xp, speed = cars.__array_namespace__(), cars[..., 3]
     shares = ((xp.clip(action, -1, 1) if kind.clip else action) + 1) / 2
     (slowest, fastest), (left, right) = kind.acceleration_range, kind.steering_range
@@ -177,21 +176,21 @@ def executed_controls(kind: actions.ContinuousAction, dynamics: Dynamics, action
 
 
 class Autopilot(ActionType):
-    """The robot drives itself, as ``config["controller"]`` says; the only action, 0, lets it."""
+    """The robot's controller, ``config["controller"]``, drives; the only action is 0."""
 
     def space(self) -> spaces.Space:
         """Return the space."""
         return spaces.Discrete(1)
 
     def act(self, action: Any) -> None:
-        """Nothing to do: the robot plans when the road asks all vehicles to act."""
+        """Do nothing: the robot plans when the road lets all vehicles act."""
 
 
 class HumanModelAction(Autopilot):
-    """The agent chooses every human's model by its place in ``config["ladder"]``; the robot plans with them.
+    """The agent chooses every human's model by its place in ``config["ladder"]``; the robot plans with these models.
 
-    The environment's reward is then that of the paper's meta-MDP, ``r_R - lambda T(M)``, with ``lambda`` from this
-    action's configuration and T from ``config["costs"]``.
+    The reward is that of the paper's meta-MDP, ``r_R - lambda T(M)``, with ``lambda`` from the configuration of this
+    action and T from ``config["costs"]``.
     """
 
     def space(self) -> spaces.Space:

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from jax import numpy as jnp
 
-from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.simulation import FunctionalEnv, stack_episodes
@@ -23,18 +23,20 @@ from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import cores
 
+NEVER_RESET = -1  # number of steps before the first reset
+
 
 class InteractionVectorEnv(VectorEnv):
     """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed.
 
     ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type": "ContinuousAction"}})`` makes one.
-    Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision``; unless the agent drives,
-    ``status``, ``model``, the most expensive of the humans' models, and ``counted_seconds``; and in scenarios with
-    streams, ``success``; each with its mask, such as ``_collision``. Nothing is drawn: make a single environment for
-    films.
+    Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision``. It also has ``status``,
+    ``model`` (the most expensive of the humans' models) and ``counted_seconds`` unless the agent drives, and
+    ``success`` in scenarios with streams. Every key has a mask, such as ``_collision``. Nothing is rendered: make a
+    single environment for films.
 
     Attributes:
-        episode_steps: length of an episode that nothing ends early.
+        episode_steps: number of steps of an episode that nothing ends early.
 
     Args:
         environment: class of the single environment.
@@ -44,7 +46,7 @@ class InteractionVectorEnv(VectorEnv):
         render_mode: None.
 
     Raises:
-        ValueError: as `FunctionalEnv` does, and for a mode of rendering.
+        ValueError: as `FunctionalEnv` does, and for a render mode.
     """
 
     def __init__(
@@ -56,7 +58,7 @@ class InteractionVectorEnv(VectorEnv):
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None:
-            raise ValueError(f"render_mode is {render_mode!r}; nothing is drawn here, make a single environment")
+            raise ValueError(f"render_mode is {render_mode!r}; nothing is rendered here, make a single environment")
         self._functions = functions = FunctionalEnv(environment, config)
         self.num_envs, self.autoreset_mode = num_envs, AutoresetMode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
@@ -65,11 +67,11 @@ class InteractionVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.episode_steps, loop = functions.steps, functions.loop
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
-        self._episodes: Episodes | None = None  # before the first reset
-        self._steps, self._states = np.zeros(num_envs, int), np.zeros((num_envs, functions.environment.cars, 4), "f")
+        self._episodes = stack_episodes([functions.draw(np.random.default_rng())] * num_envs)  # until the first reset
+        self._states, self._steps = self._episodes.starts.copy(), np.full(num_envs, NEVER_RESET)
         self._begins, self._collided, self._ended = np.zeros((3, num_envs), bool)
         groups = min(cores(), num_envs)
-        size = -(-num_envs // (groups * loop.together)) * loop.together  # whole chunks, filled up with the last one
+        size = -(-num_envs // (groups * loop.together)) * loop.together  # whole chunks; the last environment fills up
         places = [np.arange(first, first + size) for first in range(0, num_envs, size)]
         self._groups, self._threads = np.minimum(places, num_envs - 1), ThreadPoolExecutor(len(places))
         begun = jax.eval_shape(partial(begin_episodes, loop), self._states[self._groups[0]])
@@ -81,11 +83,11 @@ class InteractionVectorEnv(VectorEnv):
         """Start episodes: of all environments, or of those in ``options["reset_mask"]``.
 
         Args:
-            seed: of each environment; a number is that of the first, and the next ones have the next numbers.
+            seed: of each environment; a number is the first one's seed, and the others count on from it.
             options: ``"reset_mask"``: which environments to reset, an array of bools.
 
         Raises:
-            ValueError: for another number of seeds, unknown options, or a mask of another shape or of nothing.
+            ValueError: for another number of seeds, unknown options, or a mask that is empty or has another shape.
         """
         options = options or {}
         refuse_unknown("the reset options", options, ["reset_mask"])
@@ -93,8 +95,6 @@ class InteractionVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             what = f"options['reset_mask'] is {mask.tolist()}"
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
-        if self._episodes is None and not mask.all():
-            raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
         if isinstance(seed, (int, np.integer)):
             seed = [int(seed) + place for place in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else seed
@@ -107,41 +107,42 @@ class InteractionVectorEnv(VectorEnv):
         return self._functions.observe(self._states, self._steps), {}
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step all environments; those whose episode has ended are reset as the autoreset mode says.
+        """Step all environments; reset those whose episode has ended as the autoreset mode says.
 
         Raises:
-            ValueError: for actions that are not in the action space, before the first reset and, where nothing is reset
-                automatically, after the end of an episode.
+            ValueError: for actions outside the action space, before the first reset, and after the end of an episode in
+                the mode without automatic resets.
         """
-        never = self._episodes is None
-        if never or (self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any()):
-            places = "all of them" if never else np.flatnonzero(self._ended).tolist()
-            raise ValueError(f"environments are to be reset before they can step: {places}")
-        actions, space, possible = np.asarray(actions), self.action_space, False
-        if self._functions.agent_drives:  # beyond the ends of the space, actions are clipped
+        waiting = self._steps == NEVER_RESET
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            waiting |= self._ended
+        if waiting.any():
+            places = np.flatnonzero(waiting).tolist()
+            raise ValueError(f"environments must be reset before they can step: {places}")
+        given, space = np.asarray(actions), self.action_space
+        actions = given.astype(space.dtype)
+        if self._functions.agent_drives:  # actions beyond the ends of the space are clipped
             possible = actions.shape == space.shape and np.isfinite(actions).all()
-        elif (actions == actions.astype(space.dtype)).all():
-            possible = space.contains(actions.astype(space.dtype))
+        else:
+            possible = space.contains(actions) and (actions == given).all()
         if not possible:
-            raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
-        steps = ~self._ended if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.ones(self.num_envs, bool)
-        records = self._advance(actions)
+            raise ValueError(f"the actions {given!r} are impossible; give some of {space}")
+        stepped, records = ~self._ended, self._advance(actions)
         self._steps += 1
         self._collided |= records.collision
         seen, rewards, terminated, truncated = self._functions.outcome(records, self._steps)
-        rewards = np.where(steps, rewards, 0.0).astype(np.float64)
-        terminated, truncated, values = terminated & steps, truncated & steps, self._info(records)
-        ended, info = terminated | truncated, _masked(values, steps)
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+        rewards = np.where(stepped, rewards, 0.0).astype(np.float64)
+        terminated, truncated, values = terminated & stepped, truncated & stepped, self._info(records)
+        self._ended, info, renewed = terminated | truncated, _masked(values, stepped), ~stepped
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            renewed = self._ended.copy()
             final = np.full(self.num_envs, None, dtype=object)
-            for place in np.flatnonzero(ended):
+            for place in np.flatnonzero(renewed):
                 final[place] = seen[place]
-            info = _masked(values, ~ended)  # as the others have begun anew
-            info |= _masked({"final_obs": final, "final_info": _masked(values, ended)}, ended)
-            steps, ended = ~ended, np.zeros_like(ended)
-        self._ended = ended
-        if not steps.all():
-            self._renew(~steps)
+            info = _masked(values, ~renewed)
+            info |= _masked({"final_obs": final, "final_info": _masked(values, renewed)}, renewed)
+        if renewed.any():
+            self._renew(renewed)
             seen = self._functions.observe(self._states, self._steps)
         return seen, rewards, terminated, truncated, info
 
@@ -152,8 +153,6 @@ class InteractionVectorEnv(VectorEnv):
     def _renew(self, mask: np.ndarray) -> None:
         """Draw new episodes of some environments."""
         new = stack_episodes([self._functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)])
-        if self._episodes is None:
-            self._episodes = new
         for old, part in zip(jax.tree.leaves(self._episodes), jax.tree.leaves(new), strict=True):
             old[mask] = part
         self._states[mask], self._steps[mask], self._begins[mask] = new.starts, 0, True
@@ -161,14 +160,13 @@ class InteractionVectorEnv(VectorEnv):
 
     def _advance(self, actions: np.ndarray) -> Records:
         """Step all groups, each in a thread of its own."""
-        assert self._episodes is not None
         functions, episodes = self._functions, self._episodes
         given = functions.given(episodes.schedules, self._steps, self._states, actions)
         everything = replace(episodes, starts=self._states, schedules=None), self._begins, given
 
         def advance(number: int) -> Records:
             own, begins, given = jax.tree.map(lambda part: np.asarray(part)[self._groups[number]], everything)
-            self._carried[number], records = _advance(functions.loop, own, self._carried[number], begins, given)
+            self._carried[number], records = _step_chunks(functions.loop, own, self._carried[number], begins, given)
             return jax.tree.map(np.asarray, records)
 
         parts = list(self._threads.map(advance, range(len(self._groups))))
@@ -190,13 +188,13 @@ class InteractionVectorEnv(VectorEnv):
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
-    """Return the values of ``info`` with the mask of the environments that they are of."""
+    """Return values of ``info`` with the mask of the environments that have them."""
     return values | {f"_{name}": mask for name in values}
 
 
 @jit_quickly
-def _advance(loop: Loop, own: Episodes, now: Now, begins: Any, given: Given) -> tuple[Now, Records]:
-    """Step environments chunk by chunk, those with the same model together, as a chunk computes each model in use."""
+def _step_chunks(loop: Loop, own: Episodes, now: Now, begins: Any, given: Given) -> tuple[Now, Records]:
+    """Step environments chunk by chunk, sorted by model, as a chunk computes each model that one of its humans uses."""
     now = choose_episodes(begins, begin_episodes(loop, own.starts), now)
     order = jnp.argsort(given.scheduled.max(axis=1), stable=True)
     chunks = jax.tree.map(lambda part: part[order].reshape(-1, loop.together, *part.shape[1:]), (own, now, given))
@@ -207,7 +205,7 @@ def _advance(loop: Loop, own: Episodes, now: Now, begins: Any, given: Given) -> 
 
 def __getattr__(name: str) -> Any:
     """Return what makes a vector environment of an id, such as ``merger-v1``, for Gymnasium's entry points."""
-    for scenario, environment in ENVIRONMENTS.items():
-        if environment_id(scenario).endswith(f"/{name}"):
-            return partial(InteractionVectorEnv, environment)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return partial(InteractionVectorEnv, ENVIRONMENTS[scenario_name(name)])
+    except ValueError:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}") from None

@@ -1,4 +1,4 @@
-"""Draw environments off the screen and on it; texts, and the colours of human models."""
+"""Draw environments, with or without a window; draw texts; and give human models their colours."""
 
 import os
 from contextlib import suppress
@@ -22,8 +22,8 @@ MODEL_COLORS: dict[str, Color] = {
     "tom": (214, 68, 140),
 }
 OTHER_COLORS = ((150, 110, 200), (160, 120, 90), (90, 150, 150))
-PALEST, DARKER = 0.6, 0.8  # shares: of white in the shade of the fewest steps, and of light from the last plan
-FULL = 20  # steps, from which on a shade is the model's own colour
+PALEST, DARKER = 0.6, 0.8  # share of white without steps, and brightness of models that start from the last plan
+FULL = 20  # steps from which a model has its full colour
 MODEL_MEANINGS = {
     "naive": "the human keeps its velocity",
     "idm": "the human minds the car ahead",
@@ -36,10 +36,10 @@ FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
 
 
 def words(text: str, size: int, color: Color, ground: Color | None = None) -> pygame.Surface:
-    """Draw a line of text in a kerned font of ``size`` px, on a surface of the same height for every text.
+    """Draw a line of text in a kerned font of ``size`` px, on a surface whose height is the same for every text.
 
-    The font is Matplotlib's, so that pictures are the same on every machine. It is opened anew each time, since closing
-    any of highway-env's viewers ends the font module.
+    The font comes with Matplotlib, so that pictures are the same on every machine. It is opened for every text, as
+    closing any of highway-env's viewers ends the font module.
     """
     pygame.freetype.init()
     font = pygame.freetype.Font(FONT, size)
@@ -48,9 +48,9 @@ def words(text: str, size: int, color: Color, ground: Color | None = None) -> py
 
 
 def model_color(name: str | None) -> Color:
-    """Return the colour of a human model, grey without one; registered models have colours in their order.
+    """Return the colour of a human model, grey without one; added models get colours in their order.
 
-    A model with an effort has a shade of its own: the fewer steps, the lighter, and darker from the last plan.
+    A model with an effort has its own shade: fewer steps are lighter, and starting from the last plan is darker.
     """
     if name is None or not is_model(name):
         return FAINT
@@ -63,24 +63,24 @@ def model_color(name: str | None) -> Color:
 
 
 def model_meaning(name: str) -> str:
-    """Return what a human model takes the human to do, in a few words; nothing for registered models."""
+    """Return in a few words what a human model expects of the human; an empty text for added models."""
     return MODEL_MEANINGS.get(type(human_model(name)).name, "") if is_model(name) else ""
 
 
 class PictureViewer(EnvViewer):
-    """highway-env's viewer of image observations; it can be copied and also draws under a dummy video driver."""
+    """Draws image observations like highway-env, also under a dummy video driver, and can be copied."""
 
     def __init__(self, env: Any, config: Any) -> None:
         super().__init__(env, config)
-        self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
+        self.enabled = True  # highway-env does not draw under a dummy video driver, but surfaces need no driver
 
     def __reduce__(self) -> Any:
-        """Copy and pickle as a new viewer of the same environment."""
+        """Copy and pickle as a new viewer of the copied environment."""
         return type(self), (self.env, self.config)
 
 
 def enable_pictures(env: Any) -> bool:
-    """Give each image observation of an environment a `PictureViewer`; return whether one could not draw before."""
+    """Give each image observation of an environment a `PictureViewer`; return whether one has drawn black so far."""
     kind, black = env.observation_type, False
     parts = getattr(kind, "observation_types", None) or getattr(kind, "agents_observation_types", [kind])
     for part in parts:
@@ -91,16 +91,16 @@ def enable_pictures(env: Any) -> bool:
 
 
 class Viewer(EnvViewer):
-    """highway-env's viewer, which here draws also without a display, beside others of its kind."""
+    """Draws like highway-env, also without a display, and beside other viewers of the process."""
 
-    # all else that `EnvViewer.__init__` sets
+    # attributes that only `EnvViewer.__init__` sets
     observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = None, None, None, None, 0
 
     def __init__(self, env: Any) -> None:
         self.env, self.config, self.offscreen = env, env.config, env.config["offscreen_rendering"]
         if not self.offscreen:
             super().__init__(env)
-        else:  # without `pygame.display`, which surfaces do not need, and which may complain that there is no screen
+        else:  # without `pygame.display`, which may fail without a screen and which surfaces do not need
             pygame.font.init()  # for labels
             size = self.config["screen_width"], self.config["screen_height"]
             self.sim_surface = WorldSurface(size, 0, pygame.Surface(size))
@@ -108,10 +108,10 @@ class Viewer(EnvViewer):
             self.sim_surface.centering_position = self.config["centering_position"]
             if self.agent_display:
                 self.extend_display()
-        self.enabled = True  # highway-env gives up under a dummy video driver; surfaces need no driver
+        self.enabled = True  # as in `PictureViewer`
 
     def show(self, picture: pygame.Surface) -> None:
-        """Show a picture in the window, if there is one, at the environment's pace."""
+        """Show a picture in the window, if there is one, in real time if the configuration says so."""
         if not self.offscreen:
             self.screen.blit(picture, (0, 0))
             if self.env.config["real_time_rendering"]:
@@ -119,7 +119,7 @@ class Viewer(EnvViewer):
             pygame.display.flip()
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
-        """Copy and pickle as None; the copied environment makes its own viewer when it renders."""
+        """Copy and pickle as None: a copied environment makes its own viewer when it renders."""
         return type(None), ()
 
     def close(self) -> None:
@@ -129,7 +129,7 @@ class Viewer(EnvViewer):
 
 
 def check_display() -> None:
-    """Make sure that a window would be seen, unless the environment asks for a certain video driver.
+    """Check that a window would be visible, unless the variable SDL_VIDEODRIVER names a video driver.
 
     Raises:
         OSError: without a display.

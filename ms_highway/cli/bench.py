@@ -1,4 +1,4 @@
-"""The commands ``ms-highway bench`` and ``ms-highway bench road``."""
+"""Define the commands ``ms-highway bench`` and ``ms-highway bench road``."""
 
 import argparse
 from pathlib import Path
@@ -16,12 +16,12 @@ from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import print_tables, tell
 from ms_highway.cli.options import DEVICES, MAX_SEEDS, SCENARIOS, SET, comparison, controllers
 
-STOCK = f"stock environments, all versions if none is said (default: {' '.join(SCENES)})"
+STOCK = f"stock environments; all versions of a name without version (default: {' '.join(SCENES)})"
 OTHERS = (
-    "idm, highway-env's (default); aggressive, its aggressive drivers; or commuter, learned ones; in recordings: "
-    "learned (default), replay or idm"
+    "the other drivers: idm, highway-env's (default); aggressive, its aggressive ones; or commuter, learned ones; in "
+    "recordings: learned (default), replay or idm"
 )
-NOISES = 1e-5, 10.0  # m, what single precision still tells apart, and the most
+NOISES = 1e-5, 10.0  # m, the least that single precision resolves, and the most
 STARTS = 24
 JSON = output("--json", "write all figures to a JSON file")
 
@@ -31,29 +31,29 @@ JSON = output("--json", "write all figures to a JSON file")
     "measure planning time, the closed loop, and steadiness",
     SCENARIOS,
     controllers("(default: all models of the ladder, and switching)"),
-    number("--batches", [], "measure such batches of simulated episodes, too", nargs="+", metavar="SIZE"),
-    number("--noise", [], "measure steadiness under such noise instead", *NOISES, nargs="+", metavar="NOISE"),
-    option("--seen", "put the --noise into what the robot sees in every step", action="store_true"),
-    number("--seeds", STARTS, "starts to add --noise to", 2),
-    number("--first-seed", 0, "of the first of these", 0, MAX_SEEDS),
+    number("--batches", [], "also measure batches of simulated episodes", nargs="+", metavar="SIZE"),
+    number("--noise", [], "measure steadiness under this noise instead", *NOISES, nargs="+", metavar="NOISE"),
+    option("--seen", "add the --noise to what the robot sees in every step", action="store_true"),
+    number("--seeds", STARTS, "starts that get --noise", 2),
+    number("--first-seed", 0, "seed of the first start", 0, MAX_SEEDS),
     DEVICES,
     SET,
     JSON,
 )
 def bench(options: argparse.Namespace) -> None:
-    """Measure live episodes of every controller on one core, warm: a plan, a decision, the rest of a step without the
-    plans of all cars, in microseconds, and steps per second. With --batches, measure the simulation of many episodes
-    at once, too, by batch size, on --devices: steps per second, and MiB, the most memory that it has taken until then.
+    """Measure live episodes of every controller on one core, warm: the microseconds of a plan, of a decision and of the
+    rest of a step (without the plans of all cars), and steps per second. With --batches, also measure the simulation of
+    many episodes at once on --devices, by batch size: steps per second, and the largest memory so far in MiB.
 
-    With --noise, measure how steady driving is: drive --seeds starts as they were drawn, and again with normal noise
-    added to the start of the robot and of every human or, with --seen, to what the robot sees of them and of itself in
-    every step. NOISE is its standard deviation, of x and y [m] and of the speed [m/s]; that of the heading is NOISE /
-    20 rad. The table tells how far apart the robot is with noise and without after so many steps, the median and the
-    95 % quantile over the starts; growth, the factor per step of the median (noise is forgotten below 1); the change of
-    the reward per step with its 90 % interval, and the mean of its magnitude; the share of the episodes whose success
-    changes, among several humans; and episodes with a collision without noise and with it.
+    With --noise, measure how steady driving is: drive from --seeds starts without noise, and again with normal noise
+    on the starts of the robot and of every human or, with --seen, on what the robot sees of itself and of them in every
+    step. NOISE is the standard deviation of x and y [m] and of the speed [m/s]; that of the heading is NOISE / 20 rad.
+    The table shows the distance between the robot's positions with and without noise after some steps, as the median
+    and the 95 % quantile over the starts; growth, the factor of the median per step (below 1, noise is forgotten); the
+    change of the reward per step with its 90 % interval, and the mean of its magnitude; the share of episodes whose
+    success changes, among several humans; and the episodes with a collision, without and with noise.
 
-    `ms-highway bench road` measures how drivers fare in stock scenes of highway-env.
+    `ms-highway bench road` measures drivers in stock scenes of highway-env.
 
     Examples:
       ms-highway bench merger
@@ -68,7 +68,7 @@ def bench(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import speed_table, steadiness_table
 
     if options.noise and options.batches:
-        raise ValueError("--noise is about driving, and --batches about time; leave one out")
+        raise ValueError("--noise measures driving, and --batches time; leave one out")
     asked, common = comparison(options), (options.devices, options.modules)
     results: dict[str, dict] = {scenario: {} for scenario in asked.controllers}
     for scenario, names in asked.controllers.items():
@@ -89,44 +89,44 @@ def bench(options: argparse.Namespace) -> None:
     "bench road",
     "measure drivers in highway-env's own scenes",
     option("scenes", STOCK, nargs="*", metavar="SCENE"),
-    option("--drivers", "what drives", DRIVERS, nargs="+", metavar="DRIVER"),
-    number("--seeds", None, "episodes of each (default: 20; in recordings, all)"),
-    number("--seed", 0, "of the first episode", 0, MAX_SEEDS),
+    option("--drivers", "drivers to compare", DRIVERS, nargs="+", metavar="DRIVER"),
+    number("--seeds", None, "episodes of each driver (default: 20; in recordings, all)"),
+    number("--seed", 0, "seed of the first episode", 0, MAX_SEEDS),
     option("--traffic", OTHERS, choices=list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC])), metavar="KIND"),
     option("--data", "CommonRoad scenarios, for the scene recorded", type=Path, metavar="DIR"),
-    option("--egos", "whose place the ego takes in recordings (default: problem)", choices=EGOS),
+    option("--egos", "starts of the ego in recordings (default: problem)", choices=EGOS),
     output("--export", "write drives of planning problems as CommonRoad files", directory=True),
     output("--films", "film the first success and failure of each driver", directory=True),
     JSON,
     output("--log", "write a row per episode to a CSV file"),
 )
 def bench_road(options: argparse.Namespace) -> None:
-    """Drive stock scenes of highway-env with this package's drivers and with others, from the same starts, and compare
-    how they fare. Each driver in each scene has a process of its own, on one core.
+    """Drive stock scenes of highway-env with drivers of this package and others from the same starts, and compare them.
+    Each driver in each scene has a process of its own, on one core.
 
-    Success means, without a crash: merge, the ramp is passed; roundabout, the ring is left by the ego's exit within the
-    episode; exit and intersection, what highway-env says (is_success, has_arrived); elsewhere, the ego has stayed on
-    the road until the end. A car that stands still never crashes: read collisions beside success. The ego is not at
-    fault where it was rear-ended in a lane that it had kept for a second. Intervals of success are Wilson's; m/s² is
-    the largest acceleration in any frame of the simulation, jerk the root mean square, ms the time of a decision,
-    without compilation, late the share of plans that were not ready within a budget. Choices count the time of models
-    at what the package ships.
+    A drive without a crash succeeds if: in merge, the ego passes the ramp; in roundabout, it leaves the ring by its
+    exit within the episode; in exit and intersection, highway-env says so (is_success, has_arrived); elsewhere, it
+    stays on the road until the end. A car that stands still never crashes: compare collisions together with success.
+    The ego is not at fault if it was rear-ended in a lane that it had kept for a second. Intervals of success are
+    Wilson's; m/s² is the largest acceleration in any frame of the simulation, jerk the root mean square, ms the time of
+    a decision without compilation, late the share of plans that exceeded a budget. Choices count the shipped times of
+    the models.
 
-    Drivers of this package: priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
-    +intentions (such as priced+intentions), other cars show which way they take, as by indicators: their true routes,
-    where they have one. Others: idm, highway-env's IDM and MOBIL in the place of the ego; or the file of an agent that
-    stable-baselines3 has saved (it has to be installed), such as notebooks/examples/train_peers.py writes: open only
-    files that you trust, as they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
+    Drivers of this package are priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
+    +intentions (such as priced+intentions), other cars that have a route show it, as by indicators. Others are idm,
+    highway-env's IDM and MOBIL instead of the ego, and files of agents that stable-baselines3 has saved (it has to be
+    installed), such as those of notebooks/examples/train_peers.py: open only files that you trust, as they may hold any
+    program. Drivers above 10 m/s^2 are labelled unphysical.
 
-    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default that of the package), or,
-    with --egos changing, a start in the place of every vehicle that was recorded to change lanes: it has to be where
-    that was last. Its --traffic: learned drivers who react (default), replay, or idm. Success is CommonRoad's: the
-    goal's region reached in its interval of time, without a collision and on the road; "s to goal" is the mean. There,
-    --seed and --seeds are the number of the first start and how many. A further driver there is human, which goes as
-    the vehicle was recorded to whose place it takes. --export DIR writes every drive of a planning problem as two
-    CommonRoad files, for example for commonroad-drivability-checker: DIR/TRAFFIC/DRIVER/NAME.xml, the recording with
-    the other vehicles as they moved in the episode, and NAME.solution.xml, the ego's drive, states of a kinematic
-    single-track model (KS2).
+    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package).
+    With --egos changing, it has a start in the place of every vehicle that was recorded to change lanes; the goal is
+    that vehicle's last position. Its --traffic is learned (drivers who react, the default), replay or idm. Success is
+    CommonRoad's: to reach the goal's region in its interval of time, without a collision and on the road; "s to goal"
+    is the mean time. There, --seed is the number of the first start and --seeds the number of starts, and there is a
+    driver human, which repeats the recorded drive of the vehicle in whose place it starts. --export DIR writes every
+    drive of a planning problem as two CommonRoad files, for example for commonroad-drivability-checker:
+    DIR/TRAFFIC/DRIVER/NAME.xml, the recording with the other vehicles as they moved in the episode, and
+    NAME.solution.xml, the ego's drive as states of a kinematic single-track model (KS2).
 
     Examples:
       ms-highway bench road merge --drivers priced idm
@@ -152,11 +152,11 @@ def bench_road(options: argparse.Namespace) -> None:
         check_driver(driver)
     recorded = RECORDED in scenes
     if recorded and scenes != [RECORDED]:
-        raise ValueError(f"the scene {RECORDED} has traffic and starts of its own; measure it in a command by itself")
+        raise ValueError(f"the scene {RECORDED} has its own traffic and starts; name no other scene beside it")
     if not recorded and (options.data or options.egos or options.export):
-        raise ValueError(f"--data, --egos and --export are for the scene {RECORDED}: ms-highway bench road {RECORDED}")
+        raise ValueError(f"--data, --egos and --export need the scene {RECORDED}: ms-highway bench road {RECORDED}")
     if options.export and (options.egos == "changing" or not options.data):
-        raise ValueError("--export writes solutions of planning problems of --data; give that, and no other --egos")
+        raise ValueError("--export writes solutions of planning problems: give --data, and leave --egos out")
     kinds = list(RECORDED_TRAFFIC if recorded else TRAFFIC)
     traffic = options.traffic or kinds[0]
     if traffic not in kinds:
@@ -170,14 +170,14 @@ def bench_road(options: argparse.Namespace) -> None:
     blocks = [Block(scene, driver, traffic, starts, options.export) for scene in scenes for driver in drivers]
     for block in blocks:
         if is_agent(block.driver):
-            make_driver(block).close()  # or refuse scenes that it does not fit
+            make_driver(block).close()  # refuses scenes that the agent does not fit
     rows: list[dict] = []
     results: dict[str, dict] = {scene: {} for scene in scenes}
     for block, episodes in run_blocks(blocks, seeds, options.films, options.modules):
         tell(f"drove {block.scene}, {block.driver}")
         results[block.scene][block.driver] = summary(block, episodes)
         rows.extend(row(block, episode) for episode in episodes)
-        if options.json:  # what is done is kept, whatever happens next
+        if options.json:  # after every block, so that a failure later loses nothing
             write_json(options.json, results)
         if options.log:
             write_table(pd.DataFrame(rows), options.log)

@@ -1,4 +1,4 @@
-"""Describe commands and their options, each in one place."""
+"""Define commands and their options."""
 
 import argparse
 import re
@@ -17,16 +17,16 @@ PAGE_WIDTH = 120  # characters of help texts and tables, where the terminal has 
 COLUMN = 26  # characters before the second column of rows in help texts
 
 MOST = 1_000_000
-"""Upper bound on episodes, parts and other counts; more would take years or all memory."""
+"""Largest number of episodes, parts and other counts; more would take years or all memory."""
 
 
 class Option(NamedTuple):
-    """An option, or an argument without a name.
+    """An option or a positional argument.
 
     Attributes:
-        name: as it is written.
+        name: such as ``--seeds`` or ``scenarios``.
         arguments: of `argparse.ArgumentParser.add_argument`.
-        notes: printed below all options.
+        notes: a text to print below all options.
     """
 
     name: str
@@ -36,14 +36,14 @@ class Option(NamedTuple):
 
 def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
     """Return an option; append its default, if any, to its help text."""
-    if default is not None:
+    if default is not None and default != []:
         shown = default if isinstance(default, (str, float, int)) else " ".join(map(str, default))
         text += f" (default: {shown})"
     return Option(name, {"help": text, "default": default, **more})
 
 
 def number(name: str, default: Any, text: str, least: float = 1, most: float = MOST, **more: Any) -> Option:
-    """Return an option that is a number in a range: whole, unless the least is a float."""
+    """Return an option that is a number in a range, a whole number if the least is one."""
     kind = type(least)
 
     def read(word: str) -> float:
@@ -57,13 +57,10 @@ def number(name: str, default: Any, text: str, least: float = 1, most: float = M
 
 
 def output(name: str, text: str, *ends: str, directory: bool = False, **more: Any) -> Option:
-    """Return an option that is the path of a file whose name has one of these ends, or of a directory of files.
-
-    It is refused if it is not writable.
-    """
+    """Return an option that is the path of a writable file whose name has one of these ends, or of a directory."""
 
     def path(word: str) -> Path:
-        word.encode()  # or refuse it: results are UTF-8
+        word.encode()  # fails for a name that UTF-8 results cannot contain
         check_writable(Path(word), directory)
         if not word.endswith(ends or ""):
             raise argparse.ArgumentTypeError(f"{word!r} is no name that ends in {', '.join(ends)}")
@@ -79,9 +76,9 @@ class Command(NamedTuple):
         name: one word or two.
         summary: for the list of commands.
         options: in the order of the help text.
-        simulates: whether it computes many episodes at once, rather than plans one after the other.
-        run: takes the parsed options. Its docstring is the help text; what follows ``Examples:`` is printed as it
-            stands.
+        simulates: whether it computes many episodes at once instead of plans one after the other.
+        run: takes the parsed options. Its docstring is the help text; the part behind ``Examples:`` is printed
+            unchanged.
     """
 
     name: str
@@ -106,10 +103,10 @@ def command(name: str, summary: str, *options: Option, simulates: bool = False) 
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that knows no abbreviations, and refuses arguments in one line."""
+    """A parser that accepts no abbreviations and refuses arguments in one line."""
 
     def __init__(self, **more: Any) -> None:
-        super().__init__(formatter_class=Layout, allow_abbrev=False, **more)  # --seed is not short for --seeds
+        super().__init__(formatter_class=Layout, allow_abbrev=False, **more)  # --seed must not mean --seeds
 
     def error(self, message: str) -> NoReturn:
         """Refuse arguments.
@@ -124,7 +121,7 @@ EXAMPLES = "examples:\n"
 
 
 class Layout(argparse.HelpFormatter):
-    """Wraps paragraphs, and rows of two columns below their second one; leaves examples as they are."""
+    """Wraps paragraphs and the second column of rows; leaves examples unchanged."""
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=min(get_terminal_size().columns, PAGE_WIDTH) - 2)

@@ -1,4 +1,4 @@
-"""What the commands print, and how they keep their results."""
+"""Print what commands tell, and keep their results."""
 
 import argparse
 import os
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 
 @contextmanager
 def printing() -> Iterator[None]:
-    """Write what the block prints to standard output at once; the block should do nothing else.
+    """Flush standard output after a block that only prints.
 
-    Once the reader has closed the pipe, as ``| head`` does, drop this and all later output.
+    If the reader has closed the pipe, as ``| head`` does, drop this and all later output.
 
     Raises:
-        OSError: if standard output is on a full disk.
+        OSError: if standard output cannot be written, for example on a full disk.
     """
     try:
         yield
         print(end="", flush=True)
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or else Python would try again at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python would try again when it exits
         if not isinstance(error, BrokenPipeError):
             raise OSError(f"standard output cannot be written: {error.strerror}") from error
 
@@ -54,7 +54,7 @@ def warn(message: object) -> None:
 
 
 def print_tables(*tables: "DataFrame") -> None:
-    """Print tables, no wider than the terminal or COLUMNS, and where there is neither, than a page."""
+    """Print tables no wider than the terminal or COLUMNS or, without both, than `PAGE_WIDTH`."""
     from ms_highway.visualization.tables import printed
 
     width = get_terminal_size((PAGE_WIDTH, 0)).columns
@@ -62,10 +62,12 @@ def print_tables(*tables: "DataFrame") -> None:
 
 
 def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
-    """Show on standard error how many episodes are done, in a terminal as they are; return the last count.
+    """Show on standard error how many episodes are done, and return the last count.
+
+    A terminal shows every count, any other output only the last.
 
     Args:
-        counts: the number of episodes, each time that more are done.
+        counts: yields the number of episodes whenever more are done.
         already: the number at the start.
         total: the number at the end.
     """
@@ -79,10 +81,10 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
 
 @contextmanager
 def own_results(options: argparse.Namespace) -> Iterator["ResultsDirectory"]:
-    """Let only this run write to the directory ``--out`` while the block runs.
+    """Reserve the directory ``--out`` for this run while the block runs.
 
     Raises:
-        ValueError: if another command is writing there, or what is there cannot be read.
+        ValueError: if another command is writing there, or its files cannot be read.
     """
     from ms_highway.experiments.directory import ResultsDirectory
 
@@ -92,7 +94,7 @@ def own_results(options: argparse.Namespace) -> Iterator["ResultsDirectory"]:
 
 
 def record(results: "ResultsDirectory", options: argparse.Namespace) -> None:
-    """Keep what makes the results on record, and warn of what differs from what made those before."""
+    """Record the command and versions that make the results; warn if earlier results were made with others."""
     if differing := results.record(options.command_line):
         warn(f"{options.out} continues with {differing}; results may not agree")
 

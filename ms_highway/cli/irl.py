@@ -1,4 +1,4 @@
-"""The commands ``ms-highway irl ...``, and the options that they share."""
+"""Define the commands ``ms-highway irl ...``."""
 
 import argparse
 from pathlib import Path
@@ -17,7 +17,7 @@ MINARI = "minari:"
 """Prefix of a Minari data set's name on the command line."""
 
 DENSITY_NAMES = ("sparse", "medium", "dense")
-"""Keys of `ms_highway.envs.demonstration.DENSITIES`; repeated here so that help needs no JAX."""
+"""Keys of `ms_highway.envs.demonstration.DENSITIES`, repeated so that help needs no JAX."""
 
 HORIZON = 5  # steps, as the paper plans
 MAX_STEPS = 1000  # in a segment
@@ -25,11 +25,10 @@ MAX_SEED = 2**32 - 1  # that JAX's random numbers take
 
 DATA = "a directory of CommonRoad scenarios (*.xml, *.xml.gz), or a Minari data set of `ms-highway irl record`"
 LEARNED = (
-    f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; of those, from a Minari data set, "
+    f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; from a Minari data set only "
     f"{', '.join(SIMULATED_WEIGHTS)}); comfort weights that are not learned are 0.1 and set the scale"
 )
 RECORDINGS = option("--data", DATA, required=True, metavar="DIR|minari:NAME")
-"""What is learned from, see `read_recordings`."""
 
 
 def read_recordings(data: str) -> "list[Recording]":
@@ -44,7 +43,7 @@ def read_recordings(data: str) -> "list[Recording]":
 
 
 def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "RewardModel":
-    """Return the reward that ``--learn`` selects, by default REAL or SIMULATED.
+    """Return the reward model with the weights of ``--learn``, by default one that suits the recordings.
 
     Raises:
         ValueError: for an impossible model.
@@ -72,15 +71,15 @@ def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "Rew
     option("--json", "print JSON instead of a table", action="store_true"),
 )
 def evaluate(options: argparse.Namespace) -> None:
-    """Predict recorded drivers for up to 5 s and compare with where they went, beside constant velocity, highway-env's
-    IDM and a fitted IDM. All predict every driver from the same snapshots, one a second.
+    """Predict recorded drivers for up to 5 s and compare the predictions with their paths. Constant velocity,
+    highway-env's IDM and a fitted IDM predict the same drivers from the same snapshots, one a second.
 
-    With --folds instead of --theta, drivers are learned from the other recordings, fold after fold. FDE, the distance
+    With --folds instead of --theta, each fold is predicted by drivers learned from the other folds. FDE, the distance
     at the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded
     position in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability.
 
-    With --figures, errors, likelihood and calibration are drawn and written to a directory; with --theta also paths,
-    predicted and recorded paths of all drivers at one moment.
+    With --figures, a directory gets figures of errors, likelihood and calibration and, with --theta, of the predicted
+    and recorded paths of all drivers at one moment.
 
     Examples:
       ms-highway irl evaluate --theta us101 --data recordings --figures results/us101
@@ -94,7 +93,7 @@ def evaluate(options: argparse.Namespace) -> None:
     from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
 
     if bool(options.theta) == bool(options.folds):
-        raise ValueError("predictions are by --theta FILE, or learned in --folds N; give one of them")
+        raise ValueError("give either --theta FILE, to predict by, or --folds N, to learn and predict")
     learned = named(options.theta).drivers if options.theta else None
     if options.theta and not learned:
         raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
@@ -122,13 +121,14 @@ def evaluate(options: argparse.Namespace) -> None:
 )
 def fit(options: argparse.Namespace) -> None:
     """Learn the weights of a reward by maximum entropy: maximise the likelihood of the recorded controls in segments of
-    --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts
-    as at least half the smallest comfort weight. The indicator of a collision has no gradient and is left out.
+    --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts as at least half the smallest
+    comfort weight. The indicator of a collision has no gradient and is left out.
 
-    From real recordings, a second set of weights is learned from where drivers are 1 to 5 s later, and with it how
-    drivers differ, when they change lanes and how far off predictions are; irl evaluate predicts with these.
+    From real recordings, a second set of weights is learned from where drivers are 1 to 5 s later, together with the
+    differences between drivers, their lane changes and the errors of predictions. `ms-highway irl evaluate` predicts
+    with these.
 
-    Write to --out: weights, temperature, covariance, likelihoods, drivers and provenance.
+    --out gets weights, temperature, covariance, likelihoods, drivers and provenance.
 
     Examples:
       ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
@@ -158,8 +158,8 @@ def fit(options: argparse.Namespace) -> None:
         choices=list(DRIVERS),
         required=True,
     ),
-    number("--episodes", None, "episodes that the data set is to have", required=True, metavar="N"),
-    option("--dataset", "such as ms-highway/maxent-v0", required=True, metavar="NAME"),
+    number("--episodes", None, "number of episodes of the complete data set", required=True, metavar="N"),
+    option("--dataset", "name of the data set, such as ms-highway/maxent-v0", required=True, metavar="NAME"),
     option("--density", "of the traffic, in turn", DENSITY_NAMES, nargs="+", choices=DENSITY_NAMES, metavar="DENSITY"),
     option("--temperature", "of the driver maxent, in reward", TEMPERATURE, type=float),
     number("--seed", 0, "seed of the first episode", 0, MAX_SEED),
@@ -168,8 +168,8 @@ def record(options: argparse.Namespace) -> None:
     """Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari data set, in
     $MINARI_DATASETS_PATH or ~/.minari/datasets.
 
-    Every episode is on disk when the next begins; started again with the same data set and settings, recording goes on
-    after the last one. With --driver keyboard the arrow keys drive: up and down for speed, left and right to steer.
+    Every episode is on disk before the next begins; the same command continues a data set after its last episode. With
+    --driver keyboard the arrow keys drive: up and down for speed, left and right to steer.
 
     Examples:
       ms-highway irl record --driver maxent --episodes 200 --dataset ms-highway/maxent-v0

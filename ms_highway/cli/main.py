@@ -23,17 +23,16 @@ from ms_highway.runtime.retired import OPTIONS, replacement
 ALL = compare, sweep, frontier, video, report, bench, bench_road, validate, learn, record, fit, evaluate
 COMMANDS = {each.name: each for each in ALL}
 
-CACHE = "do not keep compiled planners in the user's cache directory, nor use those kept there"
+CACHE = "neither keep compiled planners in the user's cache directory nor use those kept there"
 IMPORT = (
-    "a Python module, also of the current directory, to be imported first: one that adds scenarios "
-    "(ms_highway.add_scenario), human models (ms_highway.register), drivers and planners (ms_highway.add_driver), "
-    "agents (ms_highway.add_agent), decision rules (ms_highway.add_rule) or features of rewards "
-    "(ms_highway.add_feature)"
+    "a Python module, also of the current directory, to import first; it may add scenarios (ms_highway.add_scenario), "
+    "human models (ms_highway.register), drivers and planners (ms_highway.add_driver), agents (ms_highway.add_agent), "
+    "decision rules (ms_highway.add_rule) or features of rewards (ms_highway.add_feature)"
 )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return 0, or 2 after one line on standard error if the input is at fault."""
+    """Run the command and return its exit status: 0, 2 after one line about wrong input, or that of an interrupt."""
     given = sys.argv[1:] if arguments is None else arguments
     try:
         try:
@@ -45,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from ms_highway.runtime.jax_settings import check_platforms, high_throughput, keep_compilations, low_latency
 
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: warn(message)  # without its place in the source
+            warnings.showwarning = lambda message, *_, **__: warn(message)  # without file and line
             (high_throughput if options.command.simulates else low_latency)()
             check_platforms()
             if not options.no_compilation_cache:
@@ -65,10 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(given: Sequence[str]) -> Any:
-    """Return the options of a command line, with its text in ``command_line``, and the command in ``command``.
+    """Return the options of a command line, with the `Command` in ``command`` and the whole line in ``command_line``.
 
     Raises:
-        ValueError: saying what cannot be parsed, and what to use instead of what is retired.
+        ValueError: for what cannot be parsed; it names the replacement of a retired option.
         SystemExit: after help texts.
     """
     parser = Parser(prog="ms-highway", description="Robot cars that choose how hard to think about human drivers.")

@@ -1,6 +1,6 @@
-"""Options that several commands share, and what they stand for.
+"""Define options that several commands share, and read their values.
 
-Only the functions that run a command import what computes: help needs neither JAX nor highway-env.
+Modules that compute are imported only when a command runs: help needs neither JAX nor highway-env.
 """
 
 import argparse
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
 
 MAX_LAMBDAS = 10_000
-"""Lambdas of switching in a sweep."""
+"""Largest number of lambdas in a range."""
 
 MAX_SEEDS = 2**63 - 1 - MOST
-"""First seed of as many as possible that Parquet's integers hold."""
+"""Largest first seed: Parquet's integers hold it and `MOST` seeds from it on."""
 
 SCENARIO_NAMES = (
     "stay_back",
@@ -33,44 +33,46 @@ SCENARIO_NAMES = (
     "give-way-v1",
     "dense-merge-v1",
 )
-"""Keys of `ms_highway.envs.ENVIRONMENTS`, for help texts, which need no JAX."""
+"""Keys of `ms_highway.envs.ENVIRONMENTS`, repeated so that help needs no JAX."""
 
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
     "period:MODEL=STEPS,..., random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K; "
     "your own: functions of add_driver, agents of add_agent, and files of stable-baselines3 (AGENT.zip)"
 )
-"""What controllers are called on the command line, for help texts."""
+"""Short names of controllers, for help texts."""
 
 LEARNED = "learned:1"
-"""The controller that commands take by default: the package's best."""
+"""The default controller of commands, the best of the package."""
 
 KEYS = """\
---set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists the
-keys; these are the usual ones:
+--set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists all
+keys; the most useful ones are:
 
-  semantics=released      the paper's released code exactly; paper, its dynamics and a damped theory of mind; physical,
-                          the same within what tyres hold (default of scenarios that end in -v1; else paper)
+  semantics=released      paper, the paper's dynamics and a damped theory of mind (default); physical, the same within
+                          what tyres hold (default of scenarios that end in -v1); or released, exactly the paper's
+                          released code
   human_reward=published  what humans drive for: learned from demonstrations (default), published (default in released
                           semantics), or a file that `ms-highway irl fit` wrote
   ladder=naive,tom        models to choose from, cheapest first (default: the scenario's), or best, the rungs that
-                          were found to serve best; tom@8 plans in 8 ascent steps, tom@8+warm from the rest of
-                          the last plan
-  costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37), the
-                          default; shipped, that among several humans and in -v1, under budgets measured ones; measured
-                          on this machine, not in simulations; or by model: costs=naive=0.1,turn=0.2,tom=0.5
-  solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton under naive
-                          and turn; or convex_newton (default among several humans and in -v1), for seconds
-  horizon=10              controls in a plan (default: 5; 10 or 20 in -v1), each of time_step=0.1 seconds; iterations=20
-                          gradient steps of step_size=0.03 are chosen to suit the horizon unless they are given
+                          served best; tom@8 plans in 8 ascent steps, tom@8+warm starts from the rest of the last plan
+  costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37; default
+                          with one human); shipped (default among several humans and in -v1), for which budgets take
+                          measured ones; measured on this machine, not in simulations; or by model:
+                          costs=naive=0.1,turn=0.2,tom=0.5
+  solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton, under naive
+                          and turn; or convex_newton, for plans of seconds (default among several humans and in -v1)
+  horizon=10              number of controls in a plan (default: 5; 10 or 20 in -v1), each of time_step=0.1 seconds;
+                          the number and size of gradient steps suit the horizon unless iterations=20 and
+                          step_size=0.03 set them
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
-  grip=8                  acceleration that tyres hold in all [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8
-                          in -v1)
+  grip=8                  total acceleration that tyres hold [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8 in
+                          -v1)
   humans=6                number of humans, 2 to 20, in dense_merge, dense-merge-v1 and crossing_crowd
-  yielding=never          what humans do beside the robot: usual, plan for their reward (default); never yield, but
-                          keep their velocity; always make room for it; or mixed, each of them never or always
-  human_driver=NAME       what drives the humans instead: what --import adds by ms_highway.add_driver
-  way_out=false           let plans leave no escape from humans who do not yield
+  yielding=never          what humans do beside the robot: usual, plan for their reward (default); never, keep their
+                          velocity; always, make room for the robot; or mixed, each human never or always
+  human_driver=NAME       what drives the humans instead: a driver that --import adds by ms_highway.add_driver
+  way_out=false           let plans leave no way out from humans who do not yield
 
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
@@ -84,7 +86,7 @@ FORMAT = option("--format", "of figures", FORMATS[0], choices=FORMATS)
 
 
 def controllers(text: str) -> Option:
-    """Return ``--controllers``, with what its help text says behind their names."""
+    """Return ``--controllers``, with a text that its help shows behind the names."""
     return option("--controllers", f"{CONTROLLERS}. {text}", nargs="+", metavar="CONTROLLER")
 
 
@@ -94,22 +96,22 @@ def compared(
     beside: str = "(default: all models of the ladder, and switching)",
     prices: str = "the scenario's two",
 ) -> list[Option]:
-    """Return the options for what to compare, see `comparison`, and for the directory of results.
+    """Return the options that say what to compare, see `comparison`, and where the results go.
 
     Args:
         seeds: default number of episodes.
-        out: default directory of results; without, it has to be named.
-        beside: what the help text says of ``--controllers``.
-        prices: what it says of the default ``--lambdas``.
+        out: default directory of results; None to require ``--out``.
+        beside: text in the help of ``--controllers`` about the default.
+        prices: text in the help of ``--lambdas`` about the default.
     """
-    kinds = "A kind that has a lambda, without it, stands for one controller at each of --lambdas"
+    kinds = "A kind that needs a lambda, given without one, stands for a controller at each of --lambdas"
     several = f"several, or LOW:HIGH:COUNT evenly spaced in the logarithm (three digits) (default: {prices})"
     return [
         SCENARIOS,
         controllers(f"{kinds} {beside}"),
         option("--lambdas", several, nargs="+", type=lambdas, metavar="LAMBDA"),
         number("--seeds", seeds, "episodes per controller"),
-        number("--first-seed", 0, "of the first episode, from which the others count on", 0, MAX_SEEDS),
+        number("--first-seed", 0, "seed of the first episode; the others count on from it", 0, MAX_SEEDS),
         output("--out", "of results", directory=True, default=out, required=not out),
         FORMAT,
         SET,
@@ -120,7 +122,7 @@ def configuration(options: argparse.Namespace) -> dict:
     """Return the configuration of environments that ``--set`` gives, by key.
 
     Raises:
-        ValueError: for what is no key and value, and for a human's reward that cannot be read.
+        ValueError: for anything but a key and a value, and for a file of a human's reward that cannot be read.
     """
     from ms_highway.envs.settings import HUMAN_REWARDS
     from ms_highway.game.learned_reward import load
@@ -129,7 +131,8 @@ def configuration(options: argparse.Namespace) -> dict:
     for text in options.keys:
         key, sign, value = text.partition("=")
         if not sign or key in ("controller", "action"):
-            raise ValueError(f"--set {text}: say it like --set horizon=10; who drives is no key that can be set")
+            remedy = "give a key and a value, such as horizon=10; controller and action cannot be set"
+            raise ValueError(f"--set {text}: {remedy}")
         config[key] = _value(value)
     reward, known = config.get("human_reward"), dict.fromkeys(HUMAN_REWARDS.values())
     if isinstance(reward, str) and reward not in known:
@@ -156,8 +159,8 @@ def comparison(
 
     Args:
         options: of the command, see `compared`.
-        always: controllers that run in addition to those of ``--controllers``, and to the models of the ladder.
-        prices: lambdas of learned controllers that are named without one, where these are not ``--lambdas``.
+        always: controllers to compare in any case, together with the models of the ladder.
+        prices: lambdas of learned controllers that are named without one; by default, those of ``--lambdas``.
 
     Raises:
         ValueError: naming what cannot be compared.
@@ -184,12 +187,11 @@ def comparison(
 def lambdas(text: str) -> list[float]:
     """Return the lambdas that a word of an option gives: one, or a range.
 
-    A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, which make
-    short names of controllers.
+    A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, so that
+    names of controllers are short.
 
     Raises:
-        ArgumentTypeError: for a text that is neither, names negative lambdas, or spaces them so closely that some are
-            equal.
+        ArgumentTypeError: for any other text, negative lambdas, or a range in which rounded lambdas are equal.
     """
     import numpy as np
 

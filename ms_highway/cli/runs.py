@@ -1,4 +1,4 @@
-"""The commands ``ms-highway compare`` and ``ms-highway sweep``: the same episodes, live and many at a time."""
+"""Define the commands ``ms-highway compare`` and ``ms-highway sweep``: the same episodes, live or simulated."""
 
 import argparse
 from contextlib import ExitStack
@@ -23,29 +23,34 @@ if TYPE_CHECKING:
 def compare(options: argparse.Namespace) -> None:
     """Run the same seeded episodes with several controllers and compare reward and computation.
 
-    A controller is a human model that plans every step (naive, turn, tom); or learned:LAMBDA, which chooses the model
-    at every step by a learned value of computation, at a price of LAMBDA reward for a second of planning
-    (learned:LAMBDA:FILE with values of `ms-highway values learn`); or switching:LAMBDA, which chooses by the paper's
-    Algorithm 1, or horizon:LAMBDA, by gains that are estimated over the whole plan instead of one step; or
-    schedule:MODEL=STEPS,...,MODEL, an order that is fixed beforehand, such as schedule:tom=6,naive; or
-    period:MODEL=STEPS,..., an order that is repeated, such as period:tom=1,naive=3; or random:MODEL=SHARE,..., a model
-    drawn for every step, such as random:naive=0.7,tom=0.3: a choice that looks at nothing, which others have to beat.
+    The controllers are:
+
+      naive, turn, tom        this human model in every step
+      learned:LAMBDA          chooses the model at every step by a learned value of computation, at a price of LAMBDA
+                              reward for a second of planning; learned:LAMBDA:FILE takes values of
+                              `ms-highway values learn`
+      switching:LAMBDA        chooses by the paper's Algorithm 1
+      horizon:LAMBDA          the same, with gains over the whole plan instead of one step
+      schedule:tom=6,naive    a fixed order: tom for six steps, then naive
+      period:tom=1,naive=3    a repeated order: tom in every fourth step, else naive
+      random:tom=0.3,naive=0.7  a model drawn for every step with these shares, a baseline for every choice
+
     Without scenarios and controllers, the paper's comparison runs: its three scenarios, each with its ladder and the
-    paper's two lambdas, and learned:1 beside them. stay-back-v1, merger-v1 and give-way-v1 are the same scenes within
-    what tyres hold.
+    paper's two lambdas, and also learned:1. stay-back-v1, merger-v1 and give-way-v1 are the same scenes within what
+    tyres hold.
 
     In dense-merge-v1, dense_merge and crossing_crowd, a controller chooses a model for each of several humans. A
-    model's name stands for all humans; nearest:K predicts the K nearest humans by tom, and the others naively;
-    budget:MILLISECONDS chooses what is worth most within this time of planning and deciding per step.
+    model's name stands for all humans; nearest:K predicts the K nearest humans by tom and the others naively;
+    budget:MILLISECONDS chooses what gains most within this time of planning and deciding per step.
 
-    Any controller with +belief at the end, such as tom+belief, infers from what each human does whether it is predicted
-    by naive, idm, turn or tom, and plans naively where a model would count on a response that the human does not show.
+    Any controller with +belief at the end, such as tom+belief, infers whether naive, idm, turn or tom predicts each
+    human, and plans naively where a model would count on a response that the human does not show.
 
-    Episodes run on two cores where there are two. Results go to --out: steps.csv (a row per step; until all episodes
-    have ended, each is a file in parts), summary.csv, and per scenario the figures SCENARIO_bars (of three lambdas or
-    more _curve, reward against computation), _timeline and _decisions; settings.json and provenance.json say what they
-    were made with. If stopped and started again with the same --out, it resumes; with
-    more controllers or scenarios, it adds them. `ms-highway report` makes a page of them.
+    Episodes run on two cores if there are two. Results go to --out: steps.csv (a row per step; before all episodes have
+    ended, a file per episode in parts), summary.csv, and the figures SCENARIO_bars (SCENARIO_curve, reward against
+    computation, for three lambdas or more), SCENARIO_timeline and SCENARIO_decisions; settings.json and provenance.json
+    say how they were made. The same command with the same --out resumes a comparison that was stopped; more controllers
+    or scenarios are added to it. `ms-highway report` makes a page of the results.
 
     Examples:
       ms-highway compare
@@ -88,7 +93,7 @@ def compare(options: argparse.Namespace) -> None:
 
 
 def _with_learned(asked: "Comparison") -> "Comparison":
-    """Return a comparison with learned values, before switching, where they suit the ladder."""
+    """Insert learned values before switching, in scenarios whose ladder they know."""
     controllers = {}
     for scenario, names in asked.controllers.items():
         controllers[scenario] = list(names)
@@ -105,37 +110,35 @@ def _with_learned(asked: "Comparison") -> "Comparison":
     "sweep",
     "simulate thousands of episodes at once",
     *compared(1000, None),
-    option("--steps", "keep a row per step as well, about 40 times as much", action="store_true"),
-    number("--part", 1024, "episodes per part, of any controller"),
+    option("--steps", "also keep a row per step, about 40 times as much data", action="store_true"),
+    number("--part", 1024, "episodes per part"),
     DEVICES,
-    option("--scheduler", "of a cluster of Dask that computes, tcp://HOST:PORT", metavar="ADDRESS"),
+    option("--scheduler", "address of a Dask cluster that computes, tcp://HOST:PORT", metavar="ADDRESS"),
     simulates=True,
 )
 def sweep(options: argparse.Namespace) -> None:
-    r"""Simulate very many episodes of one scenario, all in JAX and many at a time, and compare reward and computation.
+    r"""Simulate many episodes of one scenario in JAX, many at a time, and compare reward and computation.
 
-    Episodes are those of `ms-highway compare`, which explains the controllers: the same seed gives the same start, and
-    what happens is the same up to rounding. Nothing is timed: planning counts the seconds of --set costs=..., which
-    among several humans are those of a plan in which one human is predicted by a model and the others naively. A budget
-    counts these seconds, and deciding as nothing: no plan is late.
+    The episodes and controllers are those of `ms-highway compare`: the same seed gives the same start and, up to
+    rounding, the same episode. Nothing is timed: planning counts the seconds of --set costs=...; among several humans,
+    these are of a plan that predicts one human by a model and the others naively. A budget counts these seconds and
+    none for deciding, and no plan is late.
 
-    Results go to --out, as parts of --part episodes each, which are written as they are done; if stopped or killed and
-    started again with the same --out, the sweep computes the missing parts. pandas.read_parquet("OUT/episodes") reads
-    all parts at once: a row per episode; with --steps, pandas.read_parquet("OUT/steps") reads a row per step. There are
-    a summary.csv and the figure SCENARIO_curve as well (reward against computation, with 90 % intervals); settings.json
-    and provenance.json say what they were made with. To resume, all options but --devices and --scheduler have to be
-    the same.
+    Results go to --out, in parts of --part episodes, each written when it is done. The same command with the same --out
+    computes the missing parts of a sweep that was stopped or killed; only --devices and --scheduler may differ.
+    pandas.read_parquet("OUT/episodes") reads a row per episode and, with --steps, pandas.read_parquet("OUT/steps") a
+    row per step. There are also summary.csv and the figure SCENARIO_curve (reward against computation, with 90 %
+    intervals); settings.json and provenance.json say how they were made.
 
-    Episodes are shared by all devices (on CPUs, by default one per core), or, with --scheduler, by the workers of a
-    cluster of dask.distributed, which return their rows: they need the same versions, and the modules of --import and
-    the files that controllers name, but no disk in common. A part of a worker that is lost goes to another one.
-    Episodes are the same byte for byte, however often the sweep is stopped and whatever computes it; only other kinds
-    of processors may round otherwise, so do not mix them. Whoever reaches a scheduler of Dask can run any program
-    there: keep it inside your own network.
+    All devices share the work (on CPUs, by default one per core) or, with --scheduler, the workers of a cluster of
+    dask.distributed. Workers return their rows. They need the same versions, the modules of --import and the files that
+    controllers name, but no common disk. A part of a lost worker goes to another one. Episodes are the same byte for
+    byte, however often the sweep is stopped and whatever computes it, except that other kinds of processors may round
+    differently: do not mix them. Anybody who reaches a Dask scheduler can run any program there: keep it inside your
+    own network.
 
-    Memory is bounded. Every device compiles its own program, which takes about half a GB, and they compute one part at
-    a time, which takes 25 kB for each episode of --part. The summary at the end takes 0.5 kB for each episode. Needs
-    the extra "sweep".
+    Memory is bounded. Every device compiles its own program, which takes about half a GB. A part takes 25 kB for each
+    of its episodes, and the summary 0.5 kB for each episode. Needs the extra "sweep".
 
     Examples:
       ms-highway sweep merger --seeds 10000 --lambdas 0.001:10:25 --out results/sweep
@@ -143,7 +146,7 @@ def sweep(options: argparse.Namespace) -> None:
         --set costs=naive=0.001,turn=0.002,tom=0.01 --out results/crowd
       ms-highway sweep give_way --seeds 1000 --controllers tom schedule:tom={4,6,8},naive --out results/schedules
 
-    on a cluster of Dask; HOST runs the scheduler, and every machine the line with `dask worker`:
+    on a cluster of Dask, of which HOST runs the scheduler and every machine runs the line with `dask worker`:
       dask scheduler &
       dask worker tcp://HOST:8786 --nworkers 4 --nthreads 1 &
       ms-highway sweep merger --lambdas 0.001:10:25 --scheduler tcp://HOST:8786 --out results/sweep
@@ -166,7 +169,7 @@ def sweep(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tradeoff import curve
 
     if options.devices and options.scheduler:
-        raise ValueError("--devices are of this machine, and --scheduler computes on others; leave one out")
+        raise ValueError("--devices compute on this machine, and --scheduler on others; leave one out")
     asked, out = comparison(options), options.out
     with ExitStack() as stack:
         with needing("sweep"):

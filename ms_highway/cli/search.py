@@ -1,4 +1,4 @@
-"""The commands ``ms-highway frontier`` and ``ms-highway values learn``: the best choices, and learning to choose."""
+"""Define the commands ``ms-highway frontier`` and ``ms-highway values learn``."""
 
 import argparse
 
@@ -7,12 +7,10 @@ from ms_highway.cli.console import own_results, print_tables, record, save_figur
 from ms_highway.cli.options import DEVICES, SCENARIOS, SET, compared, comparison, configuration
 
 LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
-PRICE = (
-    "lambda of the meta-reward that orders are searched for and controllers judged by: reward for a second of planning"
-)
+PRICE = "lambdas of the meta-reward of orders and controllers: reward for a second of planning"
 STATES = (
-    "that rollouts start from in each scenario, in round 1; later ones have 5 for every 8 (default: 400; among several "
-    "humans 100 in every round)"
+    "states from which rollouts start in round 1 in each scenario; later rounds have 5 for every 8 (default: 400; "
+    "among several humans 100 in every round)"
 )
 
 
@@ -32,22 +30,20 @@ STATES = (
     simulates=True,
 )
 def frontier(options: argparse.Namespace) -> None:
-    """Search, for each start separately, for the order of human models with the highest meta-reward: the reward less
-    PRICE times the seconds T(M) of planning. The best possible choice of models earns at least that; the difference
-    between it and what a controller earns is the controller's regret. The models that switching chose in an episode are
-    one of the orders that are tried, and so are those of any other of --controllers.
+    """Search from each start for the order of human models with the highest meta-reward: the reward less PRICE times
+    the seconds T(M) of planning. The best possible choice of models earns at least as much. The regret of a controller
+    is this meta-reward minus its own. The search also tries the orders that switching and other --controllers chose.
 
-    The tables show, by their regret, the fixed models; the best of the orders that were tried from every start; other
-    --controllers; and switching with the best of --lambdas, likewise other controllers that have a lambda. --prices are
-    the lambdas of the meta-reward, which judges; --lambdas are those that switching decides with, and need not be a
-    price. Whatever is best is chosen on the same starts that it is judged by. Everything is simulated, and nothing
-    timed.
+    The tables show the regrets of the fixed models, of the best order for all starts, of other --controllers, and of
+    switching and other controllers with a lambda at their best lambda. --prices are the lambdas of the meta-reward;
+    --lambdas are those that switching decides with, and need not be a price. The best order and lambda are chosen on
+    the same starts as they are judged by. Everything is simulated, and nothing is timed.
 
     Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
     start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
-    episodes); settings.json and provenance.json, which say what they were made with. Episodes are kept after every
-    round: if stopped or killed and started again with the same --out, the search resumes, and with more seeds, prices,
-    lambdas or rounds it uses what is there. Results are the same on any number of devices.
+    episodes); settings.json and provenance.json, which say how they were made. Episodes are kept after every round: the
+    same command with the same --out resumes a search that was stopped or killed, and one with more seeds, prices,
+    lambdas or rounds uses the episodes that are there. Results do not depend on the number of devices.
 
     Examples:
       ms-highway frontier
@@ -117,17 +113,17 @@ def frontier(options: argparse.Namespace) -> None:
     simulates=True,
 )
 def learn(options: argparse.Namespace) -> None:
-    """Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. From states that
-    episodes come through, a human is predicted by every model of the ladder for some steps, and then as the rule that
-    was learned so far chooses; networks are fitted to what was earned more than by the cheapest model, and so on for
-    some rounds. One file serves all lambdas and costs.
+    """Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. Rollouts start from
+    states of episodes: for some steps, one model of the ladder predicts the human, and then the rule that was learned
+    so far chooses. Networks are fitted to the reward that each model earns beyond the cheapest one, in several rounds.
+    One file serves all lambdas and costs.
 
-    Among several humans (dense-merge-v1, dense_merge, crossing_crowd), the nearest one, two, three and four are
-    predicted by every model together; each has the value that it adds. The file is for learned:LAMBDA:FILE there.
+    Among several humans (dense-merge-v1, dense_merge, crossing_crowd), each model predicts the nearest one, two, three
+    and four humans; the value of a human is the reward that it adds. Such a file serves scenes with several humans.
 
-    Starts are drawn anew, not by the numbered seeds of environments: all of those are held out, for `ms-highway
-    frontier` to tell the regret of learned:LAMBDA:FILE. The same --seed gives the same values. Rollouts are kept beside
-    the file until it is written: a run that was stopped or killed goes on when it is started again.
+    Starts are drawn anew, not by the numbered seeds of environments, so that `ms-highway frontier` can measure the
+    regret of learned:LAMBDA:FILE on held-out starts. The same --seed gives the same values. Rollouts are kept beside
+    the file until it is written: the same command continues a run that was stopped or killed.
 
     Examples:
       ms-highway values learn merger give_way --out values.npz

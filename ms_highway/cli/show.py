@@ -1,4 +1,4 @@
-"""The commands that show something: ``ms-highway report``, ``video`` and ``validate``."""
+"""Define the commands ``ms-highway report``, ``video`` and ``validate``."""
 
 import argparse
 import json
@@ -8,7 +8,7 @@ from ms_highway.cli.command import command, number, option, output
 from ms_highway.cli.console import print_tables, say, tell, warn
 from ms_highway.cli.options import CONTROLLERS, LEARNED, MAX_SEEDS, SCENARIO_NAMES, SET, configuration
 
-FILM = 'film the best fixed model beside one that is chosen online (default); needs the extra "video"'
+FILM = 'film the best fixed model and a controller that chooses online (default); needs the extra "video"'
 KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
 
 
@@ -20,9 +20,9 @@ KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_err
     option("--videos", FILM, action=argparse.BooleanOptionalAction, default=True),
 )
 def report(options: argparse.Namespace) -> None:
-    """Make one HTML page of a directory of `ms-highway compare`. It is a single file and needs no network. At its top
-    stand the answers in sentences; below, a table, a film of two controllers and figures for each scenario, and the
-    settings, versions, machine and commands that made the results.
+    """Make an HTML page, a single file that needs no network, of a directory of `ms-highway compare`. The page begins
+    with the answers in sentences. For each scenario, it has a table, a film of two controllers and figures; at its end
+    are the settings, versions, machine and commands that made the results.
 
     Examples:
       ms-highway report results/compare
@@ -38,7 +38,7 @@ def report(options: argparse.Namespace) -> None:
     check_writable(out)
     results = read_results(directory)
     if results.missing:
-        remedy = "start the same `ms-highway compare` again, which resumes"
+        remedy = "start the same `ms-highway compare` again, and it resumes"
         warn(f"{directory} lacks {results.missing} episodes; {remedy}")
     if options.videos:
         try:
@@ -64,13 +64,12 @@ def report(options: argparse.Namespace) -> None:
     SET,
 )
 def video(options: argparse.Namespace) -> None:
-    """Film one episode from above: the road, the robot's plan, the human path that it counts on, and a panel with the
-    model in use, planning time and reward. Plays at true speed. Among several humans, each has the colour of the model
-    that predicts it, and the panel shows how many humans each model predicts, and the time of the step against its
-    budget.
+    """Film one episode from above: the road, the robot's plan, the predicted path of the human, and a panel with the
+    model in use, planning time and reward. The film plays at true speed. Among several humans, each has the colour of
+    the model that predicts it, and the panel shows the number of humans per model, and the time and budget of the step.
 
-    With --against, a second controller drives from the same start, and both are shown together, one above the other,
-    each under its name, its mean reward per step and what it has spent on planning and deciding so far.
+    With --against, a second controller drives from the same start. The film shows both, one above the other, with name,
+    mean reward per step and the time spent on planning and deciding so far.
 
     Examples:
       ms-highway video merger --seed 0 --out merger.mp4
@@ -97,8 +96,9 @@ def video(options: argparse.Namespace) -> None:
     option("--json", "print JSON instead of a table", action="store_true"),
 )
 def validate(options: argparse.Namespace) -> None:
-    """Replay logged episodes of the paper's released code: plan from every logged state and compare controls, rewards,
-    human controls and switching decisions with the logs. Errors are quantiles over all steps, in the units of the logs.
+    """Replay logged episodes of the paper's released code: plan from every logged state, and compare controls, rewards,
+    human controls and switching decisions with the logs. The table has quantiles of the errors over all steps, in the
+    units of the logs.
 
     Examples:
       ms-highway validate reference/episodes --json

@@ -1,6 +1,6 @@
-"""Provide highway-env vehicles and what they see of a road; all classes can be imported from here.
+"""Provide highway-env vehicles, importable from here, and their view of a road.
 
-Imports `ms_highway.loop` and what stands below it.
+Imports `ms_highway.loop` and the packages below it.
 """
 
 from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle

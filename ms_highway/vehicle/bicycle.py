@@ -18,10 +18,10 @@ from ms_highway.vehicle.road_view import states_of
 
 
 class OfferedSpeeds:
-    """Target speeds, which rewards and observations of highway-env read from the controlled car.
+    """Add target speeds, which highway-env's rewards and observations read from the controlled car.
 
     Attributes:
-        target_speeds: speeds that the environment offers to drivers of discrete actions [m/s].
+        target_speeds: speeds that the environment offers as discrete actions [m/s].
     """
 
     speed: float
@@ -31,7 +31,7 @@ class OfferedSpeeds:
 
     @property
     def speed_index(self) -> int:
-        """Index of the target speed that is nearest to the present speed."""
+        """Index of the target speed nearest to the present speed."""
         return int(self.speed_to_index(self.speed))
 
 
@@ -42,8 +42,8 @@ class BicycleVehicle(Vehicle):
     that ``omega = tan(delta) / LENGTH``. Positions, headings and speeds are updated by `ms_highway.game.dynamics.step`.
 
     Attributes:
-        dynamics: with friction alpha of 0.2 1/s unless replaced.
-        control: executed ``(omega, acceleration)``, in the units of the dynamics.
+        dynamics: its friction alpha is 0.2 1/s by default.
+        control: that is executed, ``(omega, acceleration)`` in the units of the dynamics.
     """
 
     WIDTH = 2.5  # m
@@ -71,7 +71,7 @@ class BicycleVehicle(Vehicle):
         return float(keep_velocity(self.dynamics, self.state)[1])
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Execute an action until the next one; without one, continue the last."""
+        """Execute an action until the next one; without an action, keep the last control."""
         if action:
             omega = tan(float(action["steering"])) / self.LENGTH * self._omega_per_curvature
             self.execute(np.array([omega, float(action["acceleration"])]))
@@ -87,7 +87,7 @@ class BicycleVehicle(Vehicle):
         self.action = {"steering": atan((omega / scale if scale else 0.0) * self.LENGTH), "acceleration": acceleration}
 
     def randomize_behavior(self) -> None:
-        """Do nothing: highway-env randomises its own drivers here, and nothing of this car is random."""
+        """Do nothing: highway-env randomises its drivers here, but this car has no random behaviour."""
 
     def step(self, dt: float) -> None:
         """Move for ``dt`` seconds; a crashed car brakes to a stop, as in highway-env."""
@@ -106,26 +106,26 @@ class BicycleVehicle(Vehicle):
     def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Control | None]:
         """Return whether the bodies overlap, whether they will within ``dt``, and the push apart; see `RoadObject`.
 
-        Where one of them is not solid, nothing is pushed, and only the present overlap counts.
+        If one of them is not solid, only the present overlap counts, and nothing is pushed.
         """
         return super()._is_colliding(other, dt if self.solid and other.solid else 0.0)
 
 
 class ScriptedVehicle(BicycleVehicle):
-    """Car that keeps its velocity, whatever happens."""
+    """Car that always keeps its velocity."""
 
     COLOR = (150, 150, 160)
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Compensate friction; ignore actions."""
+        """Balance friction; ignore actions."""
         self.execute(keep_velocity(self.dynamics, self.state))
 
 
 class RoutedVehicle(ScriptedVehicle):
-    """Car on a given route, whatever happens; past its end, the car keeps its velocity.
+    """Car that always follows a given route, and keeps its velocity after the end of the route.
 
     Args:
-        road: to drive on.
+        road: that the car is on.
         route: ``(x, y, heading, speed)`` now and after every step, [times, 4].
     """
 
@@ -136,7 +136,7 @@ class RoutedVehicle(ScriptedVehicle):
         self.place = 0
 
     def step(self, dt: float) -> None:
-        """Move to the next state of the route, whatever ``dt`` is."""
+        """Move to the next state of the route; ``dt`` only counts after its end."""
         self.place += 1
         if self.place >= len(self.route):
             super().step(dt)

@@ -25,37 +25,38 @@ from ms_highway.planning.learned_driving import FREE_GAP
 from ms_highway.vehicle.planning import PlanningVehicle
 from ms_highway.vehicle.road_view import WATCHED_TIMES, RoadView, look
 
-CALM = 1.5  # m/s^2, of braking that is left to the learned reward
+CALM = 1.5  # m/s^2, necessary braking up to which the learned reward decides
 STOPPED = 2.0  # m, gap behind a standing vehicle
-STOPPING = 5.0  # 1/s, of the speed that braking takes at most, so that no step ends backwards
+STOPPING = 5.0  # 1/s, most braking per speed, so that no step ends backwards
 YIELDING = 5.0  # m/s^2, of braking where a road makes a car yield
 
 
 class HumanVehicle(PlanningVehicle):
     """Plan for a reward of its own, predicting that all others keep their velocity.
 
-    In this package's scenarios, `drive_with` gives it its game. On any other highway-env road it drives by itself, for
+    In this package's scenarios, `drive_with` gives it its game. On any other highway-env road it drives alone, for
     ``weights`` among its neighbours, and can be the ``other_vehicles_type`` of a stock environment.
 
-    By itself it sees the road as the robot of stock environments does (`ms_highway.perception`) and keeps clear of
-    others: the Intelligent Driver Model bounds its acceleration, behind whoever is ahead on its way or will cross it
-    first at constant speed. It does not run into a car that is slower by 8, 12 or 20 m/s, and stops from 30 m/s behind
-    a standing one. On a ``RegulatedRoad``, such as that of intersection-v0, it yields only when the road tells it to.
+    Alone, it sees the road as the robot of stock environments does (`ms_highway.perception`). It keeps clear of others:
+    the Intelligent Driver Model bounds its acceleration behind every vehicle that is ahead on its way, or that will
+    cross its way before it at constant speed. It does not run into a car that is slower by 8, 12 or 20 m/s, and stops
+    from 30 m/s behind a standing car. On a ``RegulatedRoad``, as in intersection-v0, it yields only when the road tells
+    it to.
 
-    Where all cars, the ego too, are humans, 0 of 20 episodes of merge-v0 have collisions (with highway-env's IDM 0), 3
-    of roundabout-v0 (4), 2 of intersection-v0 (7), and 0 of 8 of highway-fast-v0 (0).
+    If all cars, the ego included, are humans, 0 of 20 episodes of merge-v0 have collisions (with highway-env's IDM 0),
+    3 of roundabout-v0 (4), 2 of intersection-v0 (7), and 0 of 8 of highway-fast-v0 (0).
 
     It does not change lanes in dense traffic: in 20 s of highway-v0 among 150 cars, IDM cars change lanes 39 times,
-    humans never. Longer horizons do not help: behind a car of 12 m/s beside an empty lane, it stays there with
-    horizons of up to 3 s and the Newton solver, as plans are improved locally and the way between lanes earns less at
-    first. That takes plans that start in another lane.
+    humans never. Longer horizons do not help: behind a car of 12 m/s beside an empty lane, it stays there with horizons
+    of up to 3 s and the Newton solver. Plans are improved locally, and the way between lanes earns less at first; only
+    plans that start in another lane would get there.
 
     Attributes:
-        weights: by name, of the reward when it drives by itself: those learned from demonstrations.
+        weights: by name, of the reward when it drives alone; by default, learned from demonstrations.
         solver: see `ms_highway.numerics.solvers.optimize_controls`; weights divided by a temperature need
             ``newton``.
         planning: horizon, time step and gradient steps.
-        enable_lane_change: taken from stock environments and ignored; only its reward decides where to go.
+        enable_lane_change: accepted for stock environments, but ignored: only the reward decides where to go.
     """
 
     COLOR = (60, 130, 220)
@@ -75,14 +76,14 @@ class HumanVehicle(PlanningVehicle):
         self.enable_lane_change = enable_lane_change
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
-        """Plan for the own reward: in the game given by `drive_with`, or else on the present road."""
+        """Plan for the own reward, in the game given by `drive_with` or else on the present road."""
         if action or self.companions or self.road is None:
             super().act(action)
         elif not self.crashed:
             self._drive_alone(look(self))
 
     def _drive_alone(self, view: RoadView) -> None:
-        """Plan as if the lane were straight, add its bend to the plan's control, and brake more to keep clear."""
+        """Plan as if the lane were straight, add its bend to the plan's control, and brake harder to keep clear."""
         limit = min(view.speed_limit, self.target_speed)
         game = driving_game(view.scene, limit, self.weights, solver=self.solver, planning=self.planning)
         if self.controller is None:
@@ -101,22 +102,22 @@ class HumanVehicle(PlanningVehicle):
 
 
 class CommuterVehicle(IDMVehicle):
-    """Drive with the traffic, like the drivers recorded on US-101, each in its own way.
+    """Drive like the drivers recorded on US-101, each car with traits of its own.
 
-    The acceleration is the one that earns most of the reward learned from where those drivers were seconds later, see
-    `ms_highway.planning.held_control`. Drivers differ in desired speed, headway and patience, which are drawn for every
-    car by the road's random numbers. Dense traffic tells little about stopping: drivers also brake as hard as they have
-    to. They steer and change lanes as highway-env's drivers do (MOBIL), whose `acceleration` this class replaces.
+    The acceleration maximises a reward learned from where those drivers were seconds later, see
+    `ms_highway.planning.held_control`. Desired speed, headway and patience are drawn for every car by the road's random
+    numbers. As dense traffic tells little about stopping, commuters also brake as hard as they have to. They steer and
+    change lanes like highway-env's drivers (MOBIL), of which this class replaces only `acceleration`.
 
-    They know highways: where all cars, the ego too, are commuters, 0 of 20 episodes of merge-v1 have collisions, but 11
-    of roundabout-v1 (with highway-env's IDM 5), as they see nobody who crosses their lane; `HumanVehicle` does.
+    Commuters suit highways: if all cars, the ego included, are commuters, 0 of 20 episodes of merge-v1 have collisions,
+    but 11 of roundabout-v1 (with highway-env's IDM 5), as they do not see crossing traffic; `HumanVehicle` does.
     """
 
     ACC_MAX = 8.0  # m/s^2, of braking; they accelerate by 4 at most
 
     @cached_property
     def traits(self) -> RewardTraits:
-        """Its own, the desired speed as a share of the speed limit; drawn when it acts first."""
+        """Traits of this car, with the desired speed as a share of the speed limit; drawn when it first acts."""
         return shipped_drivers().prior.draw(self.road.np_random, 1.0)
 
     def act(self, action: Any = None) -> None:
@@ -127,18 +128,18 @@ class CommuterVehicle(IDMVehicle):
     def acceleration(
         self, ego_vehicle: Vehicle | None, front_vehicle: RoadObject | None = None, rear_vehicle: Any = None
     ) -> float:
-        """Return the acceleration of a vehicle behind another one, as if it had the traits of this one [m/s^2].
+        """Return the acceleration of a vehicle behind another one, as if it had the traits of this car [m/s^2].
 
         Args:
-            ego_vehicle: the vehicle; nobody, and obstacles, do not accelerate.
-            front_vehicle: whoever is ahead of it.
+            ego_vehicle: the vehicle; None and obstacles do not accelerate.
+            front_vehicle: the vehicle or obstacle ahead of it.
             rear_vehicle: ignored.
         """
         if not isinstance(ego_vehicle, Vehicle):
             return 0.0
         speed, limit = ego_vehicle.speed, ego_vehicle.lane.speed_limit or LIMIT
         wanted = min(getattr(ego_vehicle, "target_speed", limit), limit)
-        if wanted <= 0:  # the road makes it yield
+        if wanted <= 0:  # the road makes the vehicle yield
             return -min(speed, YIELDING)
         gap, ahead = np.inf, speed
         if front_vehicle:

@@ -1,4 +1,4 @@
-"""Drive vehicles with a controller, in a given game."""
+"""Drive vehicles by a controller that plays a game."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,23 +18,20 @@ from ms_highway.vehicle.road_view import at_constant_speed, states_of
 
 
 class PlanningVehicle(BicycleVehicle, ControlledVehicle):
-    """Car driven by a controller; without one, it takes actions like any other car.
+    """Car that a controller drives in a game with companions; without a controller, it takes actions like other cars.
 
-    With a controller and companions, it plays the controller's game with them.
+    It keeps to the grip of tyres if the game's planner has a ``grip``, as in `ms_highway.game.scenario.driving_game`.
 
-    The grip of tyres is respected where the game's planner has a ``grip``, as in
-    `ms_highway.game.scenario.driving_game`.
-
-    highway-env's own drivers and rules treat it like their own: they see its lane and predict it at constant speed
-    along its route. Where a ``RegulatedRoad`` makes it yield, it brakes.
+    highway-env's drivers and rules treat it like their own cars: they see its lane and predict it at constant speed
+    along its route. It brakes where a ``RegulatedRoad`` makes it yield.
 
     Attributes:
         controller: plans whenever the road lets its vehicles act.
         companions: other cars of the controller's game, its partner first.
         last_step: record of the controller's last step, None before the first.
-        last_state: states that the controller planned in then, [cars, 4].
-        route: roads to follow, None to follow whichever it is on.
-        target_lane_index: the lane that it is on.
+        last_state: states in which the controller planned then, [cars, 4].
+        route: roads to follow; None to follow the present road.
+        target_lane_index: the present lane.
     """
 
     def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
@@ -47,14 +44,14 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     @classmethod
     def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
-        """Replace another vehicle by a car of this class, on the same route; its target speed is forgotten."""
+        """Make a car of this class from another vehicle, with the same route, but without its target speed."""
         car = cls(vehicle.road, vehicle.position, vehicle.heading, vehicle.speed, **options)
         car.route = getattr(vehicle, "route", None)
         return car
 
     @property
     def target_speed(self) -> float:
-        """Maximum speed [m/s], by default (None) that of its lane; 0 to stop."""
+        """Maximum speed [m/s]; its lane's if it is set to None, as by default; 0 to stop."""
         if self._target_speed is not None:
             return self._target_speed
         return (self.road and self.lane.speed_limit) or LIMIT
@@ -64,7 +61,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self._target_speed = speed
 
     def drive_with(self, controller: Controller | None, companions: Sequence[Vehicle] = ()) -> None:
-        """Let a controller drive: in its game with these other cars, the partner first."""
+        """Let a controller drive, in its game with these other cars, the partner first."""
         self.controller, self.companions = controller, list(companions)
 
     def observe(self) -> State:
@@ -72,9 +69,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         return states_of([self, *self.companions])
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
-        """Plan and execute the plan's first control; an action is executed instead, until vehicles act again.
+        """Plan and execute the plan's first control, or else execute the given action until vehicles act again.
 
-        Of highway-env's actions by name, only ``"IDLE"`` is allowed, which lets the car plan.
+        Of highway-env's actions by name, only ``"IDLE"`` is allowed, which does nothing.
 
         Raises:
             ValueError: for another action by name.
@@ -100,7 +97,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     predict_trajectory_constant_speed = at_constant_speed
 
     def on_state_update(self) -> None:
-        """Update the lane that it is on."""
+        """Update the present lane."""
         super().on_state_update()
         self.target_lane_index = self.lane_index
 

@@ -1,6 +1,6 @@
-"""View a highway-env road from a driver as a game: what the robot sees of it, straightened along the driver's route.
+"""Turn a driver's view of a highway-env road into the scene of a game, straightened along the driver's route.
 
-Views have arrays of the same shapes for all roads and any number of vehicles, so that plans are compiled once.
+Arrays have the same shapes for all roads and any number of vehicles, so that plans are compiled once.
 """
 
 from collections.abc import Iterable
@@ -21,14 +21,14 @@ from ms_highway.perception.scene import RoadScene
 from ms_highway.planning.car_following import idm_acceleration
 from ms_highway.runtime.arrays import State
 
-TAPER = (80.0, 20.0)  # m before the end of a lane that ends, between which it merges with its neighbour
+TAPER = (80.0, 20.0)  # m before its end, between which a lane merges with its neighbour
 BENDS_SEEN = 60.0  # m ahead
 STRAIGHT = 1e-6  # 1/m, the curvature of a straight road
-CORNERING = 6.0  # m/s^2, lateral, in bends ahead: less than tyres hold, so that braking leaves room for steering
-SLOWING = 3.0  # m/s^2, deceleration before them
+CORNERING = 6.0  # m/s^2, lateral, in bends ahead: less than tyres hold, so that steering is possible while braking
+SLOWING = 3.0  # m/s^2, deceleration before bends
 MIN_SPEED = 3.0  # m/s, in any bend
 
-HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than what drivers keep on their own
+HEADWAY, STANDSTILL = 0.5, 2.0  # s and m between bumpers: shorter than drivers choose themselves
 LANES_BESIDE = 0.3  # m between sides, below which others are in the way
 WATCHED_TIMES = np.array([0.0, 0.5, 1.0, 1.5, 2.0])  # s from now, at which others may be in the way
 FREE_GAP = 1e3  # m/s, so high that no desired speed limits the acceleration
@@ -40,11 +40,11 @@ class RoadView:
 
     Attributes:
         seen: what a robot would see in the driver's place.
-        others: states of others on all their ways at `WATCHED_TIMES` from now, at constant speed
-            [traffic, times, 4]; what has crashed stays where it is.
-        scene: the lanes left of the driver's, its own, and right of it; those that are closed repeat its own. Where a
-            lane ends, its centre moves to that of the target lane, so that its followers merge.
-        states: of the driver and its neighbours; obstacles count as cars that stand.
+        others: states of others on all their possible ways at `WATCHED_TIMES` from now, at constant speed
+            [traffic, times, 4]; crashed vehicles stay where they are.
+        scene: the lane to the left, the driver's lane and the lane to the right; a closed lane repeats the driver's.
+            Where the driver's lane ends, its centre moves to the target lane's, so that the driver merges.
+        states: of the driver and its neighbours; obstacles count as standing cars.
         speed_limit: of the lane, reduced before bends [m/s].
     """
 
@@ -57,8 +57,8 @@ class RoadView:
     def clear_acceleration(self, times: int) -> float:
         """Return the highest acceleration that keeps clear of others by the Intelligent Driver Model, or infinity.
 
-        A vehicle that is in the driver's path, or will be at one of the first ``times`` of `WATCHED_TIMES` and before
-        the driver, counts as the car ahead.
+        A vehicle counts as the car ahead if it is in the driver's path, or will be there before the driver at one of
+        the first ``times`` of `WATCHED_TIMES`.
         """
         seen, (own, aside, _, speed) = self.seen, self.states[0]
         (s, d, turned, speeds), watched = np.moveaxis(self.others[:, :times], -1, 0), WATCHED_TIMES[:times]
@@ -78,7 +78,7 @@ def states_of(cars: Iterable[RoadObject]) -> State:
 
 
 def look(driver: Vehicle) -> RoadView:
-    """View the road from a driver now, whose size is assumed for all; it follows its ``route``, if it has one."""
+    """Return the present view of a driver, which follows its ``route``, if any; all cars get the driver's size."""
     seen = observe_road(driver)
     x, y, heading, speed = states_of([driver])[0]
     own, others = np.array([*seen.route.project(x, y, heading), speed]), _others(seen)
@@ -108,7 +108,7 @@ def look(driver: Vehicle) -> RoadView:
 
 
 def _others(seen: RoadScene) -> State:
-    """Return states of others at the times `WATCHED_TIMES` in the coordinates of the route [traffic, times, 4]."""
+    """Return the states of others at `WATCHED_TIMES` in the coordinates of the route [traffic, times, 4]."""
     along, aside, turned, speed = (values[:, None] for values in seen.states.T)
     times = np.where(seen.moving[:, None], WATCHED_TIMES, 0.0)
     x, y, heading = seen.paths.place(along + speed * times, aside + 0.0 * times)

@@ -1,4 +1,4 @@
-"""The commands as a user types them."""
+"""Commands as users type them."""
 
 import subprocess
 import sys
@@ -19,7 +19,6 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("compare roundabout", "unknown scenario 'roundabout'"),
         ("sweep merger --devices 1000 --out out", "1000 devices are wanted; this process has"),
         ("irl evaluate --theta demonstrations --data .", "--theta demonstrations has no drivers"),
         ("values learn merger --set ladder=best --out values.npz", "leave +warm out"),
@@ -37,7 +36,7 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("validate nowhere", "no reference episodes (*.npz) in nowhere"),
     ],
 )
-def test_a_wrong_command_says_so_in_one_line_and_writes_nothing(command, message, refused):
+def test_a_wrong_command_is_refused_in_one_line_and_writes_nothing(command, message, refused):
     assert message in refused(command)
 
 
@@ -67,15 +66,10 @@ def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("around", "message"),
-    [
-        ("JAX_PLATFORMS=cuda {}", "JAX_PLATFORMS is 'cuda'"),
-    ],
-)
-def test_a_command_that_cannot_print_or_compute_says_so_in_one_line(around, message, tmp_path):
-    command = around.format(f"{sys.executable} -m ms_highway {NAIVE} {tmp_path}")
-    ran = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+def test_a_missing_platform_is_refused_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    command = [sys.executable, "-m", "ms_highway", *f"{NAIVE} {tmp_path}".split()]
+    ran = subprocess.run(command, capture_output=True, text=True)
     assert ran.returncode == 2
-    (line,) = [line for line in ran.stderr.splitlines() if not line.startswith("episodes")]
-    assert message in line
+    (line,) = ran.stderr.splitlines()
+    assert "JAX_PLATFORMS is 'cuda'" in line

@@ -1,4 +1,4 @@
-"""`ms-highway compare` and `report` as a user types them: what is written, resumed, drawn and shown."""
+"""`ms-highway compare` and `report` as users type them: results, resuming, figures and pages."""
 
 import contextlib
 import io
@@ -36,7 +36,7 @@ KEPT = Path(__file__).parents[2] / "notebooks" / "results"
 def untimed(directory):
     """The records without their measured times."""
     records = pd.read_csv(directory / "steps.csv")
-    return records.drop(columns=[name for name in records if name.endswith("seconds")])
+    return records.loc[:, ~records.columns.str.endswith("seconds")]
 
 
 def parts(directory):
@@ -45,7 +45,7 @@ def parts(directory):
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory):
-    """A comparison of which one episode was run first, and the rest later."""
+    """A comparison that was run in two parts."""
     directory = tmp_path_factory.mktemp("compare")
     run(f"{COMPARE.replace('2', '1')} {directory}")
     run(f"{COMPARE} {directory}")
@@ -54,7 +54,7 @@ def compared(tmp_path_factory):
 
 @pytest.fixture
 def begun(compared, tmp_path):
-    """A directory with the settings and the records of that comparison."""
+    """A copy of its settings and records."""
     for name in ("settings.json", "steps.csv"):
         shutil.copy(compared / name, tmp_path)
     return tmp_path
@@ -73,13 +73,13 @@ def test_compare_writes_a_row_per_step_a_summary_figures_and_what_made_them(comp
     assert not list(compared.glob("*part*"))
     runs = json.loads((compared / "provenance.json").read_text())
     assert ["--seeds 1" in run["command"] for run in runs] == [True, False]
-    run(f"{COMPARE} {compared}")  # which computes nothing
+    run(f"{COMPARE} {compared}")  # computes nothing
     assert json.loads((compared / "provenance.json").read_text()) == runs
 
 
 @pytest.mark.slow
-def test_a_comparison_on_two_cores_that_is_killed_goes_on_and_gives_what_one_process_gives(tmp_path):
-    """Nothing is lost, nothing doubled, and no process is left behind."""
+def test_a_killed_comparison_on_two_cores_resumes_to_the_results_of_one_process(tmp_path):
+    """No episode is lost or repeated, and no process is left behind."""
     asked, alone, killed = Comparison({"merger": ["naive", "turn"]}, 40), tmp_path / "1", tmp_path / "2"
     assert list(run_comparison(asked, alone)) == list(range(81))
     words = f"compare merger --controllers naive turn --seeds 40 --out {killed}"
@@ -101,13 +101,13 @@ def test_a_comparison_on_two_cores_that_is_killed_goes_on_and_gives_what_one_pro
     assert not parts(killed)
 
 
-def test_compare_goes_on_from_steps_and_parts(compared, begun):
+def test_compare_resumes_from_steps_and_parts(compared, begun):
     steps, parts = begun / "steps.csv", begun / "parts"
     head, *lines = steps.read_text().splitlines(keepends=True)
     steps.write_text("".join([head, *lines[:35]]))
     parts.mkdir()
     (parts / "3.csv").write_text("".join([head, *lines[-35:]]))
-    (parts / f".part.{'0' * 16}.1.csv").write_text(head + lines[40][:20])  # killed while it was written
+    (parts / f".part.{'0' * 16}.1.csv").write_text(head + lines[40][:20])  # left by a killed process
     run(f"{COMPARE} {begun}")
     pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
     before = steps.read_text()
@@ -117,7 +117,7 @@ def test_compare_goes_on_from_steps_and_parts(compared, begun):
     assert not parts.exists()
 
 
-def test_a_command_whose_output_nobody_reads_any_more_ends_well_and_writes_its_results(begun, monkeypatch, capsys):
+def test_a_command_whose_reader_has_left_writes_its_results_without_complaint(begun, monkeypatch, capsys):
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "w") as closed, contextlib.suppress(SystemExit):
@@ -137,7 +137,7 @@ def test_compare_keeps_measured_costs_with_the_results(tmp_path):
     assert (tmp_path / "settings.json").read_text() == settings
 
 
-def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsys):
+def test_compare_warns_if_it_resumes_with_other_versions(compared, begun, capsys):
     made = json.loads((compared / "provenance.json").read_text())[0]
     older = [made | {"versions": made["versions"] | {"jax": "0.1"}, "xla_flags": "--other"}]
     (begun / "provenance.json").write_text(json.dumps(older))
@@ -154,9 +154,7 @@ def test_compare_says_that_it_goes_on_with_other_versions(compared, begun, capsy
         ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
     ],
 )
-def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leaves_them(
-    pattern, replacement, message, begun, refused
-):
+def test_compare_refuses_damaged_records_and_leaves_them_unchanged(pattern, replacement, message, begun, refused):
     steps = begun / "steps.csv"
     spoilt = re.sub(pattern, replacement, steps.read_text())
     steps.write_text(spoilt, encoding="latin-1")
@@ -165,12 +163,12 @@ def test_compare_refuses_records_that_are_damaged_or_of_another_version_and_leav
 
 
 def texts_of(html):
-    """What a page shows besides pictures, piece by piece."""
+    """The texts between the tags of a page."""
     return [unescape(text).strip() for text in re.split("<[^>]*>", html)]
 
 
 def elements(html, tag):
-    """The attributes of all elements of a kind."""
+    """The attributes of all elements with a tag."""
     return [dict(re.findall(r'([\w-]+)="([^"]*)"', found)) for found in re.findall(f"<{tag} [^>]*>", html)]
 
 
@@ -179,7 +177,7 @@ def data(source, kind):
     return b64decode(source.partition(",")[2])
 
 
-def test_the_page_has_answer_table_figures_film_and_settings_and_refers_to_nothing_outside_itself(compared):
+def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_file(compared):
     run(f"report {compared}")
     html = (compared / "report.html").read_text()
     texts = texts_of(html)
@@ -205,10 +203,9 @@ def test_the_page_has_answer_table_figures_film_and_settings_and_refers_to_nothi
         assert place.startswith(("data:", "#"))
 
 
-def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_shows_no_markup_of_others(compared, begun, capsys):
-    out = begun / "pages" / "small.html"
-    records = pd.read_csv(begun / "steps.csv")
-    records[(records["controller"] == "naive") & (records["seed"] == 0)].to_csv(begun / "steps.csv", index=False)
+def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(compared, begun, capsys):
+    steps, out = begun / "steps.csv", begun / "pages" / "small.html"
+    pd.read_csv(steps).query("controller == 'naive' and seed == 0").to_csv(steps, index=False)
     made = json.loads((compared / "provenance.json").read_text())[0]
     (begun / "provenance.json").write_text(json.dumps([made | {"command": "<script>alert(1)</script>"}]))
     run(f"report {begun} --no-videos --out {out}")
@@ -224,18 +221,17 @@ def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_shows_no_markup
 @pytest.fixture(scope="module")
 def drawn(compared):
     """A figure of each kind, by its name."""
-    results = read_results(compared)
-    summaries, regrets = (pd.read_csv(KEPT / f"{name}.csv") for name in ("summary", "regrets"))
+    results, kept = read_results(compared), pd.read_csv(KEPT / "summary.csv")
     return {
         **{name: draw() for name, draw in figures(results.records, results.summaries, "stay_back").items()},
-        "curve": curve(summaries[summaries["run"] == "curve"], "merger"),
-        "frontier": frontier(regrets, "merger", 30),
+        "curve": curve(kept[kept["run"] == "curve"], "merger"),
+        "frontier": frontier(pd.read_csv(KEPT / "regrets.csv"), "merger", 30),
     }
 
 
 @pytest.mark.parametrize("kind", FORMATS)
 @pytest.mark.parametrize("name", [*CAPTIONS, "frontier"])
-def test_every_figure_is_written_in_every_format_and_shows_something(name, kind, drawn):
+def test_every_figure_is_written_in_every_format_and_is_not_empty(name, kind, drawn):
     written = content(drawn[name], kind)
     if kind == "png":
         assert imageio.imread(io.BytesIO(written)).std() > 10

@@ -1,4 +1,4 @@
-"""Which model is this human? What a robot infers, in whom it trusts, and what is shown of it."""
+"""Beliefs about the model of each human: how they are inferred, used and shown."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SEED = 3
 
 @pytest.fixture(scope="module")
 def trusted():
-    """A robot that infers, and a human that yields."""
+    """An episode of a robot with a belief and a human that yields."""
     return drive(make("merger", "tom+belief"), SEED)
 
 
@@ -21,12 +21,12 @@ def test_a_human_that_yields_is_recognised_and_trusted(trusted):
     beliefs = np.array([info["belief"] for info in trusted.infos])
     assert beliefs.shape == (40, 1, 4)
     np.testing.assert_allclose(beliefs.sum(axis=-1), 1.0, rtol=1e-5)
-    np.testing.assert_allclose(beliefs[0], 1 / 4)  # nothing was seen
+    np.testing.assert_allclose(beliefs[0], 1 / 4)  # before anything was seen
     assert (beliefs[3:, 0, [TURN, TOM]].sum(axis=-1) > 0.85).all()
     assert trusted.states[-1, 0, 1] < -2.5  # in its lane
 
 
-def test_trust_changes_nothing_and_without_a_belief_info_has_none(trusted):
+def test_a_belief_in_a_human_that_yields_changes_nothing_but_info(trusted):
     _, states, _, infos = drive(make("merger", "tom"), SEED)
     np.testing.assert_array_equal(states, trusted.states)
     assert not any("belief" in info for info in infos)
@@ -35,7 +35,7 @@ def test_trust_changes_nothing_and_without_a_belief_info_has_none(trusted):
 
 
 @pytest.mark.parametrize("controller", ["tom", "learned:1"])
-def test_nobody_merges_in_front_of_a_human_who_ignored_the_nudge(controller):
+def test_with_a_belief_the_robot_does_not_merge_in_front_of_a_human_that_never_yields(controller):
     _, states, _, infos = drive(make("merger", f"{controller}+belief", yielding="never"), SEED)
     assert infos[5]["belief"][0, NAIVE] > 0.95
     assert {info["model"] for info in infos[5:]} == {"naive"}

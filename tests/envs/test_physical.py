@@ -35,7 +35,7 @@ def test_physical_semantics_limit_a_scenario_of_the_paper_too():
     assert (float(planner.grip), planner.horizon) == (GRIP, 5)
 
 
-def test_in_stay_back_who_predicts_naively_collides_and_the_learned_choice_does_not():
+def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
     steps = simulated(Comparison({"stay-back-v1": ["naive", "learned:1"]}, 12))
     episodes = steps.groupby(["controller", "seed"]).agg({"reward": "mean", "collision": "any"})
     assert episodes.loc["naive", "collision"].any()
@@ -44,7 +44,7 @@ def test_in_stay_back_who_predicts_naively_collides_and_the_learned_choice_does_
 
 
 @pytest.mark.slow
-def test_in_dense_merge_naive_plans_fail_and_a_choice_that_thinks_little_succeeds():
+def test_in_dense_merge_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
     steps = simulated(Comparison({"dense-merge-v1": ["naive", "tom", "nearest:2", "learned:1"]}, 20))
     assert not steps["collision"].any()
     last = steps[steps["step"] == steps["step"].max()].groupby("controller")["success"].mean()
@@ -54,13 +54,13 @@ def test_in_dense_merge_naive_plans_fail_and_a_choice_that_thinks_little_succeed
     gained = means["reward"] - means.loc["naive", "reward"]
     assert gained["learned:1"] > max(0.95 * gained["tom"], gained["nearest:2"])
     counted = means["counted_seconds"] - means.loc["naive", "counted_seconds"]
-    assert counted["learned:1"] < 0.2 * counted["tom"]  # of what theory of mind about all takes more than naive plans
+    assert counted["learned:1"] < 0.2 * counted["tom"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "kept"), [("merger-v1", 0.97), ("give-way-v1", 0.97)])
-def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision(name, kept):
+@pytest.mark.parametrize("name", ["merger-v1", "give-way-v1"])
+def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision(name):
     steps = simulated(Comparison({name: ["naive", "tom", "learned:1", "switching:0.1"]}, 12))
     assert not steps["collision"].any()
     rewards = steps.groupby("controller")["reward"].mean()
-    assert rewards["learned:1"] - rewards["naive"] > kept * (rewards["tom"] - rewards["naive"])
+    assert rewards["learned:1"] - rewards["naive"] > 0.97 * (rewards["tom"] - rewards["naive"])

@@ -1,4 +1,4 @@
-"""What a person sees."""
+"""Pictures and films of environments."""
 
 import os
 
@@ -51,7 +51,7 @@ PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 @pytest.mark.parametrize("driver", [None, "dummy"])
-def test_pictures_are_never_black_and_leave_the_process_and_the_pictures_of_others_as_they_are(driver, monkeypatch):
+def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_others(driver, monkeypatch):
     monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
     if driver:
         monkeypatch.setenv("SDL_VIDEODRIVER", driver)
@@ -60,7 +60,7 @@ def test_pictures_are_never_black_and_leave_the_process_and_the_pictures_of_othe
     own += [gym.make(f"ms-highway/{name}-v0", render_mode="rgb_array") for name in ("demonstration", "recorded")]
     own += [drive(gym.make("highway-fast-v0", render_mode="rgb_array", config={"observation": PIXELS}))]
     others = [gym.make("highway-fast-v0", render_mode="rgb_array", config={"observation": PIXELS})]
-    for env in own if driver else own + others:  # highway-env's own pictures are black under a dummy driver
+    for env in own if driver else own + others:  # highway-env's pictures are black under a dummy driver
         observation, _ = env.reset(seed=0)
         assert env.render().std() > 10
         assert observation.std() > 10 or env.unwrapped.config["observation"]["type"] != PIXELS["type"]
@@ -68,12 +68,12 @@ def test_pictures_are_never_black_and_leave_the_process_and_the_pictures_of_othe
 
 
 @pytest.mark.parametrize("controller", ["tom", "switching:0.1"])
-def test_only_where_the_model_is_chosen_the_panel_says_why(controller):
+def test_the_panel_gives_a_reason_only_if_the_model_is_chosen(controller):
     reason = rendered("merger", controller).render()[-42:, : TEXT_WIDTH - 60]
     assert (reason == PAPER).all() == (controller == "tom")
 
 
-def test_a_video_of_two_controllers_shows_both_at_the_same_time(films):
+def test_a_video_of_two_controllers_shows_both_under_their_names(films):
     pictures = side_by_side(films)
     assert np.shape(pictures) == (40, 2 * (HEADING_HEIGHT + 352), 960, 3)
     for place in (0, 39):

@@ -1,4 +1,4 @@
-"""The environments with several humans, as a Gymnasium user meets them."""
+"""The environments with several humans as Gymnasium users meet them."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_a_robot_under_theory_of_mind_merges_into_the_stream_before_the_cones():
         assert info["counted_seconds"] == pytest.approx(0.09 + 2 * (0.37 - 0.09))
 
 
-def test_the_agent_that_chooses_a_model_for_each_human_pays_for_their_time():
+def test_an_agent_that_chooses_a_model_for_each_human_pays_for_their_time():
     env = make("dense_merge", action={"type": "HumanModelAction", "lambda": 2.0}, ladder=["naive", "tom"])
     env.reset(seed=0)
     _, reward, *_, info = env.step(np.array([0, 1]))
@@ -33,7 +33,7 @@ def test_the_agent_that_chooses_a_model_for_each_human_pays_for_their_time():
 
 
 @pytest.mark.parametrize("beliefs", ["learned", "true"])
-def test_the_robot_believes_in_the_average_driver_or_knows_everybodys_reward(beliefs):
+def test_the_robot_assumes_the_average_reward_or_knows_every_humans_reward(beliefs):
     inner = make("dense_merge", beliefs=beliefs).unwrapped
     average, believed = inner.game.humans.weights, inner.robot.controller.game.humans.weights
     np.testing.assert_array_equal(believed, average if beliefs == "learned" else inner.weights)
@@ -53,7 +53,7 @@ def test_after_a_collision_there_is_no_success():
 
 
 @pytest.mark.filterwarnings("ignore:the values of computation")
-def test_a_robot_that_is_too_late_for_its_budget_drives_on_with_what_it_has_and_says_so():
+def test_a_robot_whose_plans_exceed_the_budget_brakes_and_says_that_they_are_late():
     for scenario, shape in (("merger", (352, 960, 3)), ("dense_merge", (380, 1280, 3))):
         env = make(scenario, "budget:0.001", "rgb_array", duration=0.3)
         _, states, _, infos = drive(env)

@@ -1,4 +1,4 @@
-"""What a driver sees of a road: its lane straightened, arrays of fixed shapes, and driving by it."""
+"""A driver's view of a road, straightened along its lane, and driving by this view."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.vehicle import HumanVehicle
 from ms_highway.vehicle.road_view import look
 
-AROUND = {  # lanes and what they are like beside their middle
+AROUND = {  # a lane of each shape, at some distance to the right of the road's middle
     "straight": lambda side: StraightLane([0, 4 * side], [400, 4 * side], speed_limit=20),
     "slanted": lambda side: StraightLane([-2.4 * side, 3.2 * side], [320 - 2.4 * side, 240 + 3.2 * side]),
     "right-hand bend": lambda side: CircularLane([0, 0], 60 - 4 * side, 0, 3, clockwise=True, speed_limit=10),
@@ -19,20 +19,17 @@ AROUND = {  # lanes and what they are like beside their middle
 }
 
 
-def road_with(shape, lanes=1, **onward):
-    """A road of some lanes of a shape, and lanes that begin where it ends, by the node that they lead to."""
+def road_with(shape, lanes=1):
+    """A road of parallel lanes of a shape."""
     network, beside = RoadNetwork(), [AROUND[shape](side) for side in range(lanes)]
     for lane in beside:
         network.add_lane("a", "b", lane)
-    for node, lane in onward.items():
-        network.add_lane("b", node, lane)
     return Road(network, np_random=np.random.RandomState(0)), beside
 
 
 def put(road, kind, lane, along, lateral=0.0, turn=0.0, speed=0.0):
-    car = kind(road, lane.position(along, lateral), lane.heading_at(along) + turn, speed)
-    (road.vehicles if isinstance(car, Vehicle) else road.objects).append(car)
-    return car
+    road.vehicles.append(kind(road, lane.position(along, lateral), lane.heading_at(along) + turn, speed))
+    return road.vehicles[-1]
 
 
 def drive(road, frames=60):
@@ -42,7 +39,7 @@ def drive(road, frames=60):
 
 
 @pytest.mark.parametrize("shape", [shape for shape in AROUND if shape != "winding"])
-def test_a_view_is_in_the_coordinates_of_the_drivers_lane(shape):
+def test_a_view_has_the_coordinates_of_the_drivers_lane(shape):
     road, (lane, _) = road_with(shape, lanes=2)
     driver = put(road, HumanVehicle, lane, 30.0, 0.5, 0.02, speed=10.0)
     put(road, Vehicle, lane, 45.0, -0.3, -0.01, speed=9.0)
@@ -65,7 +62,7 @@ def test_a_human_follows_a_lane_of_any_shape(shape):
     assert human.last_step.status == "planned"
 
 
-def test_a_human_goes_no_faster_than_its_target_speed_and_one_of_other_weights_drives_otherwise():
+def test_target_speed_and_weights_change_how_fast_a_human_drives():
     class Lazy(HumanVehicle):
         weights = COMMON_WEIGHTS | {"speed": 0.0}
 

@@ -1,4 +1,4 @@
-"""highway-env vehicles with the paper's motion, and cars that plan."""
+"""Vehicles with the paper's dynamics, and cars that plan."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, Sc
 
 
 def road_with(*cars, lanes=2, limit=20.0):
-    """A straight road with cars on it: each a kind, its position, its speed and further attributes."""
+    """A straight road with cars, each given by class, position, speed and, optionally, heading."""
     road = Road(RoadNetwork.straight_road_network(lanes, speed_limit=limit), np_random=np.random.RandomState(0))
     for kind, position, speed, *heading in cars:
         road.vehicles.append(kind(road, list(position), *(heading or [0.0]), speed))
@@ -18,7 +18,7 @@ def road_with(*cars, lanes=2, limit=20.0):
 
 
 def drive(road, steps, dt=0.1):
-    """The first car's speed before and after each step."""
+    """The first car's speeds before and after each step."""
     speeds = [road.vehicles[0].speed]
     for _ in range(steps):
         road.act()
@@ -27,7 +27,7 @@ def drive(road, steps, dt=0.1):
     return speeds
 
 
-def test_a_step_of_the_bicycle_vehicle_is_the_cores_step_and_steering_means_the_same_as_curvature():
+def test_the_bicycle_vehicle_moves_like_the_games_dynamics_and_converts_curvature_to_steering():
     _, car = road_with((BicycleVehicle, (0.0, 0.0), 18.0, 0.1))
     before, control = car.state, np.array([np.tan(0.05) / 5.0, 2.0])
     car.execute(control)
@@ -38,7 +38,7 @@ def test_a_step_of_the_bicycle_vehicle_is_the_cores_step_and_steering_means_the_
     assert car.state.dtype == np.float64
 
 
-def test_a_car_that_is_not_solid_is_hit_where_highway_env_sees_the_bodies_overlap():
+def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_overlap():
     (road,), random, still, hits = road_with(), np.random.default_rng(0), np.zeros(2), []
     for _ in range(100):
         car = BicycleVehicle(road, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0)
@@ -67,7 +67,7 @@ def test_a_human_does_not_run_into_a_car_that_is_slower(slower):
     ("leader_speed", "gaps"),  # between bumpers; at speed, the quartiles of drivers on US-101
     [(0.0, (1, 6)), (20.0, (16.9, 34.8))],
 )
-def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_standing_car(leader_speed, gaps):
+def test_a_commuter_keeps_the_distances_of_real_drivers_and_stops_behind_a_standing_car(leader_speed, gaps):
     cars = (CommuterVehicle, (0.0, 0.0), 20.0), (ScriptedVehicle, (35.0, 0.0), leader_speed)
     road, commuter, leader = road_with(*cars, lanes=1)
     drive(road, 250)
@@ -76,7 +76,7 @@ def test_a_commuter_follows_at_the_distances_of_real_drivers_and_stops_behind_a_
     assert gaps[0] < leader.position[0] - commuter.position[0] - commuter.LENGTH < gaps[1]
 
 
-def test_a_car_that_is_told_to_stop_brakes_within_its_grip_and_stands_until_it_may_drive():
+def test_a_human_that_must_stop_brakes_within_its_grip_and_stands_until_it_may_drive():
     road, human = road_with((HumanVehicle, (0.0, 0.0), 15.0))
     human.target_speed = 0
     speeds = drive(road, 45, 1 / 15)
