@@ -52,8 +52,8 @@ def record(
         temperature: of the driver ``maxent``, in units of the reward.
 
     Raises:
-        ValueError: for an unknown driver, an impossible temperature, or a data set that was recorded with other
-            settings.
+        ValueError: for an unknown driver, unknown or no densities, an impossible temperature, or a data set that was
+            recorded with other settings.
         ImportError: without the packages of the extra ``demonstrations``.
         OSError: if the driver is ``keyboard`` and there is no display.
         KeyboardInterrupt: if the person closes the window; the current episode is discarded.
@@ -61,6 +61,8 @@ def record(
     if driver not in DRIVERS or not 0 < temperature < np.inf:
         remedy = f"give one of the drivers {', '.join(DRIVERS)}, and a positive finite temperature"
         raise ValueError(f"the driver is {driver!r} and the temperature is {temperature}; {remedy}")
+    if not densities or not {*densities} <= {*DENSITIES}:
+        raise ValueError(f"the densities are {list(densities)}; give at least one of {', '.join(DENSITIES)}")
     settings: dict[str, Any] = {"driver": driver, "densities": list(densities), "first_seed": seed}
     if driver == "maxent":
         weights = {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()}

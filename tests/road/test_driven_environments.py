@@ -143,3 +143,15 @@ def test_vector_environments_collect_infos_although_episodes_end_at_different_ti
     envs.envs[1].unwrapped.config["duration"] = 3
     infos = [envs.step(envs.action_space.sample())[4]["road"] for _ in range(4)]
     assert all(len(road["models"][0]) == TRAFFIC and road["gains"]["idm"].shape == (2, TRAFFIC) for road in infos)
+
+
+def test_minari_records_every_entry_of_info(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari", reason="minari is not installed")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    collector = minari.DataCollector(driven("ms-highway/recorded-v0"), record_infos=True)
+    collector.reset(seed=0)
+    for _ in range(3):
+        collector.step(collector.action_space.sample())
+    (episode,) = collector.create_dataset("robot/test-v0", eval_env="ms-highway/recorded-v0")
+    gains = episode.infos["road"]["gains"]
+    assert [gains[model].shape for model in ("naive", "idm", "tom")] == [(4, TRAFFIC)] * 3
