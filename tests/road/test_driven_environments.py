@@ -145,6 +145,7 @@ def test_vector_environments_collect_infos_although_episodes_end_at_different_ti
     assert all(len(road["models"][0]) == TRAFFIC and road["gains"]["idm"].shape == (2, TRAFFIC) for road in infos)
 
 
+@pytest.mark.filterwarnings("ignore:`.*` is set to None:UserWarning")
 def test_minari_records_every_entry_of_info(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari", reason="minari is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
