@@ -155,7 +155,7 @@ def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, 
     return along, gap, jnp.exp(-gap / ATTENTION_GAP - across**2 / 2)
 
 
-def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:
+def depth_off_road(scene: Scene, car: Motion, smooth: bool) -> Times:
     """Return how far the outermost corner is beyond the edge of the road, 0 on the road [m].
 
     The smooth form is its `soft_positive` with `SOFT_EDGE`.

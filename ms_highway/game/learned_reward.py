@@ -81,11 +81,15 @@ class LearnedReward(Structure):
         given = {name: value for name, value in self.weights.items() if name not in self.learned}
         return RewardModel(self.learned, given, self.tails is not None)
 
-    def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
-        """Return a weight's interval, so many standard deviations of its logarithm to each side; 1.645 for 90 %."""
+    def interval(self, name: str) -> Float[np.ndarray, "2"]:
+        """Return the 90 % interval of a learned weight."""
         index = self.learned.index(name)
-        spread = deviations * np.sqrt(self.covariance[index][index])
-        return self.weights[name] * np.exp([-spread, spread])
+        return log_normal_interval(self.weights[name], np.sqrt(self.covariance[index][index]))
+
+
+def log_normal_interval(value: float, deviation: float) -> Float[np.ndarray, "2"]:
+    """Return the 90 % interval of a number, given the standard deviation of its logarithm."""
+    return value * np.exp([-1.645 * deviation, 1.645 * deviation])
 
 
 def save(learned: LearnedReward, path: Path) -> None:

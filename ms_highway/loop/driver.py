@@ -11,7 +11,7 @@ from ms_highway.game.game import Game
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.fallback import STATUSES, Followed, follow, follow_escape, no_rest, or_brake
 from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide
-from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
+from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan, one_step_later
 from ms_highway.runtime.arrays import State
@@ -20,7 +20,6 @@ from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
 QUANTILE = 0.99  # of decisions' seconds, for budgets
-REPEATS = 20  # of timed decisions
 
 
 def drivable(rule: Rule, belief: bool) -> tuple[Rule, int | None]:

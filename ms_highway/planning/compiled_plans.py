@@ -18,6 +18,8 @@ from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
+REPEATS = 20  # of timed plans and decisions
+
 
 class Costs(NamedTuple):
     """Planning time, additive in the humans: ``T = base + sum_i each[rung_i]`` [s].
@@ -147,22 +149,14 @@ def checked_state(state: State) -> State:
     return single
 
 
-def measure_costs(
-    game: Game,
-    ladder: Sequence[HumanModel],
-    state: State,
-    repeats: int = 20,
-    quantile: float = 0.5,
-    way_out: bool = False,
-) -> Costs:
+def measure_costs(game: Game, ladder: Sequence[HumanModel], state: State, quantile: float, way_out: bool) -> Costs:
     """Measure T on this machine, by warm plans in this state with all humans on the same rung.
 
     Args:
         game: that is played.
         ladder: human models.
         state: all cars.
-        repeats: number of plans that are timed on each rung.
-        quantile: of their seconds: the median by default; close to 1 for budgets.
+        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for budgets.
         way_out: whether the time includes the check of the way out.
 
     Raises:
@@ -176,6 +170,6 @@ def measure_costs(
         plan, seconds = plans.plan(now, [rung] * game.number)
         return seconds + (plans.keep_way_out(now, plan.robot[0])[1] if way_out else 0.0)
 
-    whole = np.quantile([[once(rung) for _ in range(repeats)] for rung in range(len(ladder))], quantile, axis=1)
+    whole = np.quantile([[once(rung) for _ in range(REPEATS)] for rung in range(len(ladder))], quantile, axis=1)
     base = float(whole[0]) if game.number > 1 else 0.0
     return Costs(base, np.maximum(whole - base, 0.0) / game.number)

@@ -98,7 +98,7 @@ def model_names() -> str:
     return f"{', '.join(MODELS)}, also in 1 to {MAX_ITERATIONS} steps (tom@8) or from the last plan (tom@8+warm)"
 
 
-def known_models(used: Iterable[str] = ()) -> list[str]:
+def known_models(used: Iterable[str]) -> list[str]:
     """Return the names of all known models and of the models in use, with their efforts, cheapest first."""
     return sorted({*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name)))
 

@@ -70,7 +70,7 @@ def moved(
     side: Int[Any, "cars"],
     wanted: Cars,
     now: States,
-    others: States | None = None,
+    others: States | None,
 ) -> tuple[States, Leader]:
     """Let all cars drive for a step of 0.1 s.
 
@@ -82,7 +82,7 @@ def moved(
             leader in its new lane.
         wanted: lateral position of the middle of each car's wanted lane [m].
         now: states of all cars.
-        others: states of possible leaders; by default, of all cars.
+        others: states of possible leaders; None for those of all cars.
 
     Returns:
         The states after the step, and the leader of each car before it.

@@ -105,7 +105,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
 
 
 @jax.jit  # traced once for the human and the robot, naive and turn
-def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None = None) -> Plan:
+def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None) -> Plan:
     """Optimise the robot's controls against fixed controls of the humans."""
     expected = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
     last = (cold_start(game, state) if start is None else start).robot

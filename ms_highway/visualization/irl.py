@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward
+from ms_highway.game.learned_reward import LearnedReward, log_normal_interval
 from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with
@@ -174,7 +174,7 @@ def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
     rows = []
     for name, value in numbers.items():
         spread = drivers.deviations.get(name, np.nan)
-        ends = _ends(value * np.exp([-1.645 * spread, 1.645 * spread])) if np.isfinite(spread) else "given"
+        ends = _ends(log_normal_interval(value, spread)) if np.isfinite(spread) else "given"
         rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends})
     return grid("learned seconds ahead; factors while changing lanes", rows)
 

@@ -156,7 +156,7 @@ def test_rules_decide_differently_here(records_of):
     assert len({records.rungs.tobytes() for records in records_of.values()}) > 3
 
 
-def test_a_rule_and_a_model_of_ones_own(scene):
+def test_user_defined_rules_and_models(scene):
     game, starts = scene
     models = Naive(), TheoryOfMind(), Timid()
     rule = Ahead(np.float32(np.median(starts[:, 1 : 1 + game.number, 0] - starts[:, :1, 0])), models)
@@ -183,7 +183,7 @@ def weaves(game, state):
     return keep_velocity(game.world, state[0]) + jnp.stack([jnp.float32(0.001), 0.1 * (state[1, 0] - state[0, 0])])
 
 
-def test_beliefs_ways_out_and_humans_with_drivers_of_their_own(scene):
+def test_beliefs_ways_out_and_drivers_of_humans(scene):
     game, starts = scene
     models, own = ladder(["naive", "tom+warm"]), (never_yields, always_yields, weaves)
     loop = Loop(game, Order(np.array([[1]]), models), way_out=True, belief=True, drivers=own)

@@ -60,7 +60,7 @@ def driven(game, moved, state, control, escape=None):
 
 
 @pytest.mark.parametrize("control", [[0.0, 4.0], [-0.01, 4.0]], ids=["into the cones", "into a human"])
-def test_a_robot_that_would_collide_brakes_in_time_where_the_lane_beside_is_taken(game, moved, escape, control):
+def test_a_robot_that_would_collide_brakes_in_time_if_the_next_lane_is_taken(game, moved, escape, control):
     state = beside(game, [-8.0, 0.0, 8.0])
     assert driven(game, moved, state, control)[0]
     collided, replaced = driven(game, moved, state, control, escape)
@@ -73,8 +73,8 @@ def test_a_control_that_leaves_a_way_out_stays(game, escape):
     assert not escape(state, control).replaces
 
 
-def test_a_control_and_the_escapes_from_now_are_judged_over_the_same_time(game, escape):
-    """A human comes up from behind, who reaches the robot sooner or later: no escape replaces the first of the best."""
+def test_a_control_is_judged_over_the_same_time_as_escapes(game, escape):
+    """A human from behind reaches the robot sooner or later: no escape replaces the first control of the best one."""
     replaced = []
     for gap in np.arange(10.0, 60.0, 0.5):
         state = beside(game, [-gap, -gap, -gap]).at[1, 1].set(0.0).at[1:, 3].set(40.0)
@@ -83,7 +83,7 @@ def test_a_control_and_the_escapes_from_now_are_judged_over_the_same_time(game, 
     assert not any(replaced)
 
 
-def test_a_robot_that_cannot_get_away_from_who_comes_up_behind_speeds_up(game, escape):
+def test_a_robot_speeds_up_before_a_faster_car_from_which_it_cannot_escape(game, escape):
     state = beside(game, [-12.0, 0.0, 8.0]).at[1, 1].set(0.0).at[1, 3].set(30.0)
     steady = keep_velocity(game.dynamics, state[0]) / np.asarray(game.planner.control_scale)
     found = escape(state, steady)
