@@ -1,6 +1,6 @@
 """Name arrays by their shapes, and loop over rows.
 
-All types but `SameArray` may be of NumPy or of JAX, which a type checker cannot tell apart.
+All types except `SameArray` may be of NumPy or JAX, which a type checker cannot tell apart.
 """
 
 from collections.abc import Callable

@@ -10,12 +10,16 @@ from jax import numpy as jnp
 
 from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import Switching
-from ms_highway.choice.rule import Order, always
+from ms_highway.choice.rule import PUBLISHED_COSTS, Order, always
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.loop.driver import Driver, fixed
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import MODELS, ladder
+
+
+def switching(*models):
+    return Switching(Costs(0.0, np.array([PUBLISHED_COSTS[name] for name in models])), 0.0, ladder(models))
 
 
 @pytest.mark.usefixtures("stopped_by_nans")
@@ -37,10 +41,9 @@ def test_a_step_records_the_models_and_controls_of_every_human(played):
 def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(played):
     """Another driver, whose game and rule have other numbers, compiles nothing either."""
     game, state = played("merger")
-    switching = Switching(Costs(0.0, np.array([0.09, 0.17, 0.37])), 0.0, ladder(("naive", "turn", "tom")))
+    rule, models = switching("naive", "turn", "tom"), set()
     other = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
-    models = set()
-    for number, controller in enumerate([Driver(game, switching), Driver(other, replace(switching, price=3.0))]):
+    for number, controller in enumerate([Driver(game, rule), Driver(other, replace(rule, price=3.0))]):
         for count in range(6):
             step = controller.step(np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)))
             assert step.compile_seconds == 0 or (number, count) == (0, 0)
@@ -63,8 +66,7 @@ def test_a_driver_whose_plans_fail_follows_the_rest_of_the_last_one_and_then_bra
 
 def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_continues_from_them(played):
     game, state = played("merger")
-    controller = Driver(game, Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn"))))
-    steps = []
+    controller, steps = Driver(game, switching("naive", "turn")), []
     for count, budget in enumerate([None, 0.0, None]):
         controller.budget = budget
         steps.append(controller.step(np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count))))
@@ -86,11 +88,13 @@ def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_contin
 )
 def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, message):
     game, _ = played("merger")
-    switching = Switching(Costs(0.0, np.array([0.09, 0.37])), 0.1, ladder(("naive", "tom")))
     with pytest.raises(ValueError, match=message):
-        Driver(game, replace(switching, **changes))
+        Driver(game, replace(switching("naive", "tom"), **changes))
+
+
+def test_the_first_rung_must_not_respond_with_a_belief(played):
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
-        Driver(game, replace(switching, ladder=ladder(("tom@4", "tom"))), belief=True)
+        Driver(played("merger")[0], replace(switching("naive", "tom"), ladder=ladder(("tom@4", "tom"))), belief=True)
 
 
 def test_a_driver_follows_another_rule_at_once_if_it_is_on_the_same_ladder(played):

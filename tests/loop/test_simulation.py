@@ -40,7 +40,7 @@ def records():
     return simulated(COMPARISON)
 
 
-def test_records_are_those_of_an_experiment_without_measured_times(records):
+def test_records_have_the_columns_of_an_experiment_but_measured_times(records):
     assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
     assert len(records) == len(CONTROLLERS) * 6 * 40
     assert records["controller"].drop_duplicates().tolist() == CONTROLLERS
@@ -71,7 +71,7 @@ def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(ref
         assert records.reward.mean() == pytest.approx(logged["rewards"].mean(), abs=0.01)
 
 
-def test_a_plan_that_is_not_finite_gives_way_to_braking_and_leaves_the_other_episodes_alone(records):
+def test_a_robot_without_a_finite_plan_brakes_and_does_not_change_other_episodes(records):
     batch = make_batch(COMPARISON, "merger")
     given = batch.episodes([("naive", 0), ("naive", 1)])
     weights = given.robot_weights.copy()
@@ -130,9 +130,9 @@ def test_the_speed_of_environment_and_batches_is_measured(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
     ((name, result),) = speed("stay_back", ["switching:1"], {"ladder": ["naive", "turn"]}, [1, 20])
     assert name == "switching:1"
-    assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
-    assert 0 < result["decision_us"] < 1e6
-    assert 0 < result["step_us"] < 1e6
+    assert result["plan_us"]["p50"] <= result["plan_us"]["p99"]
+    times = *result["plan_us"].values(), result["decision_us"], result["step_us"]
+    assert all(0 < time < 1e6 for time in times)
     assert result["environment"] > 1
     assert result["batch"]["20"] > result["batch"]["1"] > 1
     assert result["devices"].endswith(" of kind cpu")

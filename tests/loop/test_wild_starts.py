@@ -49,9 +49,8 @@ def test_switching_goes_on_from_wild_starts(scenario, wild):
     """Five steps from every start, the human driving at random: enough to go up and all the way down."""
     game, starts = wild
     rungs = ladder(SCENARIOS[scenario].ladder)
-    controller = Driver(
-        game, Switching(Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs])), 0.1, rungs)
-    )
+    costs = Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs]))
+    controller = Driver(game, Switching(costs, 0.1, rungs))
     random, models, estimated = np.random.default_rng(1), set(), set()
     for state in starts:
         controller.reset()
