@@ -1,4 +1,4 @@
-"""With one human and with two, live drives do what batches do: models, rules, beliefs, ways out."""
+"""Live drives agree with batches, with one human and with two: models, rules, beliefs, ways out."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -32,7 +32,7 @@ PAPERS = ladder(["naive", "turn", "tom"])
 
 @dataclass(frozen=True)
 class Timid(PredictedHuman):
-    """A model of a user's: the human brakes by 2 m/s^2, whatever happens."""
+    """A user-defined model: the human always brakes by 2 m/s^2."""
 
     name: ClassVar[str] = "timid"
 
@@ -43,7 +43,7 @@ class Timid(PredictedHuman):
 
 @dataclass(frozen=True)
 class Failing(PredictedHuman):
-    """A model of a user's that predicts nothing finite."""
+    """A user-defined model whose prediction is not finite."""
 
     name: ClassVar[str] = "failing"
 
@@ -54,7 +54,7 @@ class Failing(PredictedHuman):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Ahead(Rule):
-    """A rule of a user's: humans ahead of the robot are predicted by the top rung, others by the first one."""
+    """A user-defined rule: the top rung predicts humans ahead of the robot, the first rung all others."""
 
     distance: Any
     ladder: tuple = field(metadata={"static": True})
@@ -67,7 +67,7 @@ class Ahead(Rule):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class OneOf(Rule):
-    """Some rules of the same ladder, one of which decides: a batch of each takes a single compilation."""
+    """Rules on the same ladder, one of which decides, so that batches of all take a single compilation."""
 
     rules: tuple
     which: Any
@@ -82,7 +82,7 @@ class OneOf(Rule):
 
 
 def rules(humans):
-    """All rules at which models are chosen, by name."""
+    """All rules that choose models, by name."""
     costs = Costs.of([0.09, 0.17, 0.37], humans)
     values = load_values("shipped", "several" if humans > 1 else "pair")
     one_step = OneStepGains(Switching(costs, 0.0, PAPERS))
@@ -128,7 +128,7 @@ def agree(records, episode, live, models):
 @pytest.mark.slow
 @pytest.mark.parametrize("humans", SCENES)
 def test_models_and_efforts_on_schedules(played, humans):
-    """With several humans, too, plans go on from what is left of the last one only where a model in use says so."""
+    """Plans start from the rest of the last one only if a model in use says so."""
     game, start = played("merger", humans=humans)
     models = ladder(["naive", "idm", "turn", "tom@3+warm"])
     schedule = np.array([[0, 2], [1, 0], [2, 3], [3, 3], [3, 1]])[:, :humans]
@@ -179,7 +179,7 @@ def test_plans_that_fail(played):
 
 
 def weaves(game, state):
-    """Drive as a human whose control depends on where the robot is."""
+    """Drive as a human whose control depends on the robot's place."""
     return keep_velocity(game.world, state[0]) + jnp.stack([jnp.float32(0.001), 0.1 * (state[1, 0] - state[0, 0])])
 
 

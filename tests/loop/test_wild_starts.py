@@ -1,4 +1,4 @@
-"""Plans and decisions from states that no scenario would start in."""
+"""Plans and decisions from states in which no scenario starts."""
 
 from functools import partial
 
@@ -45,8 +45,8 @@ def check(step):
 
 
 @pytest.mark.slow
-def test_switching_goes_on_from_wild_starts(scenario, wild):
-    """Five steps from every start, the human driving at random: enough to go up and all the way down."""
+def test_switching_drives_from_wild_starts(scenario, wild):
+    """Five steps from every start, with a random human: enough to go up the ladder and all the way down."""
     game, starts = wild
     rungs = ladder(SCENARIOS[scenario].ladder)
     costs = Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs]))
@@ -90,7 +90,7 @@ def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, sem
     assert np.isfinite(compiled(single)).all()
 
 
-def test_controls_are_finite_in_any_state_that_is_so_in_single_precision_and_others_are_refused(played, semantics):
+def test_controls_are_finite_in_any_state_that_single_precision_holds_and_others_are_refused(played, semantics):
     game, state = played("merger", semantics=semantics)
     controller, random = fixed(game), np.random.default_rng(3)
     for states in absurd_states(300, len(state), 38):

@@ -71,7 +71,7 @@ def test_theory_of_mind_steps_along_the_total_derivative(played, influence):
 
 
 def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
-    """In Merger the human brakes for a robot that counts on it, and the robot steers in; seen in the plans."""
+    """In plans for Merger, the human brakes for a robot that counts on it, and the robot steers in."""
     game, state = played("merger")
     naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
     assert tom.humans[0, :, 1].mean() < naive.humans[0, :, 1].mean()

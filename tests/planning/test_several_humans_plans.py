@@ -1,4 +1,4 @@
-"""Plans among several humans: far humans, their order, all assignments in one compilation, efforts, measured times."""
+"""Plans among several humans: assignments of models, far humans, their order, and numbers of steps."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
