@@ -82,7 +82,7 @@ def driving(game: Game, car: Car, others: Trajectories) -> Objective:
 def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Controls:
     """Return the controls to start from: the best manoeuvre if it earns `RESTART_MARGIN` more than the last plan.
 
-    Otherwise, these are those of the last plan; NaN where nothing earns a finite reward. The steps of a solver do not
+    Otherwise return the last plan's controls, or NaN where nothing earns a finite reward. The steps of a solver do not
     leave a local optimum: so there is a manoeuvre per gap, and one per lane and acceleration, see
     `ms_highway.planning.manoeuvres`. Only plans that are persistent and climb a smooth reward start from manoeuvres.
 
