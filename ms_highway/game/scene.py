@@ -1,6 +1,6 @@
 """Define the scene: lanes, obstacles, the size of cars, and the leader."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -61,10 +61,6 @@ class Scene:
     def is_reached(self, y: Any) -> Any:
         """Return whether cars at these lateral positions have reached the target lane."""
         return abs(y - float(self.target_lane)) < LANE_TOLERANCE
-
-    def of_pair(self) -> "Scene":
-        """Return what of the scene the partner acts on: no obstacles, and a leader only if it is the partner."""
-        return replace(self, obstacles=self.obstacles[:0], leader=1 if self.leader == 1 else None)
 
     def __post_init__(self) -> None:
         for name, shape in SHAPES.items():

@@ -211,14 +211,15 @@ def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan |
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
     """
-    return _scaled_within_limits(model, game, state[1], model.predict(game, state, start))
-
-
-def _scaled_within_limits(model: HumanModel, game: Game, human: Car, controls: Controls) -> Controls:
-    """Scale predicted controls of a human; cut those of a registered model to the limits of plans."""
+    controls = model.predict(game, state, start)
     if is_of_package(model):
         return controls / game.planner.control_scale
-    scaled = _checked(model, game, controls) / game.planner.control_scale
+    return _scaled_within_limits(game, state[1], _checked(model, game, controls))
+
+
+def _scaled_within_limits(game: Game, human: Car, controls: Controls) -> Controls:
+    """Scale predicted controls of a human, and cut finite ones to the limits of plans."""
+    scaled = controls / game.planner.control_scale
     return jnp.where(jnp.isfinite(scaled), bounded(game, human, scaled), scaled)
 
 
@@ -245,7 +246,7 @@ def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> No
             continue
         own, cars = pair(model.within(game), jnp.asarray(state), 0)
         predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
-        kept = np.asarray(_scaled_within_limits(model, own, cars[1], predicted) * game.planner.control_scale)
+        kept = np.asarray(_scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale)
         finite = np.isfinite(predicted)
         cut = np.argwhere(~finite | (np.abs(predicted - kept) > 1e-3 * np.abs(predicted)))
         if len(cut):

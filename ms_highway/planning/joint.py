@@ -196,5 +196,7 @@ def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
     need not be such sums.
     """
     if not game.robot.own:
-        game, others = replace(game, scene=game.scene.of_pair()), others[:1]
+        leader = 1 if game.scene.leader == 1 else None
+        scene = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=leader)
+        game, others = replace(game, scene=scene), others[:1]
     return game.payoff.second_order(own, others).partner
