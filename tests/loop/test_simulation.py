@@ -17,7 +17,6 @@ from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.devices import use_devices
-from ms_highway.loop.fallback import STATUSES
 
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"
@@ -69,18 +68,6 @@ def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(ref
         records = simulate(batch.loop, replace(given, starts=np.float32(logged["states"][:, 0] * units)))
         np.testing.assert_allclose(records.states[:, :-1] / units, logged["states"][:, 1:], atol=1e-3)
         assert records.reward.mean() == pytest.approx(logged["rewards"].mean(), abs=0.01)
-
-
-def test_a_robot_without_a_finite_plan_brakes_and_does_not_change_other_episodes(records):
-    batch = make_batch(COMPARISON, "merger")
-    given = batch.episodes([("naive", 0), ("naive", 1)])
-    weights = given.robot_weights.copy()
-    weights[0] = np.nan
-    found = simulate(batch.loop, replace(given, robot_weights=weights))
-    assert (found.status[0] == STATUSES.index("braking")).all()
-    assert found.states[0, -1, 0, 3] == pytest.approx(0, abs=1e-4)
-    alone = records.query("controller == 'naive' and seed == 1")
-    np.testing.assert_allclose(found.states[1, :, :2].reshape(40, -1), alone[STATES], atol=1e-3)
 
 
 class NearsightedEnv(MergerEnv):

@@ -78,7 +78,7 @@ def absurd_states(number, cars, largest):
     return random.choice([-1, 1], shape) * 10.0 ** random.uniform(-largest, largest, shape)
 
 
-def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, semantics):
+def test_braking_ends_at_a_standstill_and_is_finite_and_limited_in_any_finite_state(played, semantics):
     game, _ = played("merger", semantics=semantics)
     compiled = jax.jit(jax.vmap(partial(braking_control, game)))
     for car in absurd_states(2000, 1, 308)[:, 0]:
@@ -86,6 +86,8 @@ def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, sem
             control = braking_control(game, car)
         assert np.isfinite(control).all()
         assert abs(control[1]) <= DECELERATION
+    slow = np.array([0.0, 0.0, 0.1, 0.5])
+    assert move(game.dynamics, slow, braking_control(game, slow))[3] == pytest.approx(0.0, abs=1e-6)  # it stops
     single = absurd_states(2000, 1, 38)[:, 0].astype(np.float32)
     assert np.isfinite(compiled(single)).all()
 
