@@ -147,7 +147,7 @@ def naming(path: Path) -> Iterator[None]:
     """Let errors of the system name the file that the block writes; the error of a full disk does not by itself.
 
     Raises:
-        OSError: in place of any other `OSError`.
+        OSError: naming the file, in place of any other error of the system.
     """
     try:
         yield
