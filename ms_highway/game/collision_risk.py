@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
@@ -36,7 +35,7 @@ class Bodies(NamedTuple):
 
 
 def bodies_around(scene: Scene, others: Motion) -> Bodies:
-    """Return the other cars, arrays [others, *times], and the obstacles, which stand along x."""
+    """Return the other cars, arrays [others, *times], and the obstacles, which are parallel to x."""
     cars, obstacles, times = len(others.x), len(scene.obstacles), others.x.shape[1:]
     numbers = jnp.stack([*jnp.asarray(scene.car_size), 1.0, CAR_SHARPNESS])
     if not obstacles:
@@ -52,16 +51,10 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
     )
 
 
-def body_distance(scene: Scene, own: Motion, bodies: Bodies) -> Float[jax.Array, "bodies 9 *times"]:
-    """Return the `ellipse_distance` from nine points of a car to other bodies."""
-    points = body_points(jnp.asarray(scene.car_size), scene.corner)
-    return ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
-
-
 def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = False) -> tuple[Times, Times]:
-    """Return the risk of a collision, and its indicator: 1 where any point has D < 1, else 0.
+    """Return the risk of a collision, and the indicator of a collision: 1 where any point has D < 1, else 0.
 
-    With `body_distance` D - 1 from the points of the car's body to all cars and obstacles::
+    With the `ellipse_distance` D - 1 from nine points of the car's body to all cars and obstacles::
 
         risk = sum over cars and points of exp(-1.5 (D - 1)) + sum over obstacles and points of exp(-4 (D - 1)) / 2
 
@@ -75,7 +68,8 @@ def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = Fal
         smooth: whether the indicator is smooth.
     """
     bodies = bodies_around(scene, others)
-    distance = body_distance(scene, own, bodies)
+    points = body_points(jnp.asarray(scene.car_size), scene.corner)
+    distance = ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
     close = bodies.share * jnp.exp(-bodies.sharpness * distance)
     if smooth:
         touches = SMOOTH_FACTOR * jnp.maximum(SMOOTH_MARGIN - distance, 0.0) ** 3

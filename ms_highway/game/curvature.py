@@ -1,11 +1,11 @@
-"""Approximate how a reward bends along a motion by a convex matrix, without eigenvalues.
+"""Approximate minus the Hessian of a reward along a motion by a positive semidefinite matrix, without eigenvalues.
 
-Most features are concave functions of quantities that count as linear in the motion (Gauss-Newton), so that the sum is
-positive semidefinite. Closeness to a body is a convex cost of a distance that is a square itself: between two ways
-round the body, it bends upwards. That part counts by its magnitude, as in the saddle-free Newton step of Dauphin et al.
-(2014). So the matrix C bounds the Hessian H of closeness, ``-C <= H <= C``, and a step ``C^-1 g`` no more than doubles
-the difference of two plans. What has no such form is left out: smooth indicators of a lane, induced braking, and
-user-defined features, for which plans take short steps.
+Most features are concave functions of quantities that are taken as linear in the motion (Gauss-Newton), so their sum is
+positive semidefinite. Closeness to a body differs: it is a convex cost of a distance that is a square itself, so the
+reward bends upwards between the two ways around the body. The magnitude of this part is taken, as in the saddle-free
+Newton step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
+``C^-1 g`` at most doubles the difference between two plans. Smooth indicators of a lane, induced braking and
+user-defined features have no such form: they are left out, and plans take short steps up them.
 """
 
 from functools import partial
@@ -33,15 +33,15 @@ def curvature(
 ) -> Bends:
     """Return a convex matrix in place of minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
 
-    With costs ``c_j(q_j)`` of quantities q_j, ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``; for the distances D of
-    `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
+    For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the distances D
+    of `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
 
     Args:
         scene: road, obstacles and bodies.
         parameters: the reward.
         own: motion of the car.
         others: motion of all others, arrays [others, steps].
-        braking: deceleration that `ms_highway.game.stopping` counts on; None where it costs nothing.
+        braking: deceleration that `ms_highway.game.stopping` counts on; None without its cost.
     """
     along, aside = body_points(jnp.asarray(scene.car_size), scene.corner).T[..., None]
 
@@ -60,7 +60,7 @@ def curvature(
 def _residuals(
     scene: Scene, parameters: Reward, others: Motion, braking: Scalar | None, path: Trajectory
 ) -> Float[jax.Array, "residuals steps"]:
-    """Return quantities, up to constants, whose squares are what features of the road and of traffic cost."""
+    """Return quantities whose squares are, up to constants, the costs of features of the road and of traffic."""
     own, per_unit = Motion(*path), 1 / scene.length_unit
     weights = dict(zip(parameters.names, jnp.unstack(parameters.weights), strict=True))
     costs = [
@@ -83,7 +83,7 @@ def _residuals(
 
 
 def _closeness(parameters: Reward, bodies: Bodies, points: Points) -> Float[jax.Array, "3 bodies points steps"]:
-    """Return quantities whose squares bend as closeness does: two of the offset from a body, and the distance D."""
+    """Return quantities whose squares bend like closeness: the offset from a body along and across it, and D."""
     other = Motion(*(field[:, None] for field in bodies.motion))
     dx, dy = points[0] - other.x, points[1] - other.y
     ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)

@@ -100,7 +100,7 @@ def rollout(
 
     Equals repeated calls of `step`, but computes all steps at once: with linear friction, speeds are weighted sums of
     accelerations, ``v_k = (1 - drag dt)^k v_0 + dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are
-    cumulative sums. Few array operations compile and run many times faster than a chain of small ones.
+    cumulative sums. A few operations on arrays compile and run many times faster than a chain of small ones.
 
     Raises:
         ValueError: for quadratic friction, which has no such closed form.
@@ -123,8 +123,8 @@ def rollout_jacobian(
 ) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of a `rollout` of one car, its fields stacked, in the ravelled controls.
 
-    With ``V_kj = dv_k / da_j`` and the distances d of `step`, in closed form, where JAX would push a direction for
-    every control through the rollout::
+    It is computed in closed form; JAX would push a direction for every control through the rollout. With
+    ``V_kj = dv_k / da_j`` and the distances d of `step`::
 
         dv_k = sum_j V_kj da_j;  dheading_k = dt sum_{l<k} (v_l domega_l + omega_l dv_l)
         dx_k = sum_{l<k} (cos_l dd_l - d_l sin_l dheading_l);  dy_k = sum_{l<k} (sin_l dd_l + d_l cos_l dheading_l)
@@ -159,7 +159,7 @@ def rollout_jacobian(
 def speeds(
     dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
 ) -> Float[jax.Array, "*cars states"]:
-    """Return the speeds now and after each of a sequence of accelerations, with linear friction, see `rollout`."""
+    """Return the speeds now and after each of a sequence of accelerations under linear friction, see `rollout`."""
     left = 1 - dynamics.drag * dynamics.time_step  # share of a speed that friction leaves after a step
     return _accumulate(speed, accelerations * dynamics.time_step, left)
 
@@ -176,9 +176,9 @@ def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar | None = No
 def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
     """Return, for each state, the weights of the initial value and of each change."""
     terms = np.arange(1 + steps)
-    age = terms[:, None] - terms  # below 0: not yet
-    there = (age >= 0).astype(float)
-    return there if left is None else there * left ** np.maximum(age, 0.0)
+    age = terms[:, None] - terms  # negative for changes after the state
+    counts = (age >= 0).astype(float)
+    return counts if left is None else counts * left ** np.maximum(age, 0.0)
 
 
 def within_grip(
@@ -190,15 +190,15 @@ def within_grip(
 ) -> Float[SameArray, "*cars 2"]:
     """Scale a control down to the friction circle, and brake at most to a stop within one step.
 
-    Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle: k is the curvature of the path, the road's included,
-    and v' the acceleration less friction. Lateral and longitudinal acceleration are scaled by the same factor.
+    Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle, with the curvature k of the path, which includes the
+    road's, and the acceleration v' less friction. The lateral and the longitudinal one are scaled by the same factor.
 
     Args:
         dynamics: dynamics and duration of the step.
         grip: total acceleration that the tyres hold [m/s^2].
-        speed: before the step; a car that rolls backwards is stopped.
+        speed: before the step; a car that rolls backwards stops.
         control: in the coordinates of the road.
-        bend: curvature of the road [1/m], which these coordinates straighten.
+        bend: curvature of the road [1/m]; the coordinates straighten it.
     """
     xp = control.__array_namespace__()
     turn = bend if dynamics.steering == "curvature" else bend * speed
@@ -219,7 +219,7 @@ def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) ->
 
 
 def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars 2"]:
-    """Return the control that keeps speed and heading: it only compensates friction."""
+    """Return the control that keeps speed and heading; it only compensates friction."""
     xp = state.__array_namespace__()
     speed = state[..., 3]
     return xp.stack([xp.zeros_like(speed), _resistance(dynamics, speed)], axis=-1)
@@ -230,7 +230,7 @@ def recover_control(
 ) -> Float[SameArray, "*cars 2"]:
     """Recover the control between two states: the inverse of `step`.
 
-    The curvature of a standing car is unobservable and returned as 0.
+    A standing car shows no curvature; 0 is returned.
     """
     xp = state.__array_namespace__()
     speed = state[..., 3]

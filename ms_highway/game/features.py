@@ -18,11 +18,11 @@ from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array, Times
 
 HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
-SOFT_EDGE = 0.2  # m, depth off the road from which on the smooth feature grows with the square
-SOFT_LANE = 0.5  # m, width over which smooth indicators of a lane rise, and the nearest lane is another one
-SOFT_SLANT = 0.02  # rad, heading from which on a smooth car reaches farther aside
+SOFT_EDGE = 0.2  # m, depth off the road beyond which the smooth feature is nearly quadratic
+SOFT_LANE = 0.5  # m, width over which smooth indicators of a lane rise, and the nearest lane changes
+SOFT_SLANT = 0.02  # rad, heading beyond which the smooth width of a car grows nearly linearly
 STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
-MIN_GAP = 0.03  # length units (1 m), below which induced braking grows no more
+MIN_GAP = 0.03  # length units (1 m), below which induced braking grows no further
 ATTENTION_GAP = 0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
 LANE_SPREAD = 0.25  # lane widths, standard deviation of the lateral distance of cars in the own lane
 
@@ -60,8 +60,8 @@ def motion_reward(scene: Scene, parameters: Reward, own: Motion, others: Motion,
         parameters: the reward.
         own: motion of the car, arrays [*times].
         others: motion of all others, its partner first, arrays [others, *times].
-        smooth: whether indicators, the nearest lane and the edges of the road are smooth, for plans; features of
-            traffic stay as they are.
+        smooth: whether indicators, the nearest lane and the edges of the road are smoothed, for plans; features of
+            traffic are smooth by themselves.
     """
     columns = motion_features(scene, parameters, own, others, smooth)
     return jnp.sum(jnp.asarray(parameters.weights) * jnp.stack(columns, axis=-1), axis=-1)
@@ -103,7 +103,7 @@ def motion_features(scene: Scene, parameters: Reward, own: Motion, others: Motio
 
 
 def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motion) -> Times:
-    """Compute a user-defined feature along a motion, mapped over times, so that it sees one moment only."""
+    """Compute a user-defined feature along a motion; it is mapped over times, so that it sees one moment at a time."""
     mapped: Callable[[Motion, Motion], jax.Array] = partial(function, scene)
     for _ in range(own.x.ndim):
         mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
@@ -116,11 +116,12 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
     With g the gap between bumpers in length units U, v the own speed, v_j the other's, and the attention
     ``w = exp(-g / 0.6) exp(-(dy / (lane width / 4))^2 / 2)``, which decays with the gap and the lateral distance:
 
-    * direction: ``cos(heading)``, a fixed share of which is in ``lane_alignment``;
-    * headway: ``-sum w (g - (0.06 + v h / U))^2`` over the cars ahead: the gap against 2 m plus h, 1 s by default;
-    * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, s the speed limit;
+    * direction: ``cos(heading)``; ``lane_alignment`` holds a fixed share of it;
+    * headway: ``-sum w (g - (0.06 + v h / U))^2`` over the cars ahead: the difference between the gap and the wanted
+      one, 2 m plus the way in h seconds, 1 by default;
+    * closing_speed: ``-sum w ((v - v_j) / s)^2`` over the cars ahead, with the speed limit s;
     * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the cars behind: the braking [U/s^2]
-      with which they avoid hitting this car.
+      that keeps them from hitting this car.
     """
     along, gap, attended = attention(scene, own, others)
     ahead, behind = (jnp.where(place, attended, 0.0) for place in (along > 0, along <= 0))
@@ -137,27 +138,27 @@ def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> l
 
 
 def _off_lanes(scene: Scene, car: Motion, smooth: bool) -> Times:
-    """Return the squared distance from the nearest lane [m^2], if it is to be smooth with a round top between lanes."""
+    """Return the squared distance from the nearest lane [m^2]; the smooth form has no kink between lanes."""
     squares = (car.y[..., None] - jnp.asarray(scene.lanes)) ** 2
     nearest = squares.min(axis=-1)
     if not smooth:
         return nearest
-    nearest = jax.lax.stop_gradient(nearest)  # what is subtracted before the exponential makes no difference
+    nearest = jax.lax.stop_gradient(nearest)  # subtracted only to keep exponentials finite
     return nearest - SOFT_LANE**2 * jnp.log(jnp.sum(jnp.exp((nearest[..., None] - squares) / SOFT_LANE**2), axis=-1))
 
 
 def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, Times]:
-    """Return how far others are ahead, the gaps to them [length units], and the attention to them, see `_traffic`."""
+    """Return how far ahead others are, the gaps to them [length units], and the attention to them, see `_traffic`."""
     per_unit = 1 / scene.length_unit
     along, across = (others.x - own.x) * per_unit, (others.y - own.y) / (LANE_SPREAD * scene.lane_width)
     gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
     return along, gap, jnp.exp(-gap / ATTENTION_GAP - across**2 / 2)
 
 
-def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:
-    """Return the distance d of the outermost corner beyond the edge of the road, 0 on the road [m].
+def depth_off_road(scene: Scene, car: Motion, smooth: bool) -> Times:
+    """Return how far the outermost corner is beyond the edge of the road, 0 on the road [m].
 
-    If it is to be smooth, its `soft_positive` with `SOFT_EDGE` instead.
+    The smooth form is its `soft_positive` with `SOFT_EDGE`.
     """
     length, width = scene.car_size
     slant = jnp.sqrt(car.sine**2 + SOFT_SLANT**2) - SOFT_SLANT if smooth else jnp.abs(car.sine)
@@ -168,16 +169,16 @@ def depth_off_road(scene: Scene, car: Motion, smooth: bool = False) -> Times:
 
 
 def soft_positive(excess: Array, soft: float) -> Array:
-    """Return the positive part z of an excess as ``z^2 / (z + soft)``, which begins as a square does."""
+    """Return ``z^2 / (z + soft)`` of the positive part z of an excess: quadratic at first, then nearly linear."""
     positive = jnp.where(excess > 0, excess, 0.0)
     return positive**2 / (positive + soft)
 
 
 def _merging(scene: Scene, own: Motion, others: Motion, smooth: bool) -> tuple[Times, Times]:
-    """Return the distance from the target lane [length units] of the car and its partner, and whether they are in it.
+    """Return the distances of the car and its partner from the target lane [length units], and whether they are in it.
 
-    In it is 1 where ``y + width / 2 sin(heading)`` is beyond the lane's inner edge, else 0; a sigmoid of the depth
-    beyond, if it is to be smooth.
+    The indicator is 1 where ``y + width / 2 sin(heading)`` is beyond the lane's inner edge, else 0; its smooth form is
+    a sigmoid of the depth beyond the edge.
     """
     y, sine = jnp.stack([own.y, others.y[0]]), jnp.stack([own.sine, others.sine[0]])
     side = jnp.where(scene.target_lane <= jnp.mean(jnp.asarray(scene.lanes)), -1.0, 1.0)

@@ -1,6 +1,6 @@
 """Define the game that a robot and humans play, and the rewards of their plans.
 
-Controls of plans are in units of the planner's ``control_scale`` throughout the core ("scaled"); only drivers convert
+Throughout the core, controls of plans are in units of the planner's ``control_scale`` ("scaled"). Only drivers convert
 them to curvatures and accelerations.
 """
 
@@ -40,6 +40,7 @@ from ms_highway.runtime.arrays import (
     State,
     Trajectories,
     Trajectory,
+    for_rows,
 )
 
 
@@ -48,7 +49,7 @@ from ms_highway.runtime.arrays import (
 class Game:
     """All that a planner needs. Changing a number in it never recompiles a plan.
 
-    The first car is the robot, the next ones are the humans, and all others are scripted: they keep their velocity.
+    The first car is the robot, the next ones are the humans. All others are scripted: they keep their velocity.
 
     Attributes:
         scene: road, obstacles and bodies.
@@ -76,7 +77,7 @@ class Game:
 
     @property
     def payoff(self) -> Payoff:
-        """What trajectories of the robot earn; where its reward is smooth, it keeps room to stop before obstacles."""
+        """What trajectories of the robot earn; under a smooth reward, the robot keeps room to stop before obstacles."""
         planner, braking = self.planner, None
         if planner.smooth and len(self.scene.obstacles):
             limit = jnp.asarray(planner.control_limit)[1]
@@ -96,7 +97,7 @@ def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
 
 
 def each_human(game: Game, function: Callable[[Index], Any], at_once: bool = False) -> Any:
-    """Compute a function of every human's number, one by one or all at once; results have an axis of humans."""
+    """Compute a function of every human's number, one by one or all at once; the results get an axis of humans."""
     if game.number == 1:
         return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
     numbers = jnp.arange(game.number)
@@ -108,11 +109,8 @@ def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
     if game.number == 1:
         return game, state
     others = jnp.asarray(others_of(len(state) - 1))[human]
-    state = jnp.asarray(state)
-    return (
-        replace(game, humans=_alone(game.human(human))),
-        jnp.concatenate([state[:1], state[1:][human][None], state[1:][others]]),
-    )
+    robot, rest = jnp.split(jnp.asarray(state), [1])
+    return replace(game, humans=_alone(game.human(human))), jnp.concatenate([robot, rest[human][None], rest[others]])
 
 
 def _alone(reward: Reward) -> Reward:
@@ -128,8 +126,8 @@ def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, Stat
 def swap_roles(game: Game, human: Index = 0) -> Game:
     """Return the game in which a human plans, and the robot is its only partner.
 
-    Humans plan anew in every step, by the paper's solver; by the robot's where that climbs a smooth reward, and for
-    their own comfort only.
+    Humans plan anew in every step, without the robot's ``ease``. They use the paper's solver, or the robot's where that
+    climbs a smooth reward.
     """
     solver = game.planner.solver if game.planner.smooth else "gradient"
     planner = replace(game.planner, solver=solver, persistent=False, ease=0.0)
@@ -145,8 +143,8 @@ def constant_velocity(game: Game, cars: Float[SameArray, "*cars 4"]) -> Float[Sa
 def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
     """Limit scaled controls to the planner's ``control_limit`` and, if it is given, to its ``grip``.
 
-    The limit by grip depends on the speed, which follows from the unlimited accelerations: the first control is exact,
-    later ones may exceed the grip by a quarter. Executed controls never do.
+    The limit by grip depends on the speed, which is computed from the unlimited accelerations: the first control is
+    exact, later ones may exceed the grip by a quarter. Executed controls never do.
     """
     controls, planner = project(game.planner, controls), game.planner
     if planner.grip is None:
@@ -166,8 +164,9 @@ def _held(dynamics: Dynamics, grip: Scalar, bend: Scalar, car: Car, controls: Ma
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
     """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled.
 
-    The planner's ``ease`` is added to its comfort. That of steering falls with the square of the lateral acceleration
-    that it causes, relative to that at the speed limit: a car that stands steers for nothing.
+    The planner's ``ease`` is added to the weights of comfort. For steering, it is multiplied by the square of the
+    lateral acceleration that a curvature causes, relative to the one at the speed limit: a standing car steers for
+    nothing.
     """
     kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
     pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
@@ -198,16 +197,14 @@ def _moved_by(dynamics: Dynamics, scale: Control, car: Car, controls: Controls) 
 
 def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:
     """Return the trajectories of some cars under scaled controls."""
-    if len(cars) == 1:
-        return move(game, cars[0], controls[0])[None]
-    return jax.vmap(partial(move, game))(cars, controls)
+    return for_rows(partial(move, game), cars, controls)
 
 
 def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectories:
-    """Return the trajectories of some cars, and of all cars after them, which keep their velocity.
+    """Return the trajectories of some cars, then those of all cars after them, which keep their velocity.
 
     Args:
-        game: its dynamics.
+        game: with the dynamics.
         state: all cars now.
         players: trajectories of the first cars after car 0.
     """
@@ -216,7 +213,7 @@ def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectori
 
 
 def step_rewards(game: Game, state: State, robot: Controls, humans: HumansControls) -> Float[jax.Array, "steps"]:
-    """Return what the robot earns after each step under controls of all; they are scaled."""
+    """Return the robot's reward after each step under scaled controls of the robot and the humans."""
     paths = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
     return game.payoff.steps(move(game, state[0], robot), paths)
 

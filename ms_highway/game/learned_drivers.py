@@ -1,4 +1,4 @@
-"""What is learned of drivers beside their reward: how they differ, when they change lanes, how far off they are."""
+"""Hold what is learned of drivers beside their reward: traits, lane changes, and errors of predictions."""
 
 from typing import Any, NamedTuple
 
@@ -24,7 +24,8 @@ class RewardTraits(NamedTuple):
     Attributes:
         desired_speed: at which its speed feature is highest [m/s].
         headway: time gap that its headway feature wants, besides 2 m [s].
-        patience: factor of its comfort of acceleration, 1 for the typical driver; a patient driver closes gaps slowly.
+        patience: factor of its weight of comfortable acceleration, 1 for the typical driver; a patient driver closes
+            gaps slowly.
     """
 
     desired_speed: Scalar
@@ -47,7 +48,7 @@ class TraitPrior(Structure):
     noise: Positive
 
     def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Scalar) -> RewardTraits:
-        """Return the traits of drivers from the deviations of their logarithms from the medians'."""
+        """Return the traits of drivers whose logarithms differ from those of the medians by these numbers."""
         xp = logarithms.__array_namespace__()
         shares = xp.asarray(self.median) * xp.exp(logarithms)
         return RewardTraits(shares[..., 0] * speed_limit, shares[..., 1], shares[..., 2])
@@ -60,14 +61,14 @@ class TraitPrior(Structure):
 
 @pytree
 class Intention(Structure):
-    """Log odds of changing to a lane beside within the next seconds, against keeping the lane: ``bias + sum w_i a_i``.
+    """Log odds of changing to an adjacent lane within the next seconds over keeping the lane: ``bias + sum w_i a_i``.
 
     Attributes:
         biases: to the left and to the right, with no advantage.
-        weights: of the advantages of that lane: the offset towards it from the own lane's centre, in lane widths; the
-            lateral speed towards it now, and over the last second [m/s]; the speed of the leader there beyond that of
-            the own one, each relative to the driver and weighed by its nearness [m/s]; the distance to the leader there
-            beyond that to the own one [10 m]; and the driver's speed [10 m/s].
+        weights: of the advantages a_i of the adjacent lane. These are the offset towards it from the centre of the
+            present lane, in lane widths; the lateral speed towards it now, and over the last second [m/s]; the speed of
+            its leader less that of the present leader, each relative to the driver and weighed by nearness [m/s]; the
+            distance to its leader less that to the present leader [10 m]; and the driver's speed [10 m/s].
     """
 
     biases: tuple[Finite, Finite]
@@ -76,16 +77,15 @@ class Intention(Structure):
 
 @pytree
 class Spread(Structure):
-    """How far drivers are off a predicted path: a bivariate Student t distribution, along and across the road.
+    """Distribution of drivers around a predicted path: a bivariate Student t, along and across the road.
 
-    At t seconds, ``log scale = a + b log t + c (log t)^2``, plus a further constant where the driver changes lanes.
+    After t seconds, ``log scale = a + b log t + c (log t)^2``, plus a constant where the driver changes lanes.
 
     Attributes:
         along: a, b and c of the scale along the road [m].
         across: a, b and c of the scale across it [m].
         changing: constants along and across in all modes but the first.
-        tails: degrees of freedom after 1 s, and the power of t with which they grow; the normal distribution has
-            infinitely many.
+        tails: degrees of freedom after 1 s, and the power of t with which they grow.
     """
 
     along: tuple[Finite, Finite, Finite]
@@ -112,9 +112,9 @@ class Drivers(Structure):
     """How real drivers drive, learned seconds ahead.
 
     Attributes:
-        weights: of the reward, by name, under which they come closest to where they were recorded.
+        weights: of the reward, by name, under which predicted drivers come closest to recorded ones.
         prior: of their traits.
-        changing: factors of weights and traits, by name, of a driver who changes lanes.
+        changing: factors of weights and traits, by name, while a driver changes lanes.
         intention: to change lanes.
     """
 
@@ -146,9 +146,9 @@ class LearnedDrivers(Drivers):
 
     Attributes:
         spread: around the predicted paths.
-        deviations: standard deviations of the logarithms of what was learned, by name, with drivers as the independent
+        deviations: standard deviations of the logarithms of the learned numbers, by name; drivers are the independent
             units.
-        peers: the predictors that it is compared with, by name.
+        peers: predictors of the literature to compare with, by name.
     """
 
     spread: Spread
@@ -157,5 +157,5 @@ class LearnedDrivers(Drivers):
 
     @property
     def bare(self) -> Drivers:
-        """The drivers alone, which JAX takes."""
+        """The drivers without the rest; JAX takes them as arguments."""
         return Drivers(self.weights, self.prior, self.changing, self.intention)

@@ -1,6 +1,5 @@
 """A learned reward and its file: weights, their covariance, and provenance."""
 
-import json
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -13,7 +12,7 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.runtime.files import read_json, reading, replacing
+from ms_highway.runtime.files import read_json, reading, write_json
 from ms_highway.runtime.structures import Positive, Structure, read
 
 VERSION = 3
@@ -32,15 +31,16 @@ class LearnedReward(Structure):
         weights: of features and comfort, by name; the given comfort weights set their scale.
         temperature: T of maximum entropy, at the same scale.
         learned: names of the weights that were learned; the others were given.
-        covariance: of the logarithms of the learned weights' sizes, of the temperature and, if any, of the tails; of
-            real drivers with drivers as the independent units, of simulated ones with segments.
+        covariance: of the logarithms of the learned weights' sizes, of the temperature and, if any, of the tails. The
+            independent units are drivers if they are real, and segments if they are simulated.
         horizon: K, number of steps of 0.1 s in the segments.
         converged: whether the optimiser reached the maximum.
         iterations: of the optimiser.
         windows: number of segments that were fitted.
         log_likelihood: mean per segment: ``train``, and ``held_out``, cross-validated by group of recordings (None if
             there is only one group).
-        feature_counts: mean sums of the features over a segment: ``human``, and ``model``, expected under the reward.
+        feature_counts: mean sums of the features over a segment: ``human``, recorded, and ``model``, expected under
+            the reward.
         provenance: data, groups of recordings, and versions of the software.
         tails: nu of `ms_highway.irl.maximum_entropy`, None for a normal distribution.
         drivers: what was learned seconds ahead; None from simulated demonstrations.
@@ -68,7 +68,7 @@ class LearnedReward(Structure):
         """
         linear_reward(self.weights, 1.0)
         if set(self.learned) - set(self.weights) or set(self.model.names) != set(self.weights):
-            raise ValueError(f"what was learned, {self.learned}, are not among the weights")
+            raise ValueError(f"the learned weights {self.learned} are not among the weights")
         covariance, size = np.array(self.covariance, dtype=float), len(self.learned) + 1 + (self.tails is not None)
         if covariance.shape != (size, size) or not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
             raise ValueError(f"the covariance is no finite array of shape {(size, size)} with variances")
@@ -77,22 +77,24 @@ class LearnedReward(Structure):
 
     @property
     def model(self) -> RewardModel:
-        """The weights that were learned and those given."""
+        """The learned and the given weights."""
         given = {name: value for name, value in self.weights.items() if name not in self.learned}
         return RewardModel(self.learned, given, self.tails is not None)
 
-    def interval(self, name: str, deviations: float = 1.645) -> Float[np.ndarray, "2"]:
-        """Return a weight's interval of so many standard deviations of its logarithm to each side; 1.645 give 90 %."""
+    def interval(self, name: str) -> Float[np.ndarray, "2"]:
+        """Return the 90 % interval of a learned weight."""
         index = self.learned.index(name)
-        spread = deviations * np.sqrt(self.covariance[index][index])
-        return self.weights[name] * np.exp([-spread, spread])
+        return log_normal_interval(self.weights[name], np.sqrt(self.covariance[index][index]))
+
+
+def log_normal_interval(value: float, deviation: float) -> Float[np.ndarray, "2"]:
+    """Return the 90 % interval of a number, given the standard deviation of its logarithm."""
+    return value * np.exp([-1.645 * deviation, 1.645 * deviation])
 
 
 def save(learned: LearnedReward, path: Path) -> None:
     """Write a learned reward as JSON, atomically."""
-    content = {"version": VERSION} | msgspec.to_builtins(learned)
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n")
+    write_json(path, {"version": VERSION} | msgspec.to_builtins(learned))
 
 
 def load(path: Path) -> LearnedReward:
@@ -122,13 +124,13 @@ def shipped(name: str) -> LearnedReward:
 
 
 def named(name: str) -> LearnedReward:
-    """Return the learned reward of the package, or else of the file, with this name."""
+    """Return the learned reward of the package that has this name, or else that of the file."""
     return shipped(name) if name in SHIPPED else load(Path(name))
 
 
 @cache
 def shipped_drivers() -> LearnedDrivers:
-    """Return what was learned of drivers on US-101."""
+    """Return the drivers learned on US-101."""
     drivers = shipped("us101").drivers
     assert drivers is not None  # the package's own file
     return drivers
@@ -137,8 +139,8 @@ def shipped_drivers() -> LearnedDrivers:
 def commuter_weights() -> dict[str, float]:
     """Return weights, by name, of a driver in everyday traffic: learned on US-101, in units of log-probability.
 
-    Those that matter in a lane are learned seconds ahead, see `ms_highway.irl.seconds_ahead`. Those of leaving the
-    lane, the road, and of collisions are the paper's: the recordings say little about them.
+    Weights for driving in a lane are learned seconds ahead, see `ms_highway.irl.seconds_ahead`. Weights of leaving the
+    lane or the road and of collisions are the paper's: the recordings say little about them.
     """
     learned = shipped("us101")
     kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}

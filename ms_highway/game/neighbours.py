@@ -8,11 +8,11 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.runtime.arrays import SameArray
 
-MIN_FOLLOWER_SPEED = 1.0  # m/s, least speed of a follower in its headway
+MIN_FOLLOWER_SPEED = 1.0  # m/s, by which headways are divided at least
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 
 SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
-AHEAD = np.array([True, False] * 3)  # whether a place is ahead, or behind
+AHEAD = np.array([True, False] * 3)  # whether a place is ahead
 
 
 def places(
@@ -21,14 +21,14 @@ def places(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> tuple[Int[SameArray, "*batch 6"], Bool[SameArray, "*batch 6"]]:
-    """Return which of the others takes each of the six places around a driver, and whether any does.
+    """Return which of the others takes each of the six places around a driver, and whether any car does.
 
-    A car is in the own lane if it is less than half a lane's width to the side.
+    A car is in the driver's lane if it is less than half a lane's width to the side.
 
     Args:
         driver: state of the driver.
         others: states of the other cars, in the same coordinates, along the road.
-        present: which of the others exist; the states of those that do not may be anything, even NaN.
+        present: which of the others exist; states of absent cars may be anything, even NaN.
         lane_width: of a lane [m].
     """
     xp = driver.__array_namespace__()
@@ -46,7 +46,7 @@ def neighbours(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> Float[SameArray, "*batch 6 4"]:
-    """Return the states of the neighbours of a driver, one for each of the six places; takes the arguments of `places`.
+    """Return the states of a driver's neighbours in the six places, see `places` for the arguments.
 
     An empty place holds a standing car far behind, so that the shape never changes.
     """
@@ -61,7 +61,7 @@ def headways(
     around: Float[SameArray, "*batch 6 4"],
     length: float,
 ) -> Float[SameArray, "*batch 6"]:
-    """Return the time gaps to the neighbours of a driver [s]: bumper distance over the speed of whoever is behind.
+    """Return the time gaps between a driver and its neighbours [s]: bumper distance over the speed of the rear car.
 
     Args:
         driver: state of the driver.
@@ -102,14 +102,14 @@ def leaders(
     counts: Bool[Any, "*#batch #cars others"],
     reach: float | Float[Any, "*#batch #cars #others"],
 ) -> tuple[Int[Any, "*batch cars"], Bool[Any, "*batch cars"]]:
-    """Return which of the others is the nearest ahead in a lane, and whether any is; arrays of NumPy or JAX.
+    """Return which of the others is the nearest one ahead in a lane, and whether there is one; of NumPy or JAX.
 
     Args:
         x: position of each car along the road [m].
-        lane: lateral position of the centre of the lane in which each looks ahead [m].
-        others: states of all that may be ahead.
-        counts: which of them count for each car; of the rest, states may be anything.
-        reach: lateral distance from that centre up to which a car is in the lane [m].
+        lane: lateral position of the centre of the lane in which each car looks ahead [m].
+        others: states of all cars that may be ahead.
+        counts: which of them count for each car; states of the rest may be anything.
+        reach: lateral distance from the lane's centre up to which a car is in the lane [m].
     """
     xp = others.__array_namespace__()
     distance = others[..., None, :, 0] - x[..., None]

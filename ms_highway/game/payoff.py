@@ -34,13 +34,13 @@ class SecondOrder(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Payoff:
-    """What trajectories earn. It holds so little that all plans share one trace of each method.
+    """What trajectories earn. It holds only what this needs, so that all plans share one trace of each method.
 
     Attributes:
         scene: road, obstacles and bodies.
         reward: of the car.
-        braking: deceleration by which it keeps room to stop before obstacles, at the price of a collision, see
-            `ms_highway.game.stopping.stopping_cost`; None where it need not.
+        braking: deceleration with which the car keeps room to stop before obstacles, see
+            `ms_highway.game.stopping.stopping_cost`, at the price of a collision; None without this cost.
         smooth: whether jumps of the reward are smooth (static).
     """
 
@@ -51,7 +51,7 @@ class Payoff:
 
     @jax.jit
     def steps(self, own: Trajectory, others: Trajectories) -> Float[jax.Array, "steps"]:
-        """Compute what is earned after each step of a trajectory, among the trajectories of all others."""
+        """Compute the reward after each step of a trajectory, among the trajectories of all others."""
         motion = Motion(*own)
         rewards = motion_reward(self.scene, self.reward, motion, Motion(*jnp.moveaxis(others, 1, 0)), self.smooth)
         if self.braking is None:
@@ -60,7 +60,7 @@ class Payoff:
 
     @jax.jit
     def total(self, own: Trajectory, others: Trajectories) -> Scalar:
-        """Sum what is earned over the steps."""
+        """Sum the rewards of all steps."""
         return jnp.sum(self.steps(own, others))
 
     @jax.jit
@@ -81,5 +81,5 @@ class Payoff:
 
     @jax.jit
     def curvature(self, own: Trajectory, others: Trajectories) -> Bends:
-        """Return how the sum bends in the car's trajectory, in convex form, see `ms_highway.game.curvature`."""
+        """Return a convex form of the sum's second derivatives in the car's trajectory, see `curvature`."""
         return curvature(self.scene, self.reward, own, Motion(*jnp.moveaxis(others, 1, 0)), self.braking)

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jax import numpy as jnp
 
 from ms_highway.runtime.arrays import Scalar
 
@@ -13,7 +12,7 @@ MAX_ITERATIONS = 5000
 
 PAPER_STEPS = 20, 0.03  # number and size
 STEP_SHARE = 0.6
-"""Share of the `longest_step` that is taken where it is shorter than the wanted one."""
+"""Share of the `longest_step` that plans take where the wanted step is longer."""
 
 STEEPEST = 1000.0  # the largest weight on a squared lateral distance in the paper's scenes [1 / length unit^2]
 SPEED = 0.6  # the paper's speed limit [length units per second]
@@ -23,9 +22,9 @@ SPEED = 0.6  # the paper's speed limit [length units per second]
 class PlanningSettings:
     """Horizon, time step and gradient steps of the plans of robot and human alike.
 
-    They belong together: the reward's curvature in the controls grows with the fourth power of the horizon, and a
-    gradient step longer than `longest_step` overshoots. At K = 10 the paper's step size of 0.03 makes theory of mind
-    earn -9 in Merger, where 60 steps of 0.01 earn 6.4. What is None is chosen by `gradient_steps`.
+    They depend on each other: the reward's curvature in the controls grows with the fourth power of the horizon, and a
+    gradient step longer than `longest_step` overshoots. With K = 10, the paper's step size of 0.03 makes theory of mind
+    earn -9 in Merger; 60 steps of 0.01 earn 6.4. `gradient_steps` chooses the values that are None.
 
     Attributes:
         horizon: number of planned controls, K.
@@ -46,31 +45,29 @@ PAPER_PLANNING = PlanningSettings()
 
 @cache
 def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
-    """Return number and size of the gradient steps of a plan, chosen where the settings leave them open.
+    """Return the number and the size of a plan's gradient steps, chosen where the settings leave them open.
 
-    The step size is the paper's 0.03, or 0.6 of the `longest_step` where that is shorter; the number of steps keeps the
-    product of the paper's 20 steps of 0.03, but is at least 20. At 0.1 s: 20 steps of 0.03 up to K = 7, 58 of 0.0104 at
-    K = 10, and 929 of 0.00065 at K = 20.
+    The step size is the paper's 0.03 or, if that is shorter, 0.6 of the `longest_step`. The number of steps times
+    their size is that of the paper, 20 times 0.03, but there are at least 20 steps. With time steps of 0.1 s, these are
+    20 steps of 0.03 up to K = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
     """
-    papers_number, papers_length = PAPER_STEPS
-    length = planning.step_size or min(papers_length, STEP_SHARE * longest_step(planning.horizon, planning.time_step))
-    return planning.iterations or max(papers_number, round(papers_number * papers_length / length)), length
+    number, size = PAPER_STEPS
+    length = planning.step_size or min(size, STEP_SHARE * longest_step(planning.horizon, planning.time_step))
+    return planning.iterations or max(number, round(number * size / length)), length
 
 
-@cache
-def longest_step(horizon: int, time_step: float) -> float:
+def longest_step(horizon: int, time_step: Scalar) -> Scalar:
     """Return the longest gradient step that does not overshoot the optimum of the paper's steepest feature.
 
     To first order, control j moves the car sideways by ``y_k = v dt^2 (k - 1 - j)`` at step k. With s the largest
-    singular value of this matrix, the curvature of ``-w y^2``, summed over the steps, is at most ``2 w s^2``; its
-    inverse is the step that reaches the optimum at once.
+    singular value of this matrix, the curvature of ``-w y^2``, summed over the steps, is at most ``2 w s^2``. The
+    inverse of the curvature is the step that reaches the optimum at once.
+
+    Args:
+        horizon: number of planned controls.
+        time_step: dt [s]; JAX may trace it.
     """
     steps = np.arange(horizon)
-    moved = SPEED * time_step**2 * np.maximum(np.subtract.outer(steps, steps), 0)
+    moved = SPEED * np.maximum(np.subtract.outer(steps, steps), 0)  # per dt^2
     steepest = 2 * STEEPEST * float(np.linalg.norm(moved, 2)) ** 2
-    return 1 / steepest if steepest > 0 else np.inf
-
-
-def longest_traced_step(horizon: int, time_step: Scalar) -> Scalar:
-    """Return `longest_step` for a time step that JAX may trace: it falls with its fourth power."""
-    return longest_step(horizon, time_step=1.0) / jnp.asarray(time_step) ** 4
+    return (1 / steepest if steepest > 0 else np.inf) / time_step**4

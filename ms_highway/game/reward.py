@@ -36,8 +36,8 @@ COMFORT = ("comfort_steering", "comfort_acceleration")
 """Names of the weights of comfort, a cost of controls instead of states, see `Reward`."""
 
 Feature: TypeAlias = Callable[[Scene, Motion, Motion], Scalar]
-"""A user-defined feature at one moment: a number from the scene, the motion of car 0 and that of all others, arrays
-[others], its partner first."""
+"""A user-defined feature at one moment: a number computed from the scene, the motion of car 0 and the motion of all
+others, arrays [others], its partner first."""
 
 OWN_FEATURES: dict[str, Feature] = {}
 """User-defined features by name, see `add_feature`."""
@@ -62,7 +62,7 @@ class Reward:
         comfort: weights of the cost of controls, half the squared difference of each scaled control from the one that
             keeps the velocity.
         names: of the features that are computed: `PAPER_FEATURES` or `FEATURES`, then user-defined ones (static).
-        own: functions of the user-defined features, which the last names belong to (static).
+        own: functions of the user-defined features, in the order of the last names (static).
         headway: time gap that the headway feature wants [s].
     """
 
@@ -82,19 +82,19 @@ class Reward:
 def add_feature(name: str, function: Feature) -> None:
     """Register a user-defined feature by name, for rewards, configurations and commands of this process.
 
-    It is computed where a reward weighs it; Algorithm 1 then neglects nothing in its derivatives, see
-    `ms_highway.choice.rule.decide`. Learned weights are positive: define it as what drivers want more of. A
-    feature of the same name is replaced, in rewards that are made from then on.
+    The feature is computed where a reward weighs it; Algorithm 1 then neglects nothing in its derivatives, see
+    `ms_highway.choice.rule.decide`. Learned weights are positive: define the feature as what drivers want more of. A
+    feature of the same name is replaced in all rewards that are made later.
 
     Args:
         name: one word.
         function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans optimise it. It takes
-            one moment and is mapped over all. Lengths are in metres; divide them by ``scene.length_unit`` for weights
-            of the size of the others. To be pickled, it must be defined in a module. It is tested on a straight scene
-            without a leader: ``scene.bend`` and ``scene.leader`` may be None. The number of others is one or more.
+            one moment and is mapped over all moments. Lengths are in metres; divide them by ``scene.length_unit`` for
+            weights of the size of the others. To be pickled, it must be defined in a module. It is tested on a straight
+            scene without a leader: ``scene.bend`` and ``scene.leader`` may be None. There are one or more others.
 
     Raises:
-        ValueError: if the name is taken by the package or no word; if the function is not hashable, cannot be computed,
+        ValueError: if the package uses the name, or it is no word; if the function is not hashable, cannot be computed,
             or does not return one number.
     """
     taken = (*FEATURES, *COMFORT, COMPUTATION)
@@ -166,7 +166,7 @@ def features_for(*rewards: Mapping[str, float], least: tuple[str, ...] = PAPER_F
 
     Args:
         rewards: weights of each reward; features with weight 0 in all are left out.
-        least: features that are always computed, `PAPER_FEATURES` or `FEATURES`.
+        least: features that are computed in any case, `PAPER_FEATURES` or `FEATURES`.
     """
     weighed = {name for values in rewards for name, value in values.items() if value != 0}
     packaged = least if weighed.isdisjoint(TRAFFIC_FEATURES) else FEATURES
@@ -174,10 +174,10 @@ def features_for(*rewards: Mapping[str, float], least: tuple[str, ...] = PAPER_F
 
 
 PENALTIES = ("collision_risk", "collision", "off_road")
-"""Features with negative weights; all others are positive."""
+"""Features with negative weights; all other weights are positive."""
 
 NO_GRADIENT = ("collision", "merged", "partner_merged")
-"""Indicators: without a gradient, driving carries no information about their weights."""
+"""Indicators. They have no gradient, so that driving carries no information about their weights."""
 
 CURVATURE_FLOOR = 0.5  # of the least given comfort weight: the least curvature of -R in a fit
 
@@ -189,7 +189,7 @@ class RewardModel:
     Attributes:
         learned: names of the weights to learn, of `weight_names`.
         given: fixed weights, by name; those of comfort set the scale of all others.
-        tails: whether drivers are now and then far from what is best, see `ms_highway.irl.maximum_entropy`.
+        tails: whether drivers are now and then far from the best driving, see `ms_highway.irl.maximum_entropy`.
 
     Raises:
         ValueError: for unknown names, indicators, a weight named twice, or no given comfort weight.

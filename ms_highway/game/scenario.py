@@ -29,7 +29,7 @@ PAPER_FRICTION = 0.2  # 1/s; the paper gives no value of alpha
 RELEASED_DRAG = 0.2 / PAPER_UNIT  # 1/m, in the world only: the released planners neglect it
 
 PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
-"""The paper's dynamics with friction, Sec. IV-A; the same in any unit of length."""
+"""The paper's dynamics with friction, Sec. IV-A, in any unit of length."""
 
 PHYSICAL_LIMIT = (0.2, 50.0)  # 1/m and m/s^2
 """Default bounds on plans: the curvature of a front wheel turned by 45 degrees, and five times the grip of tyres.
@@ -41,8 +41,8 @@ ahead, so that gradient plans in Stay Back need 50 m/s^2, and the human in Merge
 GRIP = 8.0  # m/s^2
 """Grip of tyres on a dry road, steering and acceleration together.
 
-Outside the paper's scenes, and in them on request, the first control of every plan and all executed controls keep to
-it; later controls of a plan may exceed it by a quarter (`ms_highway.game.game.bounded`).
+It limits the first control of every plan and all executed controls, in the paper's scenes only on request. Later
+controls of a plan may exceed it by a quarter (`ms_highway.game.game.bounded`).
 """
 
 COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
@@ -79,8 +79,8 @@ class Scenario:
     Attributes:
         name: in commands and records.
         lanes: lateral position of each lane's centre, 3.3 m apart in the package's scenarios [m].
-        cars: start (x, y) of the robot, the human, and the scripted cars [m]; all start at the speed limit, 20 m/s,
-            heading 0, unless a third number says how much faster [m/s]. With streams, of the robot alone.
+        cars: start (x, y) of the robot, the human, and the scripted cars [m]; with streams, of the robot alone. All
+            start at heading 0 and at the speed limit, 20 m/s; a third number is how much faster a car starts [m/s].
         steps: length of an episode.
         ladder: names of the human models to choose from by default, cheapest first.
         prices: two lambdas, aggressive and conservative, of the paper's comparison [reward per second].
@@ -89,18 +89,17 @@ class Scenario:
         cones: centres of the cones [m].
         merging_car: index of the car with additional noise on its start.
         corner: see `Scene`.
-        streams: of the humans, who are dealt out evenly; the first streams get what remains. With streams, the robot
+        streams: of humans, who are shared out evenly, any remaining ones to the first streams. With streams, the robot
             succeeds if it ends in the target lane, the leftmost one, and never collides.
         humans: their number, by default.
-        caution: factor on the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
+        caution: factor of the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
         careless: share of the humans in streams that hardly yield.
-        semantics: by default, see `build_game`.
-        planning, solver, control_limit, grip: of plans by default, see `build_game`.
+        semantics, planning, solver, control_limit, grip: defaults, see `build_game`.
         way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
 
     Raises:
-        ValueError: for sizes that no road has, as of numbers that are not in metres, and for several humans without
-            streams.
+        ValueError: for sizes that no road has, such as numbers in other units than metres, and for several humans
+            without streams.
     """
 
     name: str
@@ -176,19 +175,20 @@ def build_game(
 
     Args:
         scenario: to build.
-        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and humans with a
-            damped response; ``physical``: the same within what tyres hold, `GRIP`; ``released``: those of the released
-            code, where planners ignore the world's drag, and the exact response.
+        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and a damped
+            response of humans; ``physical``: the same within the `GRIP` of tyres; ``released``: the dynamics of the
+            released code, where planners ignore the world's drag, and the exact response.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics; None
             for no bounds.
-        grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`; None for no limit, or
-            in physical semantics for `GRIP`.
+        grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`; None for no limit, in
+            physical semantics for `GRIP`.
         unit: length of one paper unit, 100/3 m, in the game; 1 keeps the released code's numbers.
         solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`; None for the
             scenario's.
-        human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans' reward; the other weights of the
+        human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans' reward; other weights of the
             scenario stay unless they are named here.
-        planning: horizon and gradient steps of all, and the time step of plans and world; None for the scenario's.
+        planning: horizon and gradient steps of all plans, and the time step of plans and world; None for the
+            scenario's.
         humans: their number; None for the scenario's.
     """
     human_weights = dict(scenario.human_weights)
@@ -211,20 +211,16 @@ def build_game(
     names = features_for(scenario.robot_weights, human_weights)
     robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * metre, scenario.robot_gap * metre, names)
     human = linear_reward(human_weights, SPEED_LIMIT * metre, scenario.human_gap * metre, names)
+    planning = planning or scenario.planning
     if semantics == "released":
-        plans = Dynamics("yaw_rate", "linear", 0.0, TIME_STEP)
-        world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / metre, TIME_STEP)
+        plans = Dynamics("yaw_rate", "linear", 0.0, planning.time_step)
+        world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / metre, planning.time_step)
     else:
-        plans = world = PAPER_DYNAMICS
+        plans = world = replace(PAPER_DYNAMICS, time_step=planning.time_step)
     if semantics == "physical" and grip is None:
         grip = GRIP * metre
-    planning = planning or scenario.planning
-    plans, world = (replace(motion, time_step=planning.time_step) for motion in (plans, world))
     planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning)
-    if scenario.streams:  # a robot among streams keeps to its plan
-        planner = replace(planner, persistent=True)
-    if planner.smooth:
-        planner = replace(planner, ease=EASE)
+    planner = replace(planner, persistent=bool(scenario.streams), ease=EASE if planner.smooth else 0.0)
     influence: Influence = "exact" if semantics == "released" else "damped"
     game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
     return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
@@ -241,8 +237,8 @@ def driving_game(
 ) -> Game:
     """Build a game on any scene in which both cars have the same reward, with the paper's dynamics.
 
-    Its numbers are not converted to arrays: a driver on a road builds it at every step, and the conversion would take
-    longer than the plan.
+    Its numbers are not converted to arrays: a driver on a road builds a game in every step, and the conversion would
+    take longer than the plan.
 
     Args:
         scene: road, obstacles and bodies.
@@ -251,8 +247,7 @@ def driving_game(
         names: of the features to compute, see `ms_highway.game.reward.linear_reward`.
         solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`.
         planning: see `build_game`.
-        grip: of tyres [m/s^2], see `ms_highway.numerics.solvers.Planner`; None for plans that are only limited by
-            `PHYSICAL_LIMIT`.
+        grip: of tyres [m/s^2], see `ms_highway.numerics.solvers.Planner`; None for `PHYSICAL_LIMIT` alone.
     """
     driver = linear_reward(weights, speed_limit, names=names)
     motion = replace(PAPER_DYNAMICS, time_step=planning.time_step)

@@ -64,12 +64,12 @@ GIVE_WAY = Scenario(
 
 
 def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
-    """Return the next version of a scenario, in which robot and humans plan and drive within what tyres hold.
+    """Return version 1 of a scenario, in which robot and humans plan and drive within the grip of tyres.
 
     Args:
-        scenario: at version 0.
-        horizon: steps of plans; half a second, the paper's, is too short to brake or to go round anything.
-        changes: of what else differs.
+        scenario: version 0.
+        horizon: steps of plans; the paper's half a second is too short to brake or to go round anything.
+        changes: other attributes that differ.
     """
     name = scenario.name.replace("_", "-") + "-v1"
     physical = replace(scenario, name=name, semantics="physical", grip=GRIP, solver="convex_newton", prices=(10.0, 1.0))
@@ -81,8 +81,8 @@ STAY_BACK_V1 = _physical(
 )
 """The robot starts 32 m before the cones. The human starts 7 m ahead of it and drives 1.5 m/s faster.
 
-Within what tyres hold, one car has to slow down in time for the other one. Nearer starts leave no room for that, and
-from farther ones, or beside the human, all models earn the same.
+Within the grip of tyres, one car has to slow down in time for the other one. Nearer starts leave no room for that.
+From farther starts, or from beside the human, all models earn the same.
 """
 
 MERGER_V1 = _physical(MERGER, 10)
@@ -90,7 +90,7 @@ GIVE_WAY_V1 = _physical(GIVE_WAY, 10)
 
 
 def _lane_end(first_cone: float) -> tuple[tuple[float, float], ...]:
-    """Return the cones that end the robot's lane, from a place on that is given in the paper's unit."""
+    """Return the cones that end the robot's lane, from a first x in the paper's unit."""
     return tuple(((first_cone + 0.09 * place) * UNIT, 0.02 * UNIT) for place in range(3))
 
 
@@ -120,7 +120,7 @@ def _merge_among_several(
 
 
 DENSE_MERGE = _merge_among_several("dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),))
-"""The robot's lane ends, and most gaps of the stream beside it are too short for a car unless somebody yields."""
+"""The robot's lane ends, and most gaps in the stream beside it are too short for a car unless a human yields."""
 
 DENSE_MERGE_V1 = _physical(
     DENSE_MERGE,
@@ -146,7 +146,7 @@ CROSSING_CROWD = _merge_among_several(
     1.5,
     (Stream(-0.1 * UNIT, 0.95 * SPEED_LIMIT), Stream(-0.2 * UNIT, 1.05 * SPEED_LIMIT)),
 )
-"""The robot's lane ends, and it wants to cross the stream of humans beside it, to join another one in the left lane.
+"""The robot's lane ends, and it wants to cross the stream of humans beside it and to join another one in the left lane.
 
-Which human matters changes during the episode: first those of the middle lane, between whom it has to get before the
-cones; then those of the left lane, who drive faster, so that its neighbours there are others than at the start."""
+At first, the humans in the middle lane matter: the robot has to get between them before the cones. Later, those in the
+left lane do; they drive faster, so that the robot meets others there than its neighbours at the start."""

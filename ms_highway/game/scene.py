@@ -1,6 +1,6 @@
 """Define the scene: lanes, obstacles, the size of cars, and the leader."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -34,12 +34,12 @@ class Scene:
         obstacles: centres (x, y) of static obstacles, which are parallel to the axes, array [n, 2]; none by default.
         obstacle_size: length and width of every obstacle, array [2]; a cone of the paper by default.
         car_size: length and width of every car, array [2]; 5 by 2.5 m by default.
-        corner: position of the outermost body points of the collision feature, as a share of length and width: 1/2, the
-            corner of the body, by default.
-        target_lane: lateral position of the lane that a merging car enters; it matters to rewards that weigh it.
-        length_unit: unit of lengths in features [m]. Weights belong to it: those of the package to the paper's unit,
-            100/3 m, the default.
-        bend: curvature of the road [1/m], positive to the right, which its coordinates straighten; None on a straight
+        corner: position of the outermost body points of the collision feature, as a share of length and width; by
+            default 1/2, the corner of the body.
+        target_lane: lateral position of the lane that a merging car enters; only for rewards that weigh it.
+        length_unit: unit of lengths in features [m]. Weights depend on it; those of the package are for the paper's
+            unit, 100/3 m, the default.
+        bend: curvature of the road [1/m], positive to the right; the coordinates straighten it. None on a straight
             road.
         leader: index of the car that the gap feature refers to, None without one (static).
 
@@ -61,10 +61,6 @@ class Scene:
     def is_reached(self, y: Any) -> Any:
         """Return whether cars at these lateral positions have reached the target lane."""
         return abs(y - float(self.target_lane)) < LANE_TOLERANCE
-
-    def of_pair(self) -> "Scene":
-        """Return the scene without what the partner does not change for car 0: obstacles, and another leader."""
-        return replace(self, obstacles=self.obstacles[:0], leader=1 if self.leader == 1 else None)
 
     def __post_init__(self) -> None:
         for name, shape in SHAPES.items():

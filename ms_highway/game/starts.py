@@ -1,4 +1,4 @@
-"""Draw the starts of episodes, by NumPy or, within a function that JAX traces, by JAX."""
+"""Draw the starts of episodes by NumPy, or by JAX in functions that JAX traces."""
 
 from typing import Any, TypeAlias
 
@@ -26,7 +26,7 @@ def _shape(size: Any) -> list[int]:
 
 
 class TracedRandom:
-    """Draw by JAX what NumPy's generator draws, from a key; the same methods, as far as they are used here."""
+    """Draw by JAX, from a key, with the methods of NumPy's generator that are used here."""
 
     def __init__(self, key: jax.Array) -> None:
         self._key = key
@@ -74,14 +74,14 @@ def draw_starts(scenario: Scenario, random: Random) -> State:
 def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[State, HumansWeights]:
     """Draw the start of every car, in SI units, and the weights of every human's reward.
 
-    Without streams, these are `draw_starts` and the weights given. Most spacings of a stream are near its shortest, and
-    the robot starts beside a random place in the middle of every stream. Humans weigh ``collision_risk`` by a factor of
-    their own, log-normal around 1; the careless ones by `CARELESS_FACTOR`.
+    Without streams, these are `draw_starts` and the given weights. In a stream, most spacings are near the shortest
+    one, and the robot starts beside a random place in the middle. Every human multiplies its weight of
+    ``collision_risk`` by its own factor: log-normal around 1, or `CARELESS_FACTOR` for careless humans.
 
     Args:
         scenario: to draw for.
-        random: what is drawn from.
-        humans: the rewards that theirs are drawn around, see `ms_highway.game.game.Game`.
+        random: generator to draw from.
+        humans: rewards around which those of the humans are drawn, see `ms_highway.game.game.Game`.
     """
     weights = np.array(humans.weights, np.float32)
     if not scenario.streams:
@@ -101,7 +101,7 @@ def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[St
 
 
 def _stream(stream: Stream, humans: int, random: Random) -> State:
-    """Draw the starts of a stream, front first; the robot, at x = 0, is beside a gap in the middle, or the last one."""
+    """Draw the starts of a stream, front first, with the robot at x = 0 beside its middle."""
     shortest, longest = stream.spacing
     spacings = shortest + (longest - shortest) * random.beta(1.0, SPACING_BETA, humans)
     ahead = (humans + 1) // 2  # of the robot

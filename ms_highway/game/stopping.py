@@ -1,7 +1,7 @@
-"""Keep room to stop: what plans for seconds pay where, half-way, they could no longer stop before an obstacle.
+"""Keep room to stop: the cost of plans for seconds that, half-way, could no longer stop before an obstacle.
 
-A horizon ends before an obstacle matters: without this cost a car drives as fast as pays until then, brakes as late as
-tyres allow, and stands too close to the obstacle to steer around it.
+Horizons end before an obstacle matters. Without this cost, a car drives fast until the obstacle is within the horizon,
+brakes as hard as tyres allow, and stops too close to the obstacle to steer around it.
 """
 
 import jax
@@ -16,32 +16,31 @@ from ms_highway.runtime.arrays import Scalar, Times
 
 STOPPING_MARGIN = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
 LATERAL_MARGIN = 0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
-SMOOTHING = 0.2  # from which on what a car is late or aligned by counts nearly in proportion
+SMOOTHING = 0.2  # beyond which the cost of being late or aligned is nearly linear
 
 
 def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
-    """Return how much too late, and how squarely, a car would stop before the obstacles, ``sum r^2`` with::
+    """Return the cost of stopping too late before obstacles that are ahead in the car's way, ``sum r^2`` with::
 
         r = soft(d) soft(1 - (dy / w)^2) s,  soft(z) = max(z, 0)^2 / (max(z, 0) + 0.2)
         d = (v^2 / (2 b) + l - dx) / car length + room
 
-    The distance of the centres is (dx, dy); bodies touch at the length l, and pass each other with `LATERAL_MARGIN`
-    between them at the width w; s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is
-    passed.
+    The centres are (dx, dy) apart. Bodies touch at ``dx = l``, and pass each other with `LATERAL_MARGIN` between them
+    at ``dy = w``. The factor s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
 
     Args:
         scene: obstacles and sizes of bodies.
-        braking: deceleration b; without a limit, only the gap counts.
+        braking: deceleration b; if it is infinite, only the gap counts.
         own: motion of the car, arrays [steps].
 
     Returns:
-        An array [steps], zero but for the step half-way.
+        An array [steps], zero except in the step half-way.
     """
     return jnp.sum(lateness(scene, braking, own) ** 2, axis=0)
 
 
 def lateness(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "obstacles steps"]:
-    """Return r of `stopping_cost` for every obstacle, zero but for the step half-way."""
+    """Return r of `stopping_cost` for every obstacle, zero except in the step half-way."""
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T[..., None]
     car_length, car_width = jnp.asarray(scene.car_size)
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2

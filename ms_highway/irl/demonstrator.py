@@ -58,7 +58,7 @@ def segment_return(game: Game, car: States, others: Motion) -> Objective:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
     path, cost, within = (partial(function, game, car) for function in (move, discomfort, bounded))
-    return Objective(path, reward, cost, within)
+    return Objective(path, reward, cost, within, jax.grad(reward))
 
 
 @jax.jit

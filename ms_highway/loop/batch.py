@@ -1,10 +1,9 @@
-"""Run the closed loop in pure JAX: humans and robot plan, a rule decides, the world moves; many episodes at once.
+"""Run many episodes of the closed loop at once in pure JAX: a rule decides, robot and humans plan, the world moves.
 
-The pure functions are those that the environments call, so that both loops agree. Planning times are not measured:
-T comes from a table, and no plan is late.
+Environments call the same pure functions, so that both loops agree. Planning times are not measured: T comes from a
+table, and no plan is late.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -33,21 +32,21 @@ from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import Control, Index, Rungs, State
+from ms_highway.runtime.arrays import Control, Index, Rungs, State, for_rows
 from ms_highway.runtime.compilation import jit_quickly
 
 
 def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
     """Run episodes from start to end, shared by the devices of a mesh, see `ms_highway.loop.devices.share_among`.
 
-    A device computes the episodes chunk by chunk, and a human model only for chunks that use it. Among several humans,
-    it computes them one by one: a plan takes as many rounds as there are humans to predict.
+    A device computes the episodes chunk by chunk, and a human model only for chunks that use it. With several humans,
+    it computes episodes one by one, as a plan takes as many rounds as there are humans to predict.
 
-    Nothing is checked: where a state or a weight is not finite, rewards are not either.
+    Numbers are not checked: rewards are not finite where a state or a weight is not finite.
 
     Args:
         loop: what the episodes share.
-        episodes: one at least.
+        episodes: at least one.
         mesh: of `ms_highway.loop.devices.device_mesh`; by default, the first device.
 
     Returns:
@@ -76,9 +75,9 @@ class Given(NamedTuple):
     """What is given for a step.
 
     Attributes:
-        scheduled: models of the humans.
-        errors: of what the robot sees of the first cars; None where there are none.
-        controls: of the robot, where an agent drives it; None where it plans.
+        scheduled: numbers of the humans' models, see `Episodes`.
+        errors: of what the robot sees, see `Episodes`; None for no errors.
+        controls: of the robot, if an agent drives it; None if it plans.
     """
 
     scheduled: Rungs
@@ -93,7 +92,7 @@ def believed(game: Game, own: Episodes) -> Game:
 
 @partial(jit_quickly, xla_cpu_parallel_codegen_split_count=1)  # or LLVM rounds differently where more threads compile
 def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
-    """Run the first ``count`` episodes, chunk by chunk; the records of the others mean nothing."""
+    """Run the first ``count`` episodes, chunk by chunk; records of further ones mean nothing."""
     together = loop.together
 
     def run(episodes: Episodes) -> Records:
@@ -115,15 +114,8 @@ def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Rec
     return jax.lax.fori_loop(0, (count[0] + together - 1) // together, run_chunk, nothing)
 
 
-def _for_each(loop: Loop, function: Callable[..., Any], *items: Any) -> Any:
-    """Apply a function to every episode of a chunk: to all at once, or to the only one."""
-    if loop.together > 1:
-        return jax.vmap(function)(*items)
-    return jax.tree.map(lambda part: part[None], function(*jax.tree.map(lambda part: part[0], items)))
-
-
 def begin_episodes(loop: Loop, starts: State) -> Now:
-    """Return what episodes begin with, from the states [episodes, cars, 4] of all cars."""
+    """Return what episodes carry into their first step, given the states [episodes, cars, 4] of all cars."""
     humans, horizon = loop.game.number, loop.game.planner.horizon
     drivers = jax.tree.map(lambda part: jnp.broadcast_to(part, (humans, *jnp.shape(part))), no_rest(horizon, 1))
 
@@ -136,29 +128,28 @@ def begin_episodes(loop: Loop, starts: State) -> Now:
 
 def step_episodes(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
     """Advance a chunk of episodes by one step: look, choose, plan, and move."""
-    own = replace(own, starts=None, schedules=None, errors=None)  # the rest is what a step needs
+    own = replace(own, starts=None, schedules=None, errors=None)  # which a step does not need
     if given.controls is not None:
-        return _for_each(loop, partial(_steer, loop), now, own, given.controls)
-    each, game_of = partial(_for_each, loop), partial(believed, loop.game)
+        return for_rows(partial(_steer, loop), now, own, given.controls)
     seen = now.state if given.errors is None else now.state.at[:, : given.errors.shape[1]].add(given.errors)
 
     def look_back(own: Episodes, robot: Carry, seen: State) -> Carry:
-        return complete_outcome(game_of(own), robot, seen, loop.belief)
+        return complete_outcome(believed(loop.game, own), robot, seen, loop.belief)
 
     def decide(own: Episodes, robot: Carry) -> Decision:
-        return loop.rule.at_price(own.prices).decide(game_of(own), robot.memory, robot.outcome)
+        return loop.rule.at_price(own.prices).decide(believed(loop.game, own), robot.memory, robot.outcome)
 
     def take(robot: Carry, decision: Decision, scheduled: Rungs) -> Decision:
         rungs = jnp.where(scheduled == DECIDES, decision.memory.rungs, scheduled).astype(jnp.int32)
         rungs = responsive_rungs(loop.models, rungs, robot.belief, loop.unresponsive)
         return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
-    robot, decides = each(look_back, own, now.robot, seen), (given.scheduled == DECIDES).any(axis=1)
-    kept = each(lambda robot: unestimated(robot.memory, robot.memory.rungs), robot)
-    decided = jax.lax.cond(decides.any(), lambda: each(decide, own, robot), lambda: kept)
-    decision = each(take, robot, choose_episodes(decides, decided, kept), given.scheduled)
+    robot, decides = for_rows(look_back, own, now.robot, seen), (given.scheduled == DECIDES).any(axis=1)
+    kept = for_rows(lambda robot: unestimated(robot.memory, robot.memory.rungs), robot)
+    decided = jax.lax.cond(decides.any(), lambda: for_rows(decide, own, robot), lambda: kept)
+    decision = for_rows(take, robot, choose_episodes(decides, decided, kept), given.scheduled)
     plans = _plan(loop, own, seen, now.rest, decision.memory.rungs)
-    return each(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
+    return for_rows(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
 
 
 def _plan(loop: Loop, own: Episodes, seen: State, rest: Rest, rungs: Rungs) -> Plan:
@@ -172,20 +163,21 @@ def _plan(loop: Loop, own: Episodes, seen: State, rest: Rest, rungs: Rungs) -> P
             start = jax.tree.map(partial(jnp.where, left), one_step_later(rest.start), start)
         return plan_for(models, game, seen, rungs, start)
 
-    each, given = partial(_for_each, loop), (own, seen, rest, rungs)
+    given = own, seen, rest, rungs
     if loop.game.number > 1:
-        return each(partial(planned, loop.models), *given)
+        return for_rows(partial(planned, loop.models), *given)
     still = jnp.zeros((loop.together, loop.game.planner.horizon, 2))
     nothing = chosen = Plan(still, still[:, None])
     for number, model in enumerate(loop.models):
         uses = rungs[:, 0] == number
-        plan = jax.lax.cond(uses.any(), lambda model=model: each(partial(planned, (model,)), *given), lambda: nothing)
+        plans = partial(for_rows, partial(planned, (model,)), *given)
+        plan = jax.lax.cond(uses.any(), plans, lambda: nothing)
         chosen = choose_episodes(uses, plan, chosen)
     return chosen
 
 
 def choose_episodes(chosen: jax.Array, new: Any, old: Any) -> Any:
-    """Take the new leaves for the chosen episodes and the old ones for the rest; the first axis is that of episodes."""
+    """Return the new leaves for chosen episodes and the old ones for the rest; the first axis is that of episodes."""
     return jax.tree.map(lambda new, old: jnp.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old)
 
 

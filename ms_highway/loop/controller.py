@@ -1,6 +1,6 @@
 """Define controllers, which drive a car one step at a time, and the records of their steps.
 
-Controllers take and return float64 NumPy states and controls in SI units; car 0 is driven, the next ones are its
+Controllers take and return float64 NumPy states and controls in SI units. They drive car 0; the next cars are its
 partners.
 """
 
@@ -24,19 +24,20 @@ class ControlStep:
         control: to execute now, ``(omega, acceleration)``.
         plan: controls over the horizon; fewer where only part of the last plan is left.
         humans: controls that the plan expects of every human.
-        models: name of the model that predicted every human in this plan.
+        models: for every human, the name of the model that predicted it in this plan.
         planning_seconds: wall time of the plan and of the check of its way out, without compilation.
-        decision_seconds: wall time of choosing the models, the belief included, without compilation; 0 without both.
+        decision_seconds: wall time of choosing the models, with the belief, without compilation; 0 if nothing is chosen
+            or inferred.
         compile_seconds: wall time of compiling and warming up in this step.
-        ladder: names of the models that the choice is from.
+        ladder: names of the models to choose from.
         gains: estimated gain of each of them for every human, NaN where none was estimated, see
-            `ms_highway.choice.rule.Decision`; with one human, none of the model that was in use.
-        choice_failed: whether the models could not be chosen, see there.
+            `ms_highway.choice.rule.Decision`; with one human, NaN for the model in use.
+        choice_failed: whether the rule failed to choose, see there.
         status: where the control comes from, see `ms_highway.loop.fallback.Status`.
-        belief: probability that each of `ms_highway.planning.ladders.PACKAGE_MODELS` predicts a human, for every
-            human; None where it is not inferred.
-        planned: name of the model that predicted every human in the plan made in this step: not the same where that is
-            late or failed.
+        belief: for every human, the probability that each of `ms_highway.planning.ladders.PACKAGE_MODELS` predicts it;
+            None where it is not inferred.
+        planned: for every human, the name of its model in the plan of this step, which is not ``plan`` if it is late or
+            failed.
     """
 
     control: Control
@@ -60,11 +61,11 @@ class ControlStep:
 
     @property
     def thought(self) -> tuple[str, ...]:
-        """Names of the models of the plan made in this step, which is paid for."""
+        """Names of the models in the plan of this step, whose time is counted."""
         return self.planned or self.models
 
     def highest_gains(self) -> dict[str, float]:
-        """Return the highest gain of each model over all humans, by name, as far as they were estimated."""
+        """Return the highest estimated gain of each model over all humans, by name."""
         if self.gains is None:
             return {}
         gains = zip(self.ladder, highest_gains(self.gains).tolist(), strict=True)
@@ -83,13 +84,5 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget the past, before a new episode."""
 
-    def reset_partner(self) -> None:
-        """Forget the partners: from now on, they are other cars."""
-
-    def step(self, state: State, before: State | None = None) -> ControlStep:
-        """Return the control of the coming step.
-
-        Args:
-            state: all cars now.
-            before: all cars before the last step, in the present coordinates; needed where these have changed since.
-        """
+    def step(self, state: State) -> ControlStep:
+        """Return the control of the coming step, from the states of all cars now."""

@@ -1,4 +1,4 @@
-"""Share the items of a computation among devices, chunk by chunk, with results that do not depend on their number."""
+"""Share the items of a computation among devices, chunk by chunk; the number of devices does not change results."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from ms_highway.runtime.jax_settings import cores, single_precision
 AXIS = "items"  # of a mesh of devices
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
 WIDE_CHUNK = 256  # items that an accelerator computes together
-CHUNKS = 128  # that a device takes at a time
+CHUNKS = 128  # computed by a device at a time
 
 
 def usual_chunk() -> int:
@@ -30,7 +30,7 @@ def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
 
 
 def use_devices(count: int | None = None) -> Mesh:
-    """Return a mesh of as many devices as wanted, by default all; split a CPU into one device per core at most.
+    """Return a mesh of as many devices as wanted, by default all; a CPU is split into one device per core at most.
 
     A CPU can be split only before JAX begins to compute; ``XLA_FLAGS`` may split it into more devices than cores.
 
@@ -50,13 +50,13 @@ def use_devices(count: int | None = None) -> Mesh:
 def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chunk: int) -> Any:
     """Compute a function of many items, shared by the devices of a mesh.
 
-    Each device runs the same program, compiled for it alone, whatever the number of devices and items: XLA compiles a
-    program for several devices differently from one for a single device, and their results differ in the last digits.
+    Every device runs the same program, compiled for a single device, whatever the number of devices and items: XLA
+    compiles a program for several devices differently, so that its results differ in the last digits.
 
     Args:
         mesh: of `device_mesh`.
-        function: of items, a pytree of arrays [chunk * `CHUNKS`, ...], and of the number that counts among them, an
-            array [1]; the items beyond may give anything. Returns a pytree of arrays [chunk * `CHUNKS`, ...].
+        function: takes items, a pytree of arrays [chunk * `CHUNKS`, ...], and how many of them count, an array [1].
+            Returns a pytree of arrays [chunk * `CHUNKS`, ...], with anything for items that do not count.
         items: pytree of arrays [n, ...] with n > 0.
         chunk: number of items that ``function`` computes together.
 

@@ -11,7 +11,7 @@ from ms_highway.game.game import Game
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.fallback import STATUSES, Followed, follow, follow_escape, no_rest, or_brake
 from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide
-from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
+from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan, one_step_later
 from ms_highway.runtime.arrays import State
@@ -20,7 +20,6 @@ from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
 QUANTILE = 0.99  # of decisions' seconds, for budgets
-REPEATS = 20  # of timed decisions
 
 
 def drivable(rule: Rule, belief: bool) -> tuple[Rule, int | None]:
@@ -36,21 +35,20 @@ def drivable(rule: Rule, belief: bool) -> tuple[Rule, int | None]:
 class Driver:
     """Plan every step with the models that a rule chooses.
 
-    Where a plan is not finite, the robot follows the rest of the last finite one, then brakes. With a budget, a plan
-    that is late is not followed in its own step, in which the robot drives on with what it has, but from the next step
-    on. What a rule learns from a step is about the plan that was followed in it, and the models of that plan.
+    Where a plan is not finite, the robot follows the rest of the last finite plan, then brakes. With a budget, a late
+    plan is followed from the next step on; in its own step, the robot goes on with the rest of the last one. A rule is
+    told of the plan that was followed in a step, and of the models of that plan.
 
     Args:
         game: of which car 0 is driven, with the humans' rewards as the robot believes them.
         rule: chooses the models.
         budget: time of a cycle, decision and plan [s]; None for no limit.
         way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out`.
-        belief: whether to infer which model predicts every human, and to predict those who show that they do not
-            respond by the first rung, or naive under an order, instead of by a model that responds.
+        belief: whether to infer which model predicts every human. Humans who show that they do not respond are then
+            predicted by the first rung, or by naive under an order, instead of by a model that responds.
 
     Raises:
-        ValueError: for impossible costs, a price or a ladder that do not fit, or if with a belief the first rung
-            responds.
+        ValueError: for impossible costs, prices or ladders, or if with a belief the first rung responds.
     """
 
     def __init__(
@@ -64,7 +62,7 @@ class Driver:
 
     @property
     def rule(self) -> Rule:
-        """Rule that chooses the models; may be replaced between steps by one of the same ladder."""
+        """Rule that chooses the models; between steps, it may be replaced by one of the same ladder."""
         return self._rule
 
     @rule.setter
@@ -80,7 +78,7 @@ class Driver:
 
     @property
     def game(self) -> Game:
-        """Game that is played; may be replaced between steps, and a game of the same shapes compiles nothing."""
+        """Game that is played; it may be replaced between steps, and a game of the same shapes compiles nothing."""
         return self._game
 
     @game.setter
@@ -94,7 +92,7 @@ class Driver:
         self._warm = False
 
     def _place(self) -> None:
-        """Hold the numbers that decisions take."""
+        """Hold the numbers of rule and game that decisions take."""
         self._placed = Placed((self.rule, single(self.game)))
 
     @property
@@ -104,39 +102,30 @@ class Driver:
 
     def reset(self) -> None:
         """Forget the past, before a new episode."""
-        self._carry: Carry | None = None  # before the first step, and the first with other humans
-        self._steps = 0  # of the episode, which orders count
+        self._carry: Carry | None = None  # before the first step
         self._rest = no_rest(self.game.planner.horizon, self.game.number)
-        self._checking = 0.0  # seconds of the last look for a way out, which comes after the plan
+        self._checking = 0.0  # seconds of the last search for a way out, which comes after the plan
 
-    def reset_partner(self) -> None:
-        """Forget the humans, and what the last plan expected of them: the last step says nothing about others."""
-        unknown = np.zeros_like(self._rest.plan.humans)
-        plan, start = (own._replace(humans=unknown) for own in (self._rest.plan, self._rest.start))
-        self._carry, self._rest = None, self._rest._replace(plan=plan, start=start)
-
-    def step(self, state: State, before: State | None = None) -> ControlStep:
-        """Return the control of the coming step, after choosing the models from the outcome of the last one.
+    def step(self, state: State) -> ControlStep:
+        """Choose the models from the outcome of the last step, plan, and return the control of the coming step.
 
         Args:
             state: the robot, all humans and the scripted cars now.
-            before: all cars before the last step, in the present coordinates; needed where these have changed since.
 
         Raises:
-            ValueError: if a state is not a finite array [cars, 4] of two cars or more.
+            ValueError: if it is not a finite array [cars, 4] of two cars or more.
         """
         refuse_after_fork()
         now = checked_state(state)
         compiling = self._warm_up(now)
         start = perf_counter()
-        carry, decision, deciding = self._decide(now, before)
+        carry, decision, deciding = self._decide(now)
         rungs = decision.memory.rungs
         continues = continues_plan(self.rule.ladder, self.game, rungs, self._rest)
         plan, planning = self._plans.plan(now, rungs, one_step_later(self._rest.start) if continues else None)
         late = self.budget is not None and perf_counter() - start + self._checking > self.budget
         followed, self._checking = self._follow(follow(plan, rungs, self._rest, late), now)
         self._carry, (rest, self._rest, status) = advance(carry, decision, followed, now), followed
-        self._steps += 1
         scale = np.asarray(self.game.planner.control_scale, dtype=float)
         driven, left = Plan(rest.plan.robot * scale, rest.plan.humans * scale), int(rest.steps) or None
         names = tuple(model.name for model in self.rule.ladder)
@@ -157,7 +146,7 @@ class Driver:
         )
 
     def _warm_up(self, state: State) -> float:
-        """Compile before the first control of a game; return the seconds spent, with those of timing decisions."""
+        """Compile before the first control of a game; return the seconds spent, timing of decisions included."""
         if self._warm:
             return 0.0
         self._warm = True
@@ -173,7 +162,7 @@ class Driver:
     def _deciding_seconds(self, state: State) -> float:
         """Measure the seconds of a warm decision."""
         carry = begin(self.rule, self.game, state)
-        carry = carry._replace(memory=carry.memory._replace(step=np.ones((), np.int32)))  # the first may be less
+        carry = carry._replace(memory=carry.memory._replace(step=np.ones((), np.int32)))  # step 0 may take less
         times = [timed(*self._choice(carry, state))[1] for _ in range(REPEATS)]
         return float(np.quantile(times, QUANTILE))
 
@@ -183,15 +172,9 @@ class Driver:
         arguments = *self._placed.take(), carry, now
         return function.of(*arguments), *arguments
 
-    def _decide(self, now: State, before: State | None) -> tuple[Carry, Decision, float]:
-        """Choose the rungs; return the carry with what was seen, the decision, and the seconds that it took."""
-        carry, seconds = self._carry, 0.0
-        if carry is None:
-            carry = begin(self.rule, self.game, now)
-            if not self.rule.estimates:
-                carry = carry._replace(memory=carry.memory._replace(step=np.int32(self._steps)))
-        elif before is not None:
-            carry = carry._replace(outcome=carry.outcome._replace(before=checked_state(before)))
+    def _decide(self, now: State) -> tuple[Carry, Decision, float]:
+        """Choose the rungs; return the carry with the belief, the decision, and its seconds."""
+        carry, seconds = self._carry or begin(self.rule, self.game, now), 0.0
         if self.looks_back:
             found, seconds = timed(*self._choice(carry, now))
             belief, decision = jax.tree.map(np.asarray, found)
@@ -199,12 +182,12 @@ class Driver:
         else:
             decision = self.rule.decide(self.game, carry.memory, carry.outcome)
         gains = np.where(decision.gains == NOT_ESTIMATED, np.nan, decision.gains)
-        if self.game.number == 1:  # what it gains to switch: nothing for the model in use
+        if self.game.number == 1:  # gains of switching: there is none for the model in use
             gains[0, carry.memory.rungs[0]] = np.nan
         return carry, decision._replace(gains=gains), seconds
 
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
-        """Brake where no plan is left, and keep a way out; return what drives, and the seconds of looking for it."""
+        """Brake where no plan is left, and keep a way out; return what drives, and the seconds of the latter."""
         if followed.now.steps == 0:
             with np.errstate(over="ignore", invalid="ignore"):
                 followed = jax.tree.map(np.asarray, or_brake(self.game, state[0], followed))
@@ -221,7 +204,7 @@ def decision_function(unresponsive: int | None) -> Compiled:
 
 
 def fixed(game: Game, model: HumanModel | None = None) -> Driver:
-    """Return a driver that always predicts by the same model, naive by default: so humans drive, too.
+    """Return a driver that always predicts by the same model, by default naive, as humans in environments do.
 
     Args:
         game: of which car 0 is driven; for a human, `ms_highway.game.game.swap_roles`.

@@ -1,4 +1,4 @@
-"""Follow a plan; where it is not finite or late, the rest of what was followed before, or braking in lane."""
+"""Follow a plan or, where it is late or not finite, the rest of the last plan or braking in lane."""
 
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
@@ -14,10 +14,10 @@ from ms_highway.planning.way_out import Escape
 from ms_highway.runtime.arrays import Car, Flag, Index, Rungs, SameArray
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
-"""Source of a control: this step's plan; where that is not finite, the rest of the last finite plan; where nothing is
-left of it, braking in lane. Where the plan is late for its step, ``late``: again the rest of the last plan, or braking.
-``way out``: the first control of an escape from cars that keep their velocity, instead of a planned one that leaves no
-such escape; what is left of the escape is then the rest of the last plan."""
+"""Source of a control: ``planned``, this step's plan; ``previous plan``, the rest of the last finite plan, if this one
+is not finite; ``braking`` in lane, if nothing is left of that plan; ``late``, the rest of the last plan or braking, if
+this plan is late; ``way out``, an escape from cars that keep their velocity, if the planned control leaves no such
+escape. The rest of an escape is then the rest of the last plan."""
 
 STATUSES: tuple[Status, ...] = get_args(Status)
 """All statuses, in the order of their numbers."""
@@ -28,10 +28,10 @@ STRAIGHTENING_TIME = 0.5  # s, in which a braking car aligns with the road
 
 
 def fallback_status(finite: bool | Flag, left: Index, horizon: int) -> tuple[Any, Any]:
-    """Return the number of this step's status, and the number of controls then left, this one included.
+    """Return the number of this step's status, and how many controls are then left, this one included.
 
     Args:
-        finite: whether this step's plan is.
+        finite: whether this step's plan is finite.
         left: number of controls left of the last finite plan, the executed one included; 0 without a plan.
         horizon: number of controls of a plan.
     """
@@ -44,9 +44,9 @@ class Rest(NamedTuple):
 
     Attributes:
         plan: scaled, from this step on; beyond its end, its last controls are repeated.
-        steps: number of its controls that are left, this step's included; 0 without a plan: the robot brakes.
-        rungs: of every human, that it was made with.
-        start: what the next plan may start from: this plan or, where it is of an escape, the one that was replaced.
+        steps: number of its controls that are left, this step's included; with 0, the robot brakes.
+        rungs: of every human in this plan.
+        start: plan from which the next one may start: this plan or, if it is an escape, the one that it replaced.
     """
 
     plan: Plan
@@ -59,11 +59,11 @@ class Followed(NamedTuple):
     """What drives in a step.
 
     Attributes:
-        now: what is followed: its first control is executed. Where the robot brakes, its rungs are those of the step's
-            own plan.
-        kept: what the next plan may start from, and what is followed where that fails or is late: `now` or a late plan,
-            whose first control counts as executed.
-        status: number of the status, in `STATUSES`.
+        now: what is followed; its first control is executed. If the robot brakes, the rungs are those of the step's own
+            plan.
+        kept: start of the next plan, and what is followed if that plan fails or is late: `now`, or a late plan, whose
+            first control counts as executed.
+        status: place of the status in `STATUSES`.
     """
 
     now: Rest
@@ -79,13 +79,13 @@ def no_rest(horizon: int, humans: int) -> Rest:
 
 
 def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Followed:
-    """Choose which plan drives in a step; where none is left, `or_brake` brakes.
+    """Choose the plan that drives in a step; where none is left, `or_brake` brakes.
 
     Args:
         plan: of this step, scaled.
-        rungs: that it was made with.
+        rungs: of every human in it.
         before: what the last step kept.
-        late: whether the plan is too late for this step; if it is finite, it is kept for the next one.
+        late: whether the plan is too late for this step; a finite one is kept for the next step.
     """
     xp, left, begin = plan.robot.__array_namespace__(), one_step_later(before.plan), one_step_later(before.start)
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
@@ -110,9 +110,9 @@ def or_brake(game: Game, car: Car, followed: Followed) -> Followed:
 
 
 def follow_escape(followed: Followed, escape: Escape) -> Followed:
-    """Return what drives once a way out was looked for: an escape that replaces a control is followed, and kept.
+    """Follow and keep an escape that replaces the control.
 
-    Late and failed plans keep their status, and plans their rungs, although an escape counts on nobody.
+    Late and failed plans keep their status. The rungs remain those of the plan, although an escape counts on nobody.
     """
     xp, (now, kept, status) = escape.controls.__array_namespace__(), followed
     own = Rest(now.plan._replace(robot=escape.controls), len(escape.controls), now.rungs, kept.start)
@@ -123,7 +123,7 @@ def follow_escape(followed: Followed, escape: Escape) -> Followed:
 def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:
     """Return the control that brakes and aligns a car with the road, within the limits of plans.
 
-    It is finite in every finite state, even where friction, or the acceleration that stops the car, is not.
+    It is finite in every finite state, even if friction or the acceleration that stops the car is not finite.
     """
     xp = car.__array_namespace__()
     heading, speed = car[2], car[3]

@@ -1,4 +1,4 @@
-"""Drive humans by functions of the state instead of plans: users' own, and two that yield never or always."""
+"""Drive humans by functions of the state instead of plans: user-defined ones, and two that never or always yield."""
 
 from collections.abc import Callable
 from functools import partial
@@ -16,11 +16,11 @@ from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.controller import ControlStep
 from ms_highway.runtime.arrays import Control, SameArray, State
 
-YIELD_GAP = 8.0  # m between bumpers, that is made for the robot
-YIELD_BRAKING = 3.0  # m/s^2, of braking for it
+YIELD_GAP = 8.0  # m, between bumpers, made for the robot
+YIELD_BRAKING = 3.0  # m/s^2, for the robot
 MAX_BRAKING = 8.0  # m/s^2
-MIN_GAP = 0.5  # m, gap from which on braking grows no more
-YIELD_LANES = 1.5  # lanes to the side, up to which room is made
+MIN_GAP = 0.5  # m, below which braking grows no further
+YIELD_LANES = 1.5  # lanes to the side, within which a human makes room
 
 RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
 
@@ -33,7 +33,7 @@ class FunctionDriver:
 
     Args:
         game: of which car 0 is driven.
-        name: of the driver, in records.
+        name: in records.
         function: see `ms_highway.add_driver`.
     """
 
@@ -43,11 +43,8 @@ class FunctionDriver:
     def reset(self) -> None:
         """Nothing is remembered."""
 
-    def reset_partner(self) -> None:
-        """Nothing is remembered."""
-
-    def step(self, state: State, before: State | None = None) -> ControlStep:
-        """Return the control of the coming step; ``before`` is ignored.
+    def step(self, state: State) -> ControlStep:
+        """Return the control of the coming step.
 
         Raises:
             ValueError: if the function does not return two finite numbers.
@@ -64,9 +61,9 @@ class FunctionDriver:
 def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) -> Float[SameArray, "2"]:
     """Return the control, not scaled, of car 0, which yields to car 1, the robot, always or else never.
 
-    It keeps its velocity, and brakes in time for a slower car ahead in its lane. Who never yields takes no notice of
-    the robot. Who always does brakes for it as soon as its front has passed the own centre, in the own lane or beside
-    it, until there is room for it, unless somebody is between them.
+    It keeps its velocity, and brakes in time for a slower car ahead in its lane. If it never yields, it ignores the
+    robot. If it always yields, it brakes for a robot in its lane or the next one as soon as the robot's front has
+    passed its own centre, until there is room for the robot, unless another car is between them.
     """
     xp, scene, own, others = state.__array_namespace__(), game.scene, state[0], state[1:]
     length, width = xp.asarray(scene.car_size)[0], xp.asarray(scene.lane_width)
@@ -87,7 +84,7 @@ never_yields: DriverFunction = partial(unmoved_control, yields=False)
 always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
 HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yields, "always": always_yields}
-"""What drives humans who do not plan, by name: functions, and classes of highway-env vehicles."""
+"""Drivers of humans who do not plan, by name: functions, and classes of highway-env vehicles."""
 
 
 def function_names() -> list[str]:
@@ -96,10 +93,10 @@ def function_names() -> list[str]:
 
 
 def traceable(name: str, game: Game) -> DriverFunction:
-    """Return the function of a human driver, of which JAX can make a part of a simulation.
+    """Return the function of a human driver, if JAX can trace it as part of a simulation.
 
     Raises:
-        ValueError: if it is a class of vehicles, the keyboard, or a function that JAX cannot trace.
+        ValueError: if the driver is a class of vehicles, the keyboard, or a function that JAX cannot trace.
     """
     driver, remedy = HUMAN_DRIVERS.get(name), "give add_driver a pure function of jax.numpy, or use `compare`"
     if driver is None or isinstance(driver, type):

@@ -1,4 +1,4 @@
-"""Hold what a simulation takes and returns: the loop's common numbers, the episodes, and the records of their steps."""
+"""Hold what a simulation takes and returns: what its episodes share, the episodes, and the records of their steps."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -14,10 +14,10 @@ from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.runtime.arrays import Array
 
 DECIDES = -1
-"""In a schedule: the rule chooses the rung of this human in this step."""
+"""Entry of a schedule: the rule chooses the rung of this human in this step."""
 
 PLANS = 0
-"""Number of the driver of a human who plans for its reward; those of `Loop.drivers` have the next ones."""
+"""Number of a human's driver if it plans for its reward; the drivers in `Loop.drivers` have the next numbers."""
 
 
 @jax.tree_util.register_dataclass
@@ -26,16 +26,16 @@ class Loop:
     """What all episodes of a simulation share.
 
     Attributes:
-        game: what is played, with the humans' rewards as the robot believes them.
-        rule: chooses rungs of its ladder; its price, if any, is each episode's own.
-        others: models that schedules may use beside the ladder; their numbers follow those of its rungs (static).
+        game: that is played, with the humans' rewards as the robot believes them.
+        rule: chooses rungs of its ladder; every episode has its own price.
+        others: models that schedules may use beside the ladder; their numbers follow those of the rungs (static).
         way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out` (static).
         belief: whether the robot infers which model predicts every human, see `ms_highway.loop.driver` (static).
         drivers: of humans who do not plan, see `ms_highway.add_driver` (static).
-        chunk: number of episodes computed together (static); with several humans, episodes are computed one by one. A
-            human model is computed only for the chunks that use it: smaller chunks waste less computation, larger ones
-            use wide hardware better. The last digits of results depend on it, and chaotic episodes (Stay Back) amplify
-            them.
+        chunk: number of episodes computed together with one human (static); with several humans, episodes are computed
+            one by one. A chunk computes only the human models that it uses: smaller chunks waste less computation,
+            larger ones use wide hardware better. The last digits of results depend on it, and chaotic episodes (Stay
+            Back) amplify them.
     """
 
     game: Game
@@ -69,17 +69,17 @@ class Loop:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Episodes:
-    """What is each episode's own.
+    """What differs between episodes.
 
     Attributes:
         starts: all cars at the start: robot, humans, scripted cars.
         prices: lambda, where the rule decides.
         schedules: number of the model that predicts each human in each step, or `DECIDES`.
         robot_weights: of the robot's reward, in the order of its features.
-        human_weights: of the rewards that the humans drive by; with one human, the robot knows them.
+        human_weights: of the rewards that the humans drive for; with one human, the robot knows them.
         drivers: number of each human's driver, `PLANS` or one more than its place in `Loop.drivers`.
-        errors: of what the robot sees of the first cars before every step, and after the last one, where nobody looks;
-            None where it sees the truth.
+        errors: added to the states of the first cars that the robot sees before every step, and after the last one,
+            where they are not used; None for no errors.
     """
 
     starts: Float[Array, "episodes cars 4"]
@@ -99,8 +99,8 @@ class Records(NamedTuple):
 
     Attributes:
         rungs: number of the model that predicted each human in the plan that was followed, in `Loop.models`.
-        planned: the same in the step's own plan, which T is of; another one where that plan is not finite.
-        status: of the robot's control, an index of `ms_highway.loop.fallback.STATUSES`.
+        planned: the same in the step's own plan, whose T is counted; it is not followed where it is not finite.
+        status: of the robot's control, its place in `ms_highway.loop.fallback.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
         gains: of each rung for each human, estimated before the step, see `ms_highway.choice.rule.Decision`.

@@ -1,7 +1,7 @@
 """One step of a robot among humans, live or in a batch: look at the last step, choose models, plan, follow the plan.
 
-Pure functions over what the robot carries from step to step. The plan itself is `ms_highway.planning.several.plan_for`,
-what is followed of it `ms_highway.loop.fallback.follow`.
+Pure functions over what the robot carries from step to step. `ms_highway.planning.several.plan_for` makes the plan,
+`ms_highway.loop.fallback.follow` chooses what is followed.
 """
 
 from typing import NamedTuple
@@ -35,14 +35,14 @@ class Carry(NamedTuple):
 
 
 def begin(rule: Rule, game: Game, state: State) -> Carry:
-    """Return what a robot carries before its first step."""
+    """Return what a robot carries into its first step."""
     still = np.zeros((1 + game.number, game.planner.horizon, 2), np.float32)
     outcome = Outcome(state, state, still[0, 0], still[1:, 0], np.float32(0), Plan(still[0], still[1:]))
     return Carry(first_memory(rule, game.number), outcome, first_belief(game.number))
 
 
 def complete_outcome(game: Game, carry: Carry, now: State, infers: bool) -> Carry:
-    """Fill in what the last step led to: observed controls, the reward and, if it is inferred, the belief."""
+    """Complete the outcome of the last step: observed controls, the reward and, if wanted, the belief."""
     outcome, last = carry.outcome, 1 + game.number
     controls = recover_control(game.world, outcome.before[1:last], now[1:last]) / game.planner.control_scale
     outcome = outcome._replace(after=now, humans=controls, reward=reward(game.scene, game.robot, now))
@@ -54,13 +54,13 @@ def complete_outcome(game: Game, carry: Carry, now: State, infers: bool) -> Carr
 
 
 def responsive_rungs(ladder: tuple[HumanModel, ...], rungs: Rungs, belief: Belief, unresponsive: int | None) -> Rungs:
-    """Replace the rungs of unresponsive humans: a rung that counts on a response becomes ``unresponsive``.
+    """Predict unresponsive humans by the rung ``unresponsive`` instead of one that counts on a response.
 
     Args:
         ladder: human models.
         rungs: that were chosen.
         belief: see `Carry`.
-        unresponsive: that rung; None where everybody is counted on.
+        unresponsive: rung, or None to count on everybody's response.
     """
     if unresponsive is None:
         return rungs
@@ -74,9 +74,9 @@ def decide(
     """Choose the rungs of the coming step from the outcome of the last one, and return the belief with them.
 
     Args:
-        rule: chooses.
+        rule: that chooses.
         game: as the robot believes it.
-        carry: what is carried into the step.
+        carry: into the step.
         now: all cars.
         unresponsive: see `responsive_rungs`; None without a belief.
     """
@@ -87,7 +87,7 @@ def decide(
 
 
 def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, rest: Rest) -> bool:
-    """Return whether the coming plan goes on from the rest of the last one, as the planner or a rung wants it."""
+    """Return whether the coming plan starts from the rest of the last one, as the planner or a rung wants."""
     warm = np.array([model.warm for model in ladder])
     wanted = game.planner.persistent or bool(warm.all())
     if not wanted and warm.any():
@@ -96,13 +96,13 @@ def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, res
 
 
 def advance(carry: Carry, decision: Decision, followed: Followed, state: State) -> Carry:
-    """Return what is carried into the next step, whose outcome `complete_outcome` fills in.
+    """Return what is carried into the next step; there, `complete_outcome` completes the outcome of this one.
 
     Args:
         carry: into this step.
         decision: of this step.
-        followed: what drives in it.
-        state: all cars before it.
+        followed: what drives in this step.
+        state: all cars before this step.
     """
     driven = followed.now
     memory = decision.memory._replace(rungs=driven.rungs, step=carry.memory.step + 1)

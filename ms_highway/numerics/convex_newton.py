@@ -1,9 +1,9 @@
-"""Climb by Newton steps that are a continuous function of where they start, for plans of seconds.
+"""Climb by Newton steps whose result is a continuous function of the start, for plans of seconds.
 
-The curvature of the reward is made convex (`ms_highway.game.curvature`) and the trajectory counts as linear
-(Gauss-Newton), so that every factorisation succeeds and no damping is searched for. The share of a step is that at the
-top of the parabola with the slopes at both of its ends, which float32 resolves where the gain is lost in rounding.
-Nothing is chosen among candidates: plans from starts that differ little differ little.
+The curvature of the reward is made convex (`ms_highway.game.curvature`) and the trajectory is taken as linear
+(Gauss-Newton), so that every factorisation succeeds and no damping is searched for. The share of a step that is taken
+is at the top of the parabola with the slopes at both ends of the step: float32 resolves slopes where it loses the gain
+in rounding. Nothing is chosen among candidates, so that plans from similar starts are similar.
 """
 
 from collections.abc import Callable
@@ -21,11 +21,11 @@ from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, Tra
 Point = TypeVar("Point", bound=PyTree)
 
 STEPS, JOINT_STEPS = 8, 4
-"""Default limits on the number of steps of a plan, see `until_still`: alone, and where others respond to each step.
+"""Largest numbers of steps of a plan by default, see `until_still`: alone, and where others respond to each step.
 
 Steps to which others respond climb no single reward, and more of them are less steady. Measured in Dense Merge under
-theory of mind: starts 10 um apart are within 0.73 mm of each other two seconds later with four such steps, within
-2.0 mm with six and within 13 mm with eight (95 % of 100). Naive plans of eight steps: within 0.27 mm."""
+theory of mind, for 95 % of 100 starts that are 10 um apart: two seconds later, they are within 0.73 mm of each other
+with four such steps, 2.0 mm with six and 13 mm with eight. With naive plans of eight steps, they are within 0.27 mm."""
 
 EASE = 5.0
 """Usual ease of a planner, see `ms_highway.numerics.solvers.Planner`: braking by 4 m/s^2 costs 0.04 per step.
@@ -36,13 +36,13 @@ at 2, 6.63 and none at 5, 6.33 and 1 at 10."""
 DAMPING = 2.0
 """Reward per squared scaled control: a step is short where nothing else bends the reward.
 
-Measured in Dense Merge under theory of mind, with four steps and an earlier cost of room to stop: starts 10 um apart
-are within 1.1 mm of each other two seconds later with a damping of 1.5, within 1.5 mm with 1 (95 % of 100)."""
+Measured as above, with four steps and an earlier cost of room to stop: starts are within 1.1 mm of each other two
+seconds later with a damping of 1.5, and within 1.5 mm with 1."""
 
 MAX_STEP = 1.0  # norm of a step [scaled controls]: full braking for two seconds
 STEP_TOLERANCE = 1e-3  # norm of a step that is not worth taking [scaled controls]
-MIN_PART = 0.1  # of a step that is taken, up to which it is the last one
-MIN_SHARE = 0.05  # of a step
+MIN_PART = 0.1  # of a step: if no more is taken, it is the last one
+MIN_SHARE = 0.05  # of a step at least
 
 
 class Local(NamedTuple):
@@ -80,8 +80,9 @@ def expand(objective: Objective, controls: Controls, slope: Trajectory | None = 
         slope: of the reward in the trajectory, where it is known.
     """
     assert objective.curvature is not None
+    assert objective.jacobian is not None
     path = objective.path(controls)
-    slope, bends = objective.along(path) if slope is None else slope, -objective.curvature(path)
+    slope, bends = objective.slope(path) if slope is None else slope, -objective.curvature(path)
     gradient, hessian, jacobian = second_order_expansion(
         objective.path, controls, slope, bends, objective.cost, objective.jacobian(controls)
     )
@@ -90,15 +91,14 @@ def expand(objective: Objective, controls: Controls, slope: Trajectory | None = 
 
 
 def share(slope: Scalar, after: Scalar) -> Scalar:
-    """Return the share of a step at the top of the parabola that has its slopes at both of its ends.
+    """Return the share of a step at the top of the parabola that has the step's slopes at both ends.
 
-    With the slope g where the step begins and g' after the whole of it, ``g / (g - g')``, at least `MIN_SHARE` and at
-    most 1; 1 where it still climbs at its end. NaN where the first slope is not finite, so that the plan fails and says
-    so.
+    With the slopes g at the start and g' at the end, it is ``g / (g - g')``, at least `MIN_SHARE` and at most 1; it is
+    1 where the reward still rises at the end. NaN where g is not finite, so that the plan fails and says so.
 
     Args:
-        slope: of what is earned along the whole step, where it begins.
-        after: the same where it ends.
+        slope: derivative of the reward along the whole step, at its start.
+        after: the same at its end.
     """
     climbs = jnp.maximum(slope, 0.0)
     top = jnp.where(after < 0, climbs / (climbs - jnp.minimum(after, -1e-9)), 1.0)
@@ -109,7 +109,8 @@ def share(slope: Scalar, after: Scalar) -> Scalar:
 def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
     """Return controls after a step, projected on the limits.
 
-    A step is never shorter than `MIN_SHARE`: where that goes beyond a wall, controls may earn less for a step.
+    At least `MIN_SHARE` of a step is taken; where that leads beyond a wall of the reward, controls may earn less for a
+    step.
 
     Args:
         objective: to climb.
@@ -124,7 +125,7 @@ def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
 
 
 def convex_newton_steps(objective: Objective, start: Controls, steps: Index = STEPS) -> Controls:
-    """Improve controls by some steps at most, see `improve` and `until_still`."""
+    """Improve controls by a number of steps at most, see `improve` and `until_still`."""
     return until_still(
         lambda controls: improve(objective, controls, expand(objective, controls)),
         objective.bounded(start),
@@ -136,14 +137,14 @@ def convex_newton_steps(objective: Objective, start: Controls, steps: Index = ST
 def until_still(step: Callable[[Point], Point], start: Point, most: Index, moving: Callable[[Point], Any]) -> Point:
     """Repeat a step until it hardly moves anything.
 
-    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a shorter one not at all: where
-    another start needs one step more or less, it ends in nearly the same point.
+    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a shorter one not at all. So a
+    similar start that takes one step more or less ends in nearly the same point.
 
     Args:
         step: returns the next point.
         start: first point.
         most: number of steps at most.
-        moving: returns the controls of a point, by whose change steps are measured.
+        moving: returns the controls of a point; their change is the norm of a step.
     """
 
     def go(now: tuple[Point, Scalar, Index]) -> tuple[Point, Scalar, Index]:

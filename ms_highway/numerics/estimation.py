@@ -1,4 +1,4 @@
-"""Estimate parameters from data: where a loss is least, and how far the estimate may be off."""
+"""Estimate parameters from data: the minimum of a loss, and the covariance of the estimate."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ def minimum(loss: Callable[..., Any], first: Parameters, *arguments: Any, **opti
     """Return the parameters at which a loss is least, by L-BFGS.
 
     Args:
-        loss: of parameters and the arguments; returns its slope as well, in any precision.
+        loss: of parameters and the arguments; returns its value and its slope, in any precision.
         first: parameters to start from.
         arguments: of the loss.
         options: of `scipy.optimize.minimize`.

@@ -11,7 +11,7 @@ from ms_highway.numerics.second_derivatives import damped_inverse
 from ms_highway.runtime.arrays import Controls, Flag, Matrix
 
 STEPS = 16  # of a plan
-HESSIAN_EVERY = 8  # steps; in between, the last Hessian serves
+HESSIAN_EVERY = 8  # steps
 FLOOR = 12.0  # of the Hessian's eigenvalues; 1 / 12 is the longest step per unit of gradient
 SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 8, 0], dtype=np.float32)  # of a Newton step that its line search tries
 
@@ -51,17 +51,17 @@ def newton_steps(objective: Objective, start: Controls) -> Controls:
 
 
 Search: TypeAlias = tuple[int, Controls, Optimum]
-"""Number of steps taken, the controls to look at next, and what was found at the last ones."""
+"""Number of steps taken, the controls to expand at next, and the gradient and Hessian at the last controls."""
 
 
 def find_optimum(objective: Objective, start: Controls, floor: float) -> Optimum:
     """Find the local optimum that is uphill from the start.
 
-    Takes Newton steps with a Hessian of their own each, until no component of the gradient exceeds 1e-3, or no step
-    earns more, or 50 steps are taken. Where float32 cannot tell which controls earn more, takes whole steps.
+    Takes Newton steps, each with its own Hessian, until no component of the gradient exceeds 1e-3, no step earns more,
+    or 50 steps are taken. Where float32 cannot tell which controls earn more, it takes whole steps.
 
     Args:
-        objective: to maximise; no step of a path may look at another.
+        objective: to maximise; the reward of each step of a path must not depend on other steps.
         start: the first controls, scaled.
         floor: the Hessian's eigenvalues l become ``-max(|l|, floor)``.
     """

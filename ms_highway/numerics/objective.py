@@ -19,47 +19,37 @@ class Objective(NamedTuple):
         reward: of a trajectory, a sum over its steps.
         cost: of the controls themselves, a sum over them.
         bounded: projects controls on their limits.
-        slope: derivative of the reward in a trajectory; by default, JAX finds it.
-        curvature: a convex form of how the reward bends at each step of a trajectory, for
+        slope: derivative of the reward in a trajectory.
+        curvature: a convex form of minus the reward's second derivatives at each step of a trajectory, for
             `ms_highway.numerics.convex_newton`.
-        path_jacobian: derivative of the path in the ravelled controls, for steps of the same; by default, JAX finds it.
+        jacobian: derivative of the path in the ravelled controls, for the same.
     """
 
     path: Callable[[Controls], Trajectory]
     reward: Callable[[Trajectory], Scalar]
     cost: Callable[[Controls], Scalar]
     bounded: Callable[[ManyControls], ManyControls]
-    slope: Callable[[Trajectory], Trajectory] | None = None
+    slope: Callable[[Trajectory], Trajectory]
     curvature: Callable[[Trajectory], Float[Any, "fields fields steps"]] | None = None
-    path_jacobian: Callable[[Controls], Float[Any, "fields steps controls"]] | None = None
+    jacobian: Callable[[Controls], Float[Any, "fields steps controls"]] | None = None
 
     def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:
-        """Return what controls earn on their path, which is computed where it is not known."""
+        """Return what controls earn on their path; the path is computed unless it is given."""
         return self.reward(self.path(controls) if path is None else path) - self.cost(controls)
-
-    def along(self, path: Trajectory) -> Trajectory:
-        """Return the derivative of the reward in a trajectory."""
-        return jax.grad(self.reward)(path) if self.slope is None else self.slope(path)
-
-    def jacobian(self, controls: Controls) -> Float[Any, "fields steps controls"]:
-        """Return the derivative of the path in the ravelled controls."""
-        if self.path_jacobian is not None:
-            return self.path_jacobian(controls)
-        return jax.jacfwd(lambda point: self.path(point.reshape(-1, 2)))(controls.ravel())
 
     def gradient(self, controls: Controls) -> Controls:
         """Return the derivative of `earned`."""
         path, pull_back = jax.vjp(self.path, controls)
-        return pull_back(self.along(path))[0] - jax.grad(self.cost)(controls)
+        return pull_back(self.slope(path))[0] - jax.grad(self.cost)(controls)
 
     def gain(self, controls: Controls, step: Controls) -> Scalar:
         """Return the derivative of `earned` along a step that ends at these controls."""
         path, moved = jax.jvp(self.path, (controls,), (step,))
-        return jnp.sum(self.along(path) * moved) - jnp.sum(jax.grad(self.cost)(controls) * step)
+        return jnp.sum(self.slope(path) * moved) - jnp.sum(jax.grad(self.cost)(controls) * step)
 
     def expand(self, controls: Controls) -> Expansion:
         """Return the expansion of `earned` to second order."""
-        return second_order_expansion(self.path, controls, *along_fields(self.along, self.path(controls)), self.cost)
+        return second_order_expansion(self.path, controls, *along_fields(self.slope, self.path(controls)), self.cost)
 
     def search_line(
         self, controls: Controls, step: Controls, shares: Float[Any, "shares"]
@@ -70,7 +60,7 @@ class Objective(NamedTuple):
 
 
 def best_of(candidates: Numbers, earned: Float[Any, "candidates"]) -> Numbers:
-    """Return the candidate that earns most of those that earn something finite; NaN where none does."""
+    """Return the candidate that earns most among those with a finite reward; NaN where there is none."""
     known = jnp.isfinite(earned)
     best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
     return jnp.where(known.any(), best, jnp.nan)

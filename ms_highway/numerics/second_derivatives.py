@@ -49,7 +49,7 @@ def second_order_expansion(
         slope: g of all steps.
         bends: Q of all steps.
         cost: of the controls themselves, a sum over them; None for none.
-        jacobian: J; where it is given, the trajectory counts as linear (Gauss-Newton), ``d2s_k / du2 = 0``.
+        jacobian: J; if it is given, the trajectory is taken as linear (Gauss-Newton), ``d2s_k / du2 = 0``.
     """
 
     def ravelled(controls: Vector) -> Trajectory:
@@ -71,9 +71,9 @@ def second_order_expansion(
 
 
 def along_fields(function: Callable[[Trajectory], Numbers], steps: Trajectory) -> tuple[Numbers, Numbers]:
-    """Return what depends at each step only on the fields there, and its derivatives in each of them [fields, *value].
+    """Return a function of trajectories and its derivatives in each field [fields, *value].
 
-    One direction per field serves all steps at once.
+    The value at each step may depend only on the fields at this step, so that one direction per field serves all steps.
     """
     each = jnp.eye(len(steps)).reshape(len(steps), len(steps), *[1] * (steps.ndim - 1))
     directions = jnp.broadcast_to(each, (len(steps), *steps.shape))
@@ -86,9 +86,9 @@ def response(
 ) -> Float[jax.Array, "n *columns"]:
     """Compute ``-H^-1 vector``: how the optimum of a reward with Hessian H moves if its gradient changes by ``vector``.
 
-    * ``exact`` takes H as it is, like the paper and its released code. Before convergence H may be indefinite or
-      singular, and the response arbitrary or not finite.
-    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, which makes every response an ascent and bounds it.
+    * ``exact`` takes H as it is, like the paper and its released code. Before convergence, H may be indefinite or
+      singular; the response is then arbitrary or not finite.
+    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, so that every response ascends and is bounded.
     """
     if influence == "damped":
         return damped_inverse(hessian, 1.0) @ vector
@@ -105,7 +105,7 @@ def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
 def floored(symmetric: Float[jax.Array, "d d"], floor: Scalar) -> Float[jax.Array, "d d"]:
     """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
 
-    Its derivative is exact also at equal eigenvalues, where those of the eigenvectors are not finite: with divided
+    Its derivative is exact even at equal eigenvalues, where derivatives of eigenvectors are not finite: with divided
     differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
     """
     values, vectors = jnp.linalg.eigh(symmetric)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import jax
 from jax import numpy as jnp
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS, Point, convex_newton_steps
 from ms_highway.numerics.newton import newton_steps
 from ms_highway.numerics.objective import Objective
-from ms_highway.runtime.arrays import Control, Controls, Scalar
+from ms_highway.runtime.arrays import Control, Controls, Index, Scalar
 
 Solver: TypeAlias = Literal["gradient", "newton", "convex_newton"]
 
@@ -32,14 +32,14 @@ class Planner:
         iterations: number of gradient steps (static).
         newton_steps: number of steps of the solver for seconds at most (static).
         joint_steps: the same where humans respond to each of them (static).
-        ease: what plans pay, beside their reward, per squared scaled control that does not keep the velocity, so that
+        ease: cost of plans, beside their reward, per squared scaled control that does not keep the velocity, so that
             they do not follow every bump of the reward at once; less for steering at low speed, see
             `ms_highway.game.game.discomfort`.
         solver: ``gradient``, the paper's, ``newton`` or ``convex_newton``, see `optimize_controls` (static).
-        smooth: whether plans climb a reward whose jumps are smooth, keep room to stop before obstacles, and start,
-            without a last plan, from constant velocity instead of the paper's zero controls (static).
-        persistent: whether plans start from the rest of the last one or, under a smooth reward, from a simple manoeuvre
-            where that earns more (static).
+        smooth: whether plans climb a reward without jumps, keep room to stop before obstacles and, without a last plan,
+            start from constant velocity instead of the paper's zero controls (static).
+        persistent: whether plans start from the rest of the last plan or, under a smooth reward, from a simple
+            manoeuvre that earns more (static).
     """
 
     control_scale: Control
@@ -57,12 +57,10 @@ class Planner:
 
     @property
     def steps(self) -> tuple[int, int]:
-        """Numbers of steps of a plan at most: where no human responds to it, and where some do."""
-        return (
-            (self.newton_steps, self.joint_steps)
-            if self.solver == "convex_newton"
-            else (self.iterations, self.iterations)
-        )
+        """Largest numbers of steps of a plan: where no human responds to it, and where some human does."""
+        if self.solver == "convex_newton":
+            return self.newton_steps, self.joint_steps
+        return self.iterations, self.iterations
 
 
 def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
@@ -76,16 +74,16 @@ def projected_ascent(
     direction: Callable[[Point], Point],
     start: Point,
     bounded: Callable[[Point], Point],
-    steps: Any = None,
+    steps: Index,
 ) -> Point:
     """Improve controls by projected steps, ``z <- bounded(z + step_size * direction(z))``.
 
     Args:
-        planner: step size and number of steps.
+        planner: with the step size.
         direction: of ascent at given controls; the gradient of the objective for gradient ascent.
         start: first controls, an array [..., 2] or a pytree of them, scaled.
         bounded: projects scaled controls on their limits.
-        steps: their number, the planner's ``iterations`` by default.
+        steps: their number.
 
     Returns:
         The improved controls, like ``start``, within the limits.
@@ -95,7 +93,7 @@ def projected_ascent(
         slopes = direction(controls)
         return bounded(jax.tree.map(lambda u, slope: u + planner.step_size * slope, controls, slopes))
 
-    return jax.lax.fori_loop(0, planner.iterations if steps is None else steps, improve, start)
+    return jax.lax.fori_loop(0, steps, improve, start)
 
 
 def optimize_controls(planner: Planner, objective: Objective, start: Controls) -> Controls:
@@ -103,14 +101,14 @@ def optimize_controls(planner: Planner, objective: Objective, start: Controls) -
 
     * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
     * ``newton``: 16 steps along ``sum_i v_i v_i^T g / max(|l_i|, 12)``, with the eigenpairs (l_i, v_i) of the Hessian,
-      computed every 8 steps. Such a step ascends also where the reward is not concave (the saddle-free Newton step of
+      computed every 8 steps. Such a step ascends even where the reward is not concave (the saddle-free Newton step of
       Dauphin et al. 2014). The line search takes the best of the step, its halves and no step, projected on the limits.
       Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
-    * ``convex_newton``: for horizons of seconds, a few steps of continuous length up a smooth reward, so that plans are
-      a steady function of what is seen, see `ms_highway.numerics.convex_newton`.
+    * ``convex_newton``: for horizons of seconds, a few steps of continuous length up a smooth reward. Plans then change
+      steadily with what is seen, see `ms_highway.numerics.convex_newton`.
     """
     if planner.solver == "gradient":
-        return projected_ascent(planner, objective.gradient, start, objective.bounded)
+        return projected_ascent(planner, objective.gradient, start, objective.bounded, planner.iterations)
     if planner.solver == "newton":
         return newton_steps(objective, start)
     return convex_newton_steps(objective, start, planner.newton_steps)

@@ -7,7 +7,7 @@ from jax import numpy as jnp
 
 from ms_highway.runtime.arrays import Flag, Index, Matrix, Scalar, Vector
 
-HALVINGS = 60  # of the shift's bracket at most: more than float32 resolves
+HALVINGS = 60  # of the shift's bracket at most, beyond what float32 resolves
 
 Bracket: TypeAlias = tuple[Scalar, Scalar, Index]
 """Bounds of the shift, and the number of halvings."""

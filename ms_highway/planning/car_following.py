@@ -6,20 +6,20 @@ from ms_highway.geometry.curve import namespace
 from ms_highway.runtime.arrays import Numbers
 
 FREE_GAP = 1e3
-"""Distance to a car ahead that is not there [m]."""
+"""Distance to the car ahead if there is none [m]."""
 
 MAX_ACCELERATION, COMFORTABLE_BRAKING = 3.0, 5.0  # m/s^2, highway-env's
 HEADWAY, STANDSTILL = 1.5, 10.0  # s, and m between centres, highway-env's
-MAX_BRAKING = 6.0  # m/s^2, of braking
+MAX_BRAKING = 6.0  # m/s^2
 
 
 def lowest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the lowest of values in the last axis of those that count, `FREE_GAP` where none does."""
+    """Return the lowest of the values that count in the last axis, `FREE_GAP` where none counts."""
     return jnp.where(where, values, FREE_GAP).min(axis=-1)
 
 
 def highest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the highest of values in the last axis of those that count, minus `FREE_GAP` where none does."""
+    """Return the highest of the values that count in the last axis, minus `FREE_GAP` where none counts."""
     return jnp.where(where, values, -FREE_GAP).max(axis=-1)
 
 
@@ -35,16 +35,16 @@ def idm_acceleration(
 ) -> Numbers:
     """Return the acceleration of a follower, by default with highway-env's parameters; arrays of NumPy or JAX.
 
-    The part of the desired gap that depends on speeds is at least 0, as in the paper; highway-env squares it where the
-    follower is slower and it is negative.
+    The part of the desired gap that depends on speeds is at least 0, as in the paper; in highway-env it may be negative
+    behind a faster car.
 
     Args:
         speed: of the follower [m/s].
         wanted: its desired speed [m/s].
-        gap: to the car ahead [m], `FREE_GAP` without one. It is that of centres in highway-env.
+        gap: to the car ahead [m], between centres in highway-env; `FREE_GAP` without one.
         ahead: speed of that car [m/s].
         headway: desired time gap [s].
-        standstill: desired gap of standing cars, between bumpers or centres as the gap is [m].
+        standstill: desired gap between standing cars, measured like the gap [m].
         strongest: acceleration from standstill on a free road [m/s^2].
         braking: comfortable deceleration [m/s^2].
     """

@@ -18,13 +18,15 @@ from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single
 from ms_highway.runtime.forks import refuse_after_fork
 from ms_highway.runtime.timing import timed, warm_up
 
+REPEATS = 20  # of timed plans and decisions
+
 
 class Costs(NamedTuple):
     """Planning time, additive in the humans: ``T = base + sum_i each[rung_i]`` [s].
 
     Attributes:
-        base: of a plan in which every human is predicted by the first rung; 0 with one human.
-        each: what a human adds under each rung; with one human, T(M) of the whole plan.
+        base: of a plan in which the first rung predicts every human; 0 with one human.
+        each: time that a human adds under each rung; with one human, T(M) of the whole plan.
     """
 
     base: Scalar
@@ -32,7 +34,7 @@ class Costs(NamedTuple):
 
     @classmethod
     def of(cls, seconds: Sequence[float], humans: int) -> "Costs":
-        """Return the costs that follow from plans in which one human is on each rung, and the others on the first."""
+        """Return the costs from the seconds of plans with one human on each rung and all others on the first."""
         base = float(seconds[0]) if humans > 1 else 0.0
         return cls(base, np.asarray(seconds) - base)
 
@@ -58,7 +60,7 @@ class CompiledPlans:
         self._continues = may_continue(self.ladder, game)
 
     def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Plan, float]:
-        """Return the scaled plan in a `checked_state`, in NumPy arrays, and the seconds that it took.
+        """Return the scaled plan in a `checked_state`, as NumPy arrays, and the seconds that it took.
 
         Args:
             state: all cars now.
@@ -79,7 +81,7 @@ class CompiledPlans:
         return plan_function(models).of(*arguments), *arguments
 
     def warm_up(self, state: State, way_out: bool = False) -> float:
-        """Compile and run the plans, and the look for a way out, that have not run before; return the seconds spent."""
+        """Compile and run what has not run before: plans and, if wanted, the way out; return the seconds spent."""
         warn_of_limits(self.ladder, self.game, state)
         several = self.game.number > 1
         assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
@@ -87,7 +89,7 @@ class CompiledPlans:
         return seconds + (warm_up(escape, self._placed.take(), state, np.zeros(2, np.float32)) if way_out else 0.0)
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
-        """Return what `ms_highway.planning.way_out.keep_way_out` does, and the seconds that it took."""
+        """Return the result of `ms_highway.planning.way_out.keep_way_out`, and the seconds that it took."""
         found, seconds = timed(escape, self._placed.take(), state, np.asarray(control, np.float32))
         return Escape(*map(np.asarray, found)), seconds
 
@@ -102,7 +104,7 @@ def plan_function(models: tuple[HumanModel, ...]) -> Compiled:
 
 
 def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
-    """Plan in one situation: the robot's controls [steps, 2], and those of the humans that it counts on.
+    """Plan in one situation: return the robot's controls [steps, 2], and the controls that it expects of the humans.
 
     Controls are curvatures [1/m] and accelerations before friction [m/s^2]: with the paper's friction, 4 m/s^2 keep
     20 m/s. Compiled once for all games of the same shapes.
@@ -110,10 +112,10 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
     Args:
         game: what is played, see `ms_highway.game.scenario`.
         state: x, y [m], heading [rad], speed [m/s] of all cars: the robot, the humans, then scripted cars.
-        model: the human model of all humans, or its name.
+        model: human model of all humans, or its name.
 
     Raises:
-        TypeError: if the game is none.
+        TypeError: if the game is no `Game`.
         ValueError: for an unknown model, or a state that is not a finite array [cars, 4] of the game's cars or more.
     """
     if not isinstance(game, Game):
@@ -129,7 +131,7 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 
 
 def checked_state(state: State) -> State:
-    """Copy a state in single precision, which is faster than a conversion by JAX.
+    """Convert a state to single precision, by NumPy, which is faster than JAX.
 
     Raises:
         ValueError: if it is not a finite array [cars, 4] of two cars or more, in that precision.
@@ -147,23 +149,15 @@ def checked_state(state: State) -> State:
     return single
 
 
-def measure_costs(
-    game: Game,
-    ladder: Sequence[HumanModel],
-    state: State,
-    repeats: int = 20,
-    quantile: float = 0.5,
-    way_out: bool = False,
-) -> Costs:
+def measure_costs(game: Game, ladder: Sequence[HumanModel], state: State, quantile: float, way_out: bool) -> Costs:
     """Measure T on this machine, by warm plans in this state with all humans on the same rung.
 
     Args:
         game: that is played.
         ladder: human models.
         state: all cars.
-        repeats: number of plans that are timed on each rung.
-        quantile: of their seconds: the median by default; close to 1 for budgets.
-        way_out: whether the check of the way out counts, too.
+        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for budgets.
+        way_out: whether the time includes the check of the way out.
 
     Raises:
         ValueError: if the state is not a finite array [cars, 4] of two cars or more.
@@ -176,6 +170,6 @@ def measure_costs(
         plan, seconds = plans.plan(now, [rung] * game.number)
         return seconds + (plans.keep_way_out(now, plan.robot[0])[1] if way_out else 0.0)
 
-    whole = np.quantile([[once(rung) for _ in range(repeats)] for rung in range(len(ladder))], quantile, axis=1)
+    whole = np.quantile([[once(rung) for _ in range(REPEATS)] for rung in range(len(ladder))], quantile, axis=1)
     base = float(whole[0]) if game.number > 1 else 0.0
     return Costs(base, np.maximum(whole - base, 0.0) / game.number)

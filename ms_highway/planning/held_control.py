@@ -1,9 +1,9 @@
-"""Plan in closed form how a driver drives in traffic: the best control that is held over the horizon.
+"""Compute in closed form how a driver drives in traffic: the best control that is held over the horizon.
 
 The reward's features of traffic, of the lane and of comfort are quadratic in a held acceleration and a held curvature,
-if a leader keeps its speed, headings are small, and the attention to the leader stays what it is. So the best control
-of a window is a quotient of two sums over its steps. It leaves out what matters little while driving in a lane: the
-risk of collisions, the braking of followers and the edges of the road.
+if a leader keeps its speed, headings are small, and the attention to the leader is constant. So the best control is a
+quotient of two sums over the steps. The risk of collisions, the braking of followers and the edges of the road are left
+out, as they matter little while driving in a lane.
 """
 
 from collections.abc import Mapping
@@ -22,12 +22,12 @@ Cars = Float[Any, "*cars"]
 
 UNIT = PAPER_UNIT  # m
 TURN_SCALE = 1 / SPEED_LIMIT  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
-MAX_BRAKING, MAX_ACCELERATION, MAX_CURVATURE = 8.0, 4.0, 0.02  # m/s^2 of braking and accelerating, 1/m
-TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps that a control is held for
+MAX_BRAKING, MAX_ACCELERATION, MAX_CURVATURE = 8.0, 4.0, 0.02  # m/s^2, m/s^2, 1/m
+TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps over which a control is held
 
 
 def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: Cars, leader: Leader) -> Cars:
-    """Return the acceleration [m/s^2] that, held for `TIMES`, earns most; -8 to 4.
+    """Return the best acceleration to hold over `TIMES`, from -8 to 4 m/s^2.
 
     With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a t_k^2 / 2`` it maximises, with the
     attention w to the leader and the desired speed s::
@@ -59,7 +59,7 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: C
 
 
 def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, speed: Cars) -> Cars:
-    """Return the curvature [1/m] that, held for `TIMES`, earns most; at most 0.02 to each side.
+    """Return the best curvature to hold over `TIMES`, at most 0.02 1/m to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
     t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2 - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort
@@ -67,7 +67,7 @@ def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, spee
 
     Args:
         weights: of the reward, by name.
-        offset: from the centre of the lane it wants, to the right [m].
+        offset: from the centre of the wanted lane, to the right [m].
         heading: relative to the lane [rad].
         speed: [m/s].
     """

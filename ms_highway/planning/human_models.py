@@ -1,11 +1,11 @@
 """Plan under each human model of the ladder: naive, IDM, turn and theory of mind.
 
 A `HumanModel` predicts one human, in the game of the robot with that human alone (`ms_highway.game.game.pair`);
-`ms_highway.planning.several` plans among several. Predictions are in SI units; plans, and what they start from, are
-scaled, see `ms_highway.game.game`.
+`ms_highway.planning.several` plans among several. Predictions are in SI units; plans and their starts are scaled, see
+`ms_highway.game.game`.
 
-A model has an effort: the number of its steps, and the plan that they start from. Names are ``tom@8``, theory of mind
-in 8 ascent steps, ``tom+warm``, from the rest of the last plan, and ``tom@8+warm``.
+A model has an effort: its number of steps, and the plan from which they start. ``tom@8`` is theory of mind in 8 ascent
+steps, ``tom+warm`` starts from the rest of the last plan, and ``tom@8+warm`` does both.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, bounded, pair, swap_players
-from ms_highway.game.planning_settings import STEP_SHARE, longest_traced_step
+from ms_highway.game.planning_settings import STEP_SHARE, longest_step
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.planning.car_following import FREE_GAP, idm_acceleration
 from ms_highway.planning.joint import Interaction, joint_ascent
@@ -36,17 +36,17 @@ STEP_SIZE = 0.1  # of a counted step; at the paper's horizon, some plans oversho
 class HumanModel:
     """A rung of the ladder, which predicts one human; hashable, as a plan is compiled once per model.
 
-    Steps that are counted are gradient steps, whatever the planner's solver and step size, and as long as is safe: 0.1,
-    or `ms_highway.game.planning_settings.STEP_SHARE` of the longest where that is shorter, as it is from K = 6 on at
-    0.1 s. What a plan earns depends on the length of all its steps together: 6 of them earn what the paper's 20 of 0.03
-    earn, and more of them earn more. Under the solver ``convex_newton``, its own steps are counted. Among several
-    humans, see `ms_highway.planning.several.most_steps`.
+    With a number of steps, a model takes gradient steps, whatever the planner's solver and step size. They are as long
+    as is safe: 0.1 or, if that is shorter, `ms_highway.game.planning_settings.STEP_SHARE` of the longest step, as from
+    K = 6 on at 0.1 s. The reward of a plan depends on the summed length of its steps: 6 of them earn as much as the
+    paper's 20 of 0.03, and more of them earn more. Under the solver ``convex_newton``, the number is of its steps.
+    Among several humans, see `ms_highway.planning.several.most_steps`.
 
     Attributes:
-        name: in configurations and reports, with the effort; of a class, without.
+        name: in configurations and reports, with the effort; that of the class is without.
         responds: whether the human responds to the robot's plan; among several humans, as under theory of mind.
-        steps: number of steps of each ascent; None for what the planner does.
-        warm: whether plans start from the rest of the last plan, by whichever model, rather than from a cold start.
+        steps: number of steps of each ascent; None for the planner's.
+        warm: whether plans start from the rest of the last plan, of any model, instead of a cold start.
     """
 
     name: ClassVar[str]
@@ -66,7 +66,7 @@ class HumanModel:
             return game
         if game.planner.solver == "convex_newton":
             return replace(game, planner=replace(game.planner, newton_steps=self.steps, joint_steps=self.steps))
-        longest = longest_traced_step(game.planner.horizon, game.dynamics.time_step)
+        longest = longest_step(game.planner.horizon, game.dynamics.time_step)
         length = jnp.minimum(STEP_SIZE, STEP_SHARE * longest)
         planner = replace(game.planner, iterations=self.steps, step_size=length, solver="gradient")
         return replace(game, planner=planner)
@@ -74,24 +74,25 @@ class HumanModel:
     def seconds(self, costs: Mapping[str, float], usual: int) -> float | None:
         """Return T(M) [s]; None where it does not follow from the costs.
 
-        It is what the costs say for the model's name, or else for its name without ``+warm``, as a start costs nothing;
-        or else it is proportional to the number of steps.
+        It is the cost of the model's name, or else of the name without ``+warm``, as a start costs nothing, or else it
+        is proportional to the number of steps.
 
         Args:
             costs: T(M) by name [s].
             usual: number of steps of the model without an effort.
         """
-        cold, base = costs.get(self.name.removesuffix("+warm")), costs.get(type(self).name)
-        if self.name in costs or cold is not None:
-            return costs.get(self.name, cold)
+        for name in (self.name, self.name.removesuffix("+warm")):
+            if name in costs:
+                return costs[name]
+        base = costs.get(type(self).name)
         return None if base is None or self.steps is None else base * self.steps / usual
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Predict the human's controls over the horizon, in SI units and traced by JAX.
 
         Under a control (omega, a), the speed v changes by ``v' = a - friction v`` and the heading by ``v omega``; so
-        `ms_highway.game.dynamics.keep_velocity` plus (0, -4) brakes by 4 m/s^2. What the limits of plans cut off is
-        cut off in the plan, too, and warned of if it is at the start of an episode.
+        `ms_highway.game.dynamics.keep_velocity` plus (0, -4) brakes by 4 m/s^2. Plans cut predictions to their limits,
+        with a warning if they do so at the start of an episode.
 
         Args:
             game: of the robot and this human; ``game.planner.horizon`` steps of ``game.dynamics.time_step`` seconds.
@@ -99,14 +100,14 @@ class HumanModel:
             start: scaled plan that the robot's starts from; None for a cold start.
 
         Returns:
-            Curvature omega [1/m] and acceleration a before friction [m/s^2] in each step, [horizon, 2].
+            Curvature omega [1/m] and acceleration a before friction [m/s^2] of each step, [horizon, 2].
         """
         raise NotImplementedError
 
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Plan against this model of the human, improving ``start``, by default `ms_highway.planning.plans.cold_start`.
 
-        Whoever executes the plan limits it, see `ms_highway.planning.several.plan_for`.
+        The plan need not keep to the limits, see `ms_highway.planning.several.plan_for`.
         """
         raise NotImplementedError
 
@@ -134,9 +135,9 @@ class Naive(PredictedHuman):
 
 @dataclass(frozen=True)
 class IntelligentDriver(PredictedHuman):
-    """The human follows the car ahead in its lane by the Intelligent Driver Model, at most at the speed limit.
+    """The human follows the car ahead in its lane, such as the robot, by the Intelligent Driver Model.
 
-    It follows the robot, too, where that is ahead of it; all others keep their velocity.
+    Its desired speed is the speed limit. All others keep their velocity.
     """
 
     name: ClassVar[str] = "idm"
@@ -179,7 +180,7 @@ class Turn(PredictedHuman):
 class TheoryOfMind(HumanModel):
     """The human responds optimally to the robot's plan, and the robot anticipates it, see `ms_highway.planning.joint`.
 
-    Under the planner's solvers ``gradient`` and ``newton``, plans take gradient steps: a joint ascent has no single
+    Under the planner's solvers ``gradient`` and ``newton``, plans take gradient steps, as a joint ascent has no single
     objective for a line search.
     """
 
@@ -200,32 +201,33 @@ PACKAGE_TYPES = (Naive, IntelligentDriver, Turn, TheoryOfMind)
 
 
 def is_of_package(model: HumanModel) -> bool:
-    """Return whether a model is the package's own, whose controls keep to the limits of plans by themselves."""
+    """Return whether a model is the package's own; the controls of these keep to the limits of plans by themselves."""
     return type(model) in PACKAGE_TYPES
 
 
 def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan | None = None) -> Controls:
-    """Return a model's prediction, scaled, as plans take it: a registered model's within the limits of plans.
+    """Return a model's prediction, scaled; a registered model's is cut to the limits of plans.
 
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
     """
-    return _scaled_within_limits(model, game, state[1], model.predict(game, state, start))
-
-
-def _scaled_within_limits(model: HumanModel, game: Game, human: Car, controls: Controls) -> Controls:
-    """Scale predicted controls of a human; limit those of a registered model, see `scaled_prediction`."""
+    controls = model.predict(game, state, start)
     if is_of_package(model):
         return controls / game.planner.control_scale
-    scaled = _checked(model, game, controls) / game.planner.control_scale
+    return _scaled_within_limits(game, state[1], _checked(model, game, controls))
+
+
+def _scaled_within_limits(game: Game, human: Car, controls: Controls) -> Controls:
+    """Scale predicted controls of a human, and cut finite ones to the limits of plans."""
+    scaled = controls / game.planner.control_scale
     return jnp.where(jnp.isfinite(scaled), bounded(game, human, scaled), scaled)
 
 
 def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
-    """Return what a registered model predicts, [horizon, 2] numbers, as an array.
+    """Return the prediction of a registered model as an array [horizon, 2].
 
     Raises:
-        ValueError: naming model, value and remedy, for anything else.
+        ValueError: if it is anything else.
     """
     wanted, found = (game.planner.horizon, 2), repr(controls)
     with suppress(TypeError, ValueError):
@@ -238,13 +240,13 @@ def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
 
 
 def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> None:
-    """Warn of registered models whose prediction of the first human, at a start, is cut by limits or not finite."""
+    """Warn of registered models whose prediction of the first human is cut by limits, or not finite, in a start."""
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue
         own, cars = pair(model.within(game), jnp.asarray(state), 0)
         predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
-        kept = np.asarray(_scaled_within_limits(model, own, cars[1], predicted) * game.planner.control_scale)
+        kept = np.asarray(_scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale)
         finite = np.isfinite(predicted)
         cut = np.argwhere(~finite | (np.abs(predicted - kept) > 1e-3 * np.abs(predicted)))
         if len(cut):

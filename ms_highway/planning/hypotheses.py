@@ -1,6 +1,6 @@
-"""Predict what every human does next if one model or another is true of it.
+"""Predict the next control of every human under each of `ms_highway.planning.ladders.PACKAGE_MODELS`.
 
-The models are `ms_highway.planning.ladders.PACKAGE_MODELS`, on which `ms_highway.choice.belief` decides.
+`ms_highway.choice.belief` compares these with what humans do.
 """
 
 from dataclasses import replace
@@ -11,34 +11,33 @@ from jaxtyping import Float
 
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game, constant_velocity, each_human, pair, swap_players
-from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_traced_step
+from ms_highway.game.planning_settings import PlanningSettings, gradient_steps, longest_step
 from ms_highway.planning.human_models import following_control
 from ms_highway.planning.plans import Plan, plan_against
 from ms_highway.runtime.arrays import Control, Controls, Index, State
 
-LOOKAHEAD = 8  # steps of answers at most, only the first of which counts
+LOOKAHEAD = 8  # steps of humans' plans at most; only the first one counts
 
 
 def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "humans models 2"]:
     """Return the next control of every human under each model, unscaled.
 
     * naive keeps the velocity.
-    * idm keeps its heading and follows the car ahead in its lane, the robot too where it is there, with the speed limit
-      as its desired speed.
-    * turn answers a robot that keeps its velocity, and tom one that follows its plan, with the best plan for its own
-      reward, as the robot believes it, among others who keep their velocity. Humans plan by gradient steps, over
-      `LOOKAHEAD` steps at most: in Dense Merge this comes closer to how they drive than shorter plans by Newton steps.
+    * idm keeps the heading and follows the car ahead in its lane, such as the robot; its desired speed is the limit.
+    * turn and tom plan for the human's reward, as the robot believes it. Under turn, the robot keeps its velocity,
+      under tom, it follows its plan. All others keep their velocity. Humans plan by gradient steps over `LOOKAHEAD`
+      steps at most: in Dense Merge this is closer to how they drive than shorter plans by Newton steps.
 
     Args:
         game: with the humans' rewards as the robot believes them.
         state: all cars.
-        robot: scaled controls that the robot follows from there on.
+        robot: scaled controls that the robot follows from this state on.
     """
     planner = replace(game.planner, solver="gradient")
     shortened = planner.horizon > LOOKAHEAD
     if shortened:
         iterations, usual = gradient_steps(PlanningSettings(LOOKAHEAD))
-        length = jnp.minimum(usual, longest_traced_step(LOOKAHEAD, game.dynamics.time_step))
+        length = jnp.minimum(usual, longest_step(LOOKAHEAD, game.dynamics.time_step))
         planner = replace(planner, horizon=LOOKAHEAD, iterations=iterations, step_size=length)
     game = replace(game, planner=planner)
 

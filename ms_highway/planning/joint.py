@@ -2,9 +2,9 @@
 
 A human under theory of mind responds to the robot's plan; all others drive as predicted. So the derivative of the
 humans' controls in the robot's is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``. The robot climbs along
-``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each human along ``dR_i/du_i``. J is never formed (adjoint method): one linear
-response of the human to ``dR_R/du_i``, and the derivatives of its reward in both trajectories, give
-``J_i^T dR_R/du_i``.
+``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each human along ``dR_i/du_i``. J is never formed (adjoint method):
+``J_i^T dR_R/du_i`` follows from one linear response of the human to ``dR_R/du_i`` and from the derivatives of its
+reward in both trajectories.
 """
 
 from collections.abc import Callable
@@ -68,7 +68,7 @@ class Interaction(NamedTuple):
         return jax.lax.fori_loop(0, self.responding, lambda place, carry: function(order[place], carry), carry)
 
     def around(self, human: Index, robot: Trajectory, others: Trajectories) -> Trajectories:
-        """Return the trajectories around a human, the robot's first, from those around the robot."""
+        """Return the trajectories of all others from a human's side, the robot's first, from those around the robot."""
         if self.game.number == 1:
             return jnp.concatenate([robot[None], others[1:]])
         return jnp.concatenate([robot[None], others[jnp.asarray(others_of(len(others)))[human]]])
@@ -78,14 +78,14 @@ def joint_ascent(interaction: Interaction, start: Plan, steps: tuple[Index, Inde
     """Improve the robot's controls and those of the humans who respond.
 
     * The planner's solver ``gradient`` (and ``newton``): the paper's joint gradient steps.
-    * ``convex_newton`` holds over horizons of seconds: the robot takes the steps of
-      `ms_highway.numerics.convex_newton` on its own reward, with the gradient above; their share looks at what the
-      robot earns once the humans have responded, by their linear response ``J_i du_R`` and a step of their own.
+    * ``convex_newton``, for horizons of seconds: the robot takes the steps of `ms_highway.numerics.convex_newton` on
+      its own reward, with the gradient above. The share of a step depends on the robot's reward once the humans have
+      responded, by their linear response ``J_i du_R`` and a step of their own.
 
     Args:
-        interaction: the situation, and who responds.
+        interaction: the situation, and the humans who respond.
         start: scaled plan; humans who do not respond keep to it.
-        steps: their number at most where nobody responds, and where somebody does; the planner's by default.
+        steps: their largest numbers, if nobody responds and if a human does; the planner's by default.
     """
     game, state = interaction.game, interaction.state
     limit = partial(within_limits, game, state)
@@ -124,12 +124,12 @@ def _direction(interaction: Interaction, plan: Plan) -> Plan:
 
 
 def _mixed(moved: Trajectory, bends: Bends) -> Trajectory:
-    """Return how the slope in one trajectory changes if the other one moves, from mixed second derivatives."""
+    """Return how the slope in one trajectory changes if another one moves, by mixed second derivatives."""
     return jnp.sum(bends * moved[:, None], axis=0)
 
 
 class _Responses(NamedTuple):
-    """What the loop over the humans who respond collects."""
+    """What the loop over the responding humans collects."""
 
     slope: Vector  # of the robot's reward in its controls, through the humans
     local: Local  # around the controls of each human
@@ -192,8 +192,11 @@ def _newton_step(interaction: Interaction, plan: Plan, others: Trajectories) -> 
 def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
     """Return the second derivatives of a human's reward in its trajectory, then in the robot's.
 
-    The package's features add up over the other cars, so that these are left out; users' own need not.
+    The package's features are sums over the other cars, so that all but the robot are left out; user-defined features
+    need not be such sums.
     """
     if not game.robot.own:
-        game, others = replace(game, scene=game.scene.of_pair()), others[:1]
+        leader = 1 if game.scene.leader == 1 else None
+        scene = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=leader)
+        game, others = replace(game, scene=scene), others[:1]
     return game.payoff.second_order(own, others).partner

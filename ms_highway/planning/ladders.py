@@ -20,17 +20,17 @@ BEST = "best"
 BEST_LADDER = ("naive@4+warm", "tom@6+warm", "tom@12+warm")
 """Ladder of the rungs that earn most for their time.
 
-Reward per step of each rung alone in Merger and Give Way, measured with 30 starts, the learned human and paper
-semantics: 4.67 and -0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52 and 5.77 at 60 %; tom earns 6.25 and 5.02,
-turn 1.51 and 0.09 at 46 %, naive 1.50 and 0.03 at 24 %. In Stay Back, where outcomes are chaotic, the upper two are not
-worth their time: 0.98, 0.14 and -2.99, where naive earns 0.60, turn 1.50, tom 1.65, and naive@10 most, 1.90.
+Reward per step in Merger and Give Way, each rung alone, with 30 starts, the learned human and paper semantics: 4.67 and
+-0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52 and 5.77 at 60 %. Tom earns 6.25 and 5.02, turn 1.51 and 0.09 at
+46 %, naive 1.50 and 0.03 at 24 %. In Stay Back, where outcomes are chaotic, the upper two rungs are not worth their
+time: the three earn 0.98, 0.14 and -2.99; naive earns 0.60, turn 1.50, tom 1.65, and naive@10 most, 1.90.
 """
 
 MODELS: dict[str, HumanModel] = {model.name: model() for model in PACKAGE_TYPES}
 """Known models by name, cheapest first."""
 
 PACKAGE_MODELS = tuple(MODELS)
-"""Names of the package's models, cheapest first: the only enumeration, for pairs, several humans and roads."""
+"""Names of the package's models, cheapest first, for pairs, several humans and roads."""
 
 PAPER_MODELS = ("naive", "turn", "tom")
 """Names of the paper's models, cheapest first."""
@@ -62,13 +62,13 @@ def register(model: HumanModel, before: str | None = None) -> None:
         raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
     if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in RESERVED:
         raise ValueError(f"a model cannot be called {model.name!r}; choose one word other than {', '.join(RESERVED)}")
-    others = {name: other for name, other in MODELS.items() if name != model.name}
-    if before is not None and before not in others:
-        raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(others)}")
-    place = len(others) if before is None else list(others).index(before)
-    known = list(others.items())
-    MODELS.clear()  # and not replaced: others hold it
-    MODELS.update([*known[:place], (model.name, model), *known[place:]])
+    names = [name for name in MODELS if name != model.name]
+    if before is not None and before not in names:
+        raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(names)}")
+    names.insert(len(names) if before is None else names.index(before), model.name)
+    known = MODELS | {model.name: model}
+    MODELS.clear()  # not replaced, as other modules hold it
+    MODELS.update((name, known[name]) for name in names)
 
 
 def human_model(name: str) -> HumanModel:
@@ -98,33 +98,33 @@ def model_names() -> str:
     return f"{', '.join(MODELS)}, also in 1 to {MAX_ITERATIONS} steps (tom@8) or from the last plan (tom@8+warm)"
 
 
-def known_models(used: Iterable[str] = ()) -> list[str]:
-    """Return the names of all known models and of the models in use, whose names may have an effort, cheapest first."""
+def known_models(used: Iterable[str]) -> list[str]:
+    """Return the names of all known models and of the models in use, with their efforts, cheapest first."""
     return sorted({*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name)))
 
 
 def cheapest_first(used: Iterable[str]) -> list[str]:
-    """Return the names of the models in use, each once; those that are not registered count as the most expensive."""
+    """Return the names of the models in use, each once, cheapest first; names that are not registered come last."""
     used = {name for name in used if name}
     known = [name for name in known_models(used) if name in used]
     return known + sorted(used - {*known})
 
 
 def _rank(model: HumanModel) -> tuple[int, float, bool]:
-    """Return the place of a model among all: of its base, then of its number of steps, the planner's own last."""
+    """Return the key by which models are sorted: by type, then by number of steps, the planner's own number last."""
     return list(MODELS).index(type(model).name), model.steps or inf, model.warm
 
 
 def rung_names(names: Sequence[str]) -> list[str]:
-    """Return the names of a ladder's rungs, which ``best`` stands for as well."""
+    """Return the names of a ladder's rungs; ``best`` stands for those of `BEST_LADDER`."""
     return list(BEST_LADDER if names == BEST or list(names) == [BEST] else names)
 
 
 def ladder(names: Sequence[str]) -> tuple[HumanModel, ...]:
     """Return the models of these names, or of `BEST_LADDER` by its name, ``best``.
 
-    The order is that of the models, whatever their efforts, and of the numbers of steps of the same model, the
-    planner's own last: costs, which differ between machines, do not matter.
+    Rungs are ordered by model and, for the same model, by number of steps, the planner's own number last. Costs do not
+    matter, as they differ between machines.
 
     Raises:
         ValueError: unless all are known, and each is named once, cheapest first; if there is none.

@@ -1,4 +1,4 @@
-"""Drive like recorded drivers, all cars of a moment together, on a straight road: by the traits that each has shown."""
+"""Drive like recorded drivers on a straight road, all cars together, each by the traits that it has shown."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,18 +13,18 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.planning.held_control import held_acceleration, held_curvature
 
 PAST_STEPS = 30
-"""Steps of 0.1 s before a moment that drivers are known by."""
+"""Steps of 0.1 s before a moment from which the traits of drivers are inferred."""
 
 STEPS_PER_SECOND = 10
 """Steps of a second."""
 
 FREE_GAP = 60.0
-"""Distance to a leader that is not seen [m]."""
+"""Distance to the leader if none is seen [m]."""
 
-STRIDE = 2  # steps between the times in the past at which plans are compared with what drivers did
-MAX_SURPRISE = 3.0  # standard deviations, of surprises by which traits are updated
+STRIDE = 2  # steps between the past times at which plans are compared with recorded driving
+MAX_SURPRISE = 3.0  # standard deviations, to which surprises are clipped
 MAX_DEVIATION = 1.5  # of the logarithm of a trait from the median's
-UNSEEN_DISTANCE = 1e4  # m behind, where cars are that are not seen
+UNSEEN_DISTANCE = 1e4  # m behind, where cars that are not seen are put
 
 Cars = Float[Any, "cars"]
 States = Float[Any, "cars 4"]
@@ -33,7 +33,7 @@ Estimate = tuple[Float[Any, "3"], Float[Any, "3 3"]]  # mean and covariance
 
 
 class Surroundings(NamedTuple):
-    """What drivers drive in; snapshots of recordings have the same attributes.
+    """Road and cars; snapshots of recordings have the same attributes.
 
     Attributes:
         sizes: length and width of every car [cars, 2].
@@ -47,7 +47,7 @@ class Surroundings(NamedTuple):
 
 
 def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 4"]:
-    """Return states in which cars that are not seen stand far behind."""
+    """Return the states, with cars that are not seen standing far behind."""
     return jnp.where(
         jnp.isfinite(states).all(axis=-1, keepdims=True),
         states,
@@ -56,7 +56,7 @@ def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 
 
 
 def leader_of(around: Any, states: States, others: States, lane: Cars) -> Leader:
-    """Return the nearest of the others ahead of each car in the lane with this lateral position."""
+    """Return the nearest of the others ahead of each car, in the lane around a lateral position for each."""
     not_itself, lengths = ~jnp.eye(len(states), dtype=bool), around.sizes[:, 0]
     place, there = leaders(states[:, 0], lane, others, not_itself, around.lane_width / 2)
     gap = others[place, 0] - states[:, 0] - (lengths + lengths[place]) / 2
@@ -70,21 +70,22 @@ def moved(
     side: Int[Any, "cars"],
     wanted: Cars,
     now: States,
-    others: States | None = None,
+    others: States | None,
 ) -> tuple[States, Leader]:
     """Let all cars drive for a step of 0.1 s.
 
     Args:
-        drivers: what was learned.
+        drivers: that were learned.
         around: `Surroundings`.
-        logarithms: of their traits, see `shown_traits`.
-        side: lanes to the right by which each changes lanes, -1, 0 or 1; a car that changes follows the leader there.
-        wanted: lateral position of the middle of the lane that each wants [m].
-        now: states of all.
-        others: whom each meets; by default, all as they are.
+        logarithms: of the cars' traits, see `shown_traits`.
+        side: number of lanes to the right by which each car changes, -1, 0 or 1; a car that changes lanes follows the
+            leader in its new lane.
+        wanted: lateral position of the middle of each car's wanted lane [m].
+        now: states of all cars.
+        others: states of possible leaders; None for those of all cars.
 
     Returns:
-        States after the step, and the leader of each before it.
+        The states after the step, and the leader of each car before it.
     """
 
     def factor(name: str) -> Cars:
@@ -105,15 +106,16 @@ def moved(
 
 
 def shown_traits(drivers: Drivers, around: Any, past: Float[Any, "times cars 4"]) -> TraitLogarithms:
-    """Return the means of the logarithms of traits, as deviations from the medians', given the past 3 s.
+    """Return the means of the logarithms of traits, relative to the medians', given the past 3 s.
 
-    For each full second of a car's past, an extended Kalman update with its mean acceleration, which the plan of the
-    traits predicts at the recorded states with the prior's noise. Surprises are clipped to 3 standard deviations.
+    For each full second of a car's past, an extended Kalman filter is updated with the car's mean acceleration, which
+    `held_acceleration` in the recorded states predicts with the prior's noise. Surprises are clipped to 3 standard
+    deviations.
 
     Args:
-        drivers: what was learned.
+        drivers: that were learned.
         around: `Surroundings`.
-        past: states of all cars 3 s before, and at each step until now; NaN where they were not seen.
+        past: states of all cars 3 s before, and at each step until now; NaN where a car was not seen.
     """
     prior, seen, past = drivers.prior, jnp.isfinite(past).all(axis=-1), seen_states(past)
     speeds = past[..., 3]

@@ -1,6 +1,6 @@
 """Drive simple manoeuvres: to the middle of a lane at an acceleration, and into each gap between cars.
 
-They are the ways out of `ms_highway.planning.way_out`, and where plans for seconds may start from.
+They are the ways out of `ms_highway.planning.way_out`, and possible starts of plans for seconds.
 """
 
 from collections.abc import Callable
@@ -17,20 +17,20 @@ from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
 
 STEERING_FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
-MAX_LATERAL_ACCELERATION = 6.0  # m/s^2, of lateral acceleration at most
-MIN_SPEED = 3.0  # m/s, below which curvatures are not computed by division by the speed
-OPEN_GAP = 6.0  # car lengths, of a gap behind the last car of a lane or ahead of the first
-GAP_MARGIN = 1.3  # car lengths to the middles of the cars around a gap that is wide enough
+MAX_LATERAL_ACCELERATION = 6.0  # m/s^2
+MIN_SPEED = 3.0  # m/s, by which accelerations are divided at least to get curvatures
+OPEN_GAP = 6.0  # car lengths, of the gap behind the last car of a lane or ahead of the first one
+GAP_MARGIN = 1.3  # car lengths that a car keeps to the centres of the cars around a gap that is wide enough
 POSITION_GAIN, SPEED_GAIN = 2.0, 3.0  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
-MAX_BRAKING, MAX_ACCELERATION = 7.0, 4.0  # m/s^2, of braking and speeding up towards a gap
-ENTRY_TOLERANCE = 2.0  # m, short of its place in a gap at which a car changes lanes
+MAX_BRAKING, MAX_ACCELERATION = 7.0, 4.0  # m/s^2, towards a gap
+ENTRY_TOLERANCE = 2.0  # m, from its place in a gap, within which a car changes lanes
 
 Ways = tuple[Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]]
 Around = TypeVar("Around")
 
 
 def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array) -> Ways:
-    """Return scaled controls and states of a car that goes to the middle of each lane at each acceleration."""
+    """Return the scaled controls and the states of a car that goes to the middle of each lane at each acceleration."""
     lanes, held = jnp.meshgrid(jnp.asarray(game.scene.lanes), jnp.asarray(accelerations), indexing="ij")
 
     def one(lane: Scalar, acceleration: Scalar) -> tuple[jax.Array, jax.Array]:
@@ -40,19 +40,17 @@ def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array) -> Ways:
 
 
 def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
-    """Return scaled controls and states of a car that goes into the gap ahead of each other car, and behind all.
+    """Return the scaled controls and the states of a car that goes into each gap.
 
-    A gap is in the lane that its cars are nearest to. The car takes the speed of the gap and a place in its middle, or
-    anywhere between `GAP_MARGIN` to both sides where there is more; it keeps to its lane until it is there. Where a
-    lane is empty, it keeps its speed.
+    There is a gap ahead of each of the others, and one behind the last car of each lane, in this order. A gap is in the
+    lane that is nearest to its cars. The car takes the speed of the gap and a place in its middle, or any place
+    `GAP_MARGIN` away from both ends of a longer gap; it stays in its lane until it is there. In an empty lane, it keeps
+    its speed.
 
     Args:
         game: of the car.
         car: its state now.
         others: motion of all others after each step, arrays [others, steps].
-
-    Returns:
-        Ways into the gaps ahead of each of the others, then behind the last car of each lane.
     """
     lanes, length = jnp.asarray(game.scene.lanes), jnp.asarray(game.scene.car_size)[0]
     present, places = _nearest(lanes, car[1]), jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
@@ -60,7 +58,8 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     leader, leads = nearest_ahead(x[:, 0] - x[:, :1], places == places[:, None])
     leads = leads[:, None]
     of_lane = places == lanes[:, None]
-    last, taken = _first(of_lane, x[:, 0]), of_lane.any(axis=1)[:, None]
+    last = jnp.argmin(jnp.where(of_lane, x[:, 0], jnp.inf), axis=-1)
+    taken = of_lane.any(axis=1)[:, None]
     kept = car[0] + car[3] * game.dynamics.time_step * jnp.arange(1, 1 + x.shape[1])
     behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN_GAP * length, kept)])
     before = jnp.concatenate([jnp.where(leads, x[leader], x + OPEN_GAP * length), jnp.where(taken, x[last], kept)])
@@ -87,15 +86,10 @@ def _nearest(lanes: Float[jax.Array, "lanes"], y: Scalar) -> Scalar:
     return lanes[jnp.argmin(jnp.abs(lanes - y))]
 
 
-def _first(among: Float[jax.Array, "*some cars"], x: Float[jax.Array, "cars"]) -> jax.Array:
-    """Return the number of the rearmost car among some."""
-    return jnp.argmin(jnp.where(among, x, jnp.inf), axis=-1)
-
-
 def _towards(game: Game, car: Car, lane: Scalar, acceleration: Scalar) -> Control:
     """Return the control, not scaled, towards the middle of a lane, within the limits of plans.
 
-    The car steers by ``-w^2 (y - y_lane) - 2 w v sin(heading)``, lateral acceleration, and does not reverse.
+    The car steers by a lateral acceleration of ``-w^2 (y - y_lane) - 2 w v sin(heading)``, and does not reverse.
     """
     _, y, heading, speed = car
     limit = jnp.asarray(game.planner.control_limit)

@@ -22,19 +22,19 @@ from ms_highway.game.game import (
 from ms_highway.numerics.objective import Objective, best_of
 from ms_highway.numerics.solvers import optimize_controls
 from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
-from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories
+from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories, for_rows
 
 RESTART_MARGIN = 5.0
-"""Reward by which a manoeuvre has to be better than the last plan, so that plans do not change for little."""
+"""Reward by which a manoeuvre has to be better than the last plan, so that small gains do not change plans."""
 
 ACCELERATIONS = np.array([-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32)  # m/s^2, of the manoeuvres to start from
 
 
 class Plan(NamedTuple):
-    """The robot's controls and those that they expect of every human.
+    """The robot's controls and the controls that they expect of every human.
 
-    Scaled in models and starts: times ``game.planner.control_scale``, they are curvatures [1/m] and accelerations
-    before friction [m/s^2], as `ms_highway.planning.compiled_plans.plan` returns them.
+    Models and starts hold scaled controls; times ``game.planner.control_scale``, they are curvatures [1/m] and
+    accelerations before friction [m/s^2], as `ms_highway.planning.compiled_plans.plan` returns them.
     """
 
     robot: Controls
@@ -42,15 +42,15 @@ class Plan(NamedTuple):
 
 
 def one_step_later(plan: Plan) -> Plan:
-    """Return what is left of a plan after its first step, its last controls repeated."""
+    """Return the rest of a plan after its first step; its last controls are repeated."""
     xp = plan.robot.__array_namespace__()  # of NumPy or JAX
     return Plan(*(xp.concat([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in plan))
 
 
 def cold_start(game: Game, state: State) -> Plan:
-    """Return the plan that plans start from without a last one.
+    """Return the plan from which planning starts without a last plan.
 
-    All controls are zero, the paper's start, or keep the velocity where the planner climbs a smooth reward.
+    All controls are zero, the paper's start; under a smooth reward, they keep the velocity.
     """
     cars = 1 + game.number
     if game.planner.smooth:
@@ -61,12 +61,12 @@ def cold_start(game: Game, state: State) -> Plan:
 
 
 def may_continue(models: Iterable[Any], game: Game) -> bool:
-    """Return whether plans under these human models may start from what is left of the last plan."""
+    """Return whether plans under these human models may start from the rest of the last plan."""
     return game.planner.persistent or any(model.warm for model in models)
 
 
 def driving(game: Game, car: Car, others: Trajectories) -> Objective:
-    """Return what car 0 of a game maximises over its controls, from a state, among all others' trajectories."""
+    """Return what car 0 of a game maximises over its controls, given its state and the trajectories of all others."""
     payoff = game.payoff
     return Objective(
         partial(move, game, car),
@@ -80,17 +80,16 @@ def driving(game: Game, car: Car, others: Trajectories) -> Objective:
 
 
 def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Controls:
-    """Return the manoeuvre that earns most, if that is `RESTART_MARGIN` more than the last plan earns; else that plan.
+    """Return the controls to start from: the best manoeuvre if it earns `RESTART_MARGIN` more than the last plan.
 
-    NaN where none of them earns anything finite.
-
-    Steps of a solver do not leave a local optimum: there is a start per gap, and one per lane and acceleration, see
-    `ms_highway.planning.manoeuvres`. Only where plans are persistent and climb a smooth reward.
+    Otherwise return the last plan's controls, or NaN where nothing earns a finite reward. The steps of a solver do not
+    leave a local optimum: so there is a manoeuvre per gap, and one per lane and acceleration, see
+    `ms_highway.planning.manoeuvres`. Only plans that are persistent and climb a smooth reward start from manoeuvres.
 
     Args:
         game: of the robot.
         car: its state now.
-        last: scaled controls to start from otherwise.
+        last: scaled controls of the last plan.
         others: trajectories of all others.
     """
     if not (game.planner.persistent and game.planner.smooth):
@@ -106,7 +105,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
 
 
 @jax.jit  # traced once for the human and the robot, naive and turn
-def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None = None) -> Plan:
+def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None) -> Plan:
     """Optimise the robot's controls against fixed controls of the humans."""
     expected = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
     last = (cold_start(game, state) if start is None else start).robot
@@ -116,7 +115,5 @@ def plan_against(game: Game, state: State, humans: HumansControls, start: Plan |
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:
     """Limit all controls of a plan, see `ms_highway.game.game.bounded`."""
-    if game.number == 1:
-        return Plan(bounded(game, state[0], plan.robot), bounded(game, state[1], plan.humans[0])[None])
-    humans = jax.vmap(partial(bounded, game))(state[1 : 1 + game.number], plan.humans)
+    humans = for_rows(partial(bounded, game), state[1 : 1 + game.number], plan.humans)
     return Plan(bounded(game, state[0], plan.robot), humans)

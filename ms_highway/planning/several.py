@@ -3,10 +3,10 @@
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.game import Game, bounded, constant_velocity, pair
+from ms_highway.game.game import Game, constant_velocity, pair
 from ms_highway.planning.human_models import HumanModel, Naive, is_of_package, scaled_prediction
 from ms_highway.planning.joint import Interaction, joint_ascent
-from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.plans import Plan, cold_start, within_limits
 from ms_highway.runtime.arrays import HumansControls, Index, Rungs, State, for_each
 
 
@@ -19,31 +19,24 @@ def plan_for(
         ladder: human models; with one human, the one that predicts it.
         game: with the humans' rewards as the robot believes them.
         state: all cars now.
-        rungs: of every human; ignored if there is one human.
+        rungs: of every human; ignored with one human.
         start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
     """
     if game.number == 1:
-        return _limited(ladder[0], game, state, Plan(*ladder[0].plan(ladder[0].within(game), state, start)))
+        plan = Plan(*ladder[0].plan(ladder[0].within(game), state, start))
+        if is_of_package(ladder[0]):  # keeps to the limits by itself
+            return plan
+        held = within_limits(game, state, plan)
+        return jax.tree.map(lambda given, limited: jnp.where(jnp.isfinite(given), limited, given), plan, held)
     begin = jax.tree.map(jnp.asarray, cold_start(game, state) if start is None else start)
     return _plan_several(ladder, game, state, rungs, begin)
-
-
-def _limited(model: HumanModel, game: Game, state: State, plan: Plan) -> Plan:
-    """Limit the plan of a registered model; the package's models keep to the limits by themselves."""
-    if is_of_package(model):
-        return plan
-    robot, human = (
-        jnp.where(jnp.isfinite(side), bounded(game, car, side), side)
-        for side, car in zip((plan.robot, plan.humans[0]), state[:2], strict=True)
-    )
-    return Plan(robot, human[None])
 
 
 def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, start: Plan) -> Plan:
     """Plan with a rung for each of several humans.
 
-    Under each rung, a loop takes a round for every human on it. So the time of a plan is a sum over the humans, and one
-    compiled function plans under all assignments. See `most_steps` for the number of steps of the plan.
+    For each rung, a loop takes one round for every human on it. So the time of a plan is a sum over the humans, and one
+    compiled function plans under all assignments. For the number of steps, see `most_steps`.
     """
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
     for rung, model in enumerate(ladder):
@@ -58,8 +51,8 @@ def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rung
 def _predict(
     model: HumanModel, rung: int, game: Game, state: State, rungs: Rungs, start: Plan, expected: HumansControls
 ) -> HumansControls:
-    """Predict the humans on a rung, one after the other, each in the robot's game with it alone."""
-    anew = game.planner.smooth  # such plans look for a start of their own
+    """Predict the humans on a rung, one after the other, each in the game of the robot with this human alone."""
+    anew = game.planner.smooth  # plans up a smooth reward find their own start
 
     def predict(human: Index, expected: HumansControls) -> HumansControls:
         begin = None if anew else Plan(start.robot, start.humans[human][None])
@@ -69,9 +62,9 @@ def _predict(
 
 
 def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tuple[Index, Index] | None:
-    """Return the most steps that rungs in use ask for where nobody responds, and where somebody does.
+    """Return the largest numbers of steps that rungs in use ask for: without responses, and with responses.
 
-    None if all ask for the planner's. Only theory of mind counts for steps with responses.
+    None if all rungs ask for the planner's. Only models that respond count for steps with responses.
     """
     if not any(model.steps for model in ladder):
         return None

@@ -1,8 +1,8 @@
-"""Keep a way out: a control is executed only if no escape from humans who do not yield is better than those after it.
+"""Keep a way out: execute a control only if the escapes after it are as good as those from now.
 
-Theory of mind counts on humans who respond; it hits one who does not. After a control, a way out is a simple manoeuvre,
-braking or speeding up in this lane or another, that collides with nobody if all others keep their velocity: passive
-safety against velocity-keepers, as in contingency planning.
+Theory of mind counts on humans who respond; it hits a human who does not. A way out is a simple manoeuvre after a
+control, braking or speeding up in this lane or another, that collides with nobody if all others keep their velocity. It
+is passive safety against cars that keep their velocity, as in contingency planning.
 """
 
 from dataclasses import replace
@@ -22,15 +22,15 @@ from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
 ESCAPE_STEPS = 25  # steps of an escape: 2.5 s at 0.1 s, a full stop from 20 m/s
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
-CLEARANCE = 0.15  # m between bodies that is wanted, as others do not keep their velocity exactly
+CLEARANCE = 0.15  # m, wanted between bodies, as others do not keep their velocity exactly
 
 
 class Escape(NamedTuple):
-    """What drives on instead of a control.
+    """The best escape from a state.
 
     Attributes:
-        controls: scaled, of the best escape over the planner's horizon, its last one repeated beyond `ESCAPE_STEPS`.
-        replaces: whether its first one replaces the control.
+        controls: scaled, over the planner's horizon; the last one is repeated beyond `ESCAPE_STEPS`.
+        replaces: whether the first one replaces the planned control.
     """
 
     controls: Controls
@@ -38,11 +38,11 @@ class Escape(NamedTuple):
 
 
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
-    """Return the best escape, and whether it replaces the robot's control, which leaves no way out as good.
+    """Return the best escape, and whether it replaces the robot's control, after which no way out is as good.
 
-    Of all manoeuvres, the best escape is the one that collides latest; among those that never collide, one that keeps
-    `CLEARANCE` to all others is better; of equals, the one that earns most. The control, with the best that can follow
-    it, is looked at over the same `ESCAPE_STEPS` from now on as the escapes, and stays where it is as good.
+    The best escape is the manoeuvre that collides latest. Among manoeuvres that never collide, those that keep
+    `CLEARANCE` to all others are better; among equals, the one that earns most is. The control, followed by the best
+    manoeuvre after it, is judged over the same `ESCAPE_STEPS` as the escapes, and stays if it is as good.
 
     Args:
         game: of the robot.
@@ -71,7 +71,7 @@ def _within_road(game: Game, others: Motion) -> Motion:
 
 
 def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Index:
-    """Return the number of steps before a car collides on its way, one more if it keeps the margin to everything."""
+    """Return the number of steps before a car collides on its way, one more if it keeps `CLEARANCE` to everything."""
     scene, own = game.scene, observe(way)
     wider = replace(
         scene,

@@ -18,7 +18,7 @@ from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.numerics.damped_newton import SHARES, damped_factor, damped_solve
+from ms_highway.numerics.damped_newton import SHARES, damped_solve
 from ms_highway.numerics.objective import best_of
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.perception.scene import RoadScene, Steps, World
@@ -94,7 +94,7 @@ class Commuter:
 
         def improve(_: Index, scaled: Vector) -> Vector:
             gradient, hessian = self.expand(scaled)
-            return best(scaled + SHARES[:, None] * damped_solve(damped_factor(hessian), gradient))
+            return best(scaled + SHARES[:, None] * damped_solve(hessian, gradient))
 
         first = best(jnp.broadcast_to(FIRST_ACCELERATIONS, (len(FIRST_ACCELERATIONS), self.planning.steps)))
         return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)

@@ -1,4 +1,4 @@
-"""Compile functions quickly, and call them for many items."""
+"""Compile functions quickly, and compute them for many items."""
 
 from collections.abc import Callable, Hashable, Mapping
 from functools import cache, update_wrapper, wraps
@@ -12,9 +12,9 @@ from ms_highway.runtime.jax_settings import single_precision
 
 @cache
 def quick_options() -> dict[str, bool]:
-    """Return compiler options that halve compilation time, where XLA knows them (JAX up to 0.11.0); starts JAX.
+    """Return compiler options that halve compilation time, if XLA knows them (JAX up to 0.11.0); this starts JAX.
 
-    They make small plans a tenth slower, and large ones not.
+    They make small plans slower by a tenth, but not large ones.
     """
     options = {"xla_cpu_use_fusion_emitters": False}
     try:
@@ -27,17 +27,17 @@ def quick_options() -> dict[str, bool]:
 
 
 class Compiled:
-    """A function that is compiled at its first call for every structure of arguments, see `jit_quickly`."""
+    """A function that is compiled at its first call with each structure of arguments, see `jit_quickly`."""
 
     def __init__(self, function: Callable[..., Any], options: Mapping[str, Hashable]) -> None:
         self._function, self._options, self._compiled = function, options, dict[str, jax.stages.Wrapped]()
         update_wrapper(self, function)
 
     def of(self, *arguments: Any) -> jax.stages.Wrapped:
-        """Return the function of JAX for arguments of this structure."""
+        """Return the jitted function for arguments of this structure."""
         structure = str(jax.tree.structure(arguments))
         if structure not in self._compiled:
-            named = wraps(self._function)(lambda *arguments: self._function(*arguments))  # JAX remembers by function
+            named = wraps(self._function)(lambda *arguments: self._function(*arguments))  # JAX caches by function
             self._compiled[structure] = jax.jit(named, compiler_options={**quick_options(), **self._options})
         return self._compiled[structure]
 
@@ -50,17 +50,17 @@ class Compiled:
 def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Compiled:
     """Apply `jax.jit` with `quick_options` and further compiler options; compute in single precision.
 
-    XLA is asked at the first call, so that importing a module does not start JAX. There is a function of JAX for every
-    structure of arguments, named in full: JAX takes dataclasses of other types with the same fields for equal, and now
-    and then computes with what it compiled for another one.
+    XLA is asked for its options at the first call, so that importing a module does not start JAX. Every structure of
+    arguments, with the types of its dataclasses, has its own jitted function: JAX may take dataclasses of other types
+    with the same fields for equal, and then uses what it compiled for another type.
     """
     return Compiled(function, options)
 
 
 class Placed:
-    """Numbers that a computation takes: as they are in the first, on JAX's device from the second on.
+    """Numbers that a computation takes, put on JAX's device from the second time on.
 
-    To place them takes longer than to pass them once.
+    Putting them there takes longer than passing them once.
     """
 
     def __init__(self, tree: Any) -> None:
@@ -80,14 +80,14 @@ def single(tree: Any) -> Any:
     return jax.tree.map(lambda number: np.asarray(number, np.float32), tree)
 
 
-BATCH = 32  # items; more are hardly faster and waste more on the last batch
+BATCH = 32  # items; larger batches are hardly faster and waste more on the last one
 
 
 def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
     """Compute a function of all items; return NumPy arrays.
 
-    The last batch is padded with copies of the last item, so that the function is compiled once for any n but 1: a
-    single item is computed alone, as it is often awaited.
+    The last batch is padded with copies of the last item, so that the function is compiled once for all n > 1. A single
+    item is computed alone, as users often wait for it.
 
     Args:
         function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...], and of [1, ...].

@@ -1,4 +1,4 @@
-"""Packages that only some commands need, and modules of the user's own."""
+"""Import packages that only some commands need, and modules of users."""
 
 import importlib
 import os
@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def needing(extra: str) -> Iterator[None]:
-    """Let a failed import in the block name the extra of this package that brings what lacks.
+    """Let a failed import in the block name the extra of this package that installs the missing package.
 
     Raises:
-        ImportError: naming it.
+        ImportError: naming the extra.
     """
     try:
         yield
@@ -24,7 +24,7 @@ def import_modules(names: Sequence[str]) -> None:
     """Import the modules that a user has named, also from the current directory.
 
     Raises:
-        ImportError: naming the module, whatever fails in it.
+        ImportError: naming the module, for any error in it.
     """
     if names:
         sys.path.insert(0, os.getcwd())

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Read and write files that are either whole or absent."""
 
 import json
 import os
@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 PART = ".part."
-"""How the names of files begin that are being written, or were when a process was killed."""
+"""Beginning of the names of files that are being written, or were when a process was killed."""
 
 LOCK = f"{PART}lock"
 
-LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # names of `part_of`, and of nobody else
+LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # only names of `part_of`
 
 DAMAGES = (
     ArithmeticError,
@@ -34,16 +34,16 @@ DAMAGES = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What readers raise for files that are damaged or not there."""
+"""Errors of readers for files that are damaged or missing."""
 
-_temporary: set[Path] = set()  # what `temporary` is to remove
+_temporary: set[Path] = set()  # files and directories that `temporary` will remove
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path, which replaces ``path`` when the block ends well and is removed when it fails.
 
-    Its name cannot be foreseen, so that several may write the same file, and whichever is last stays, whole.
+    Its name is random, so that several processes may write the same file; the last one stays, whole.
 
     Raises:
         OSError: naming the file, if it cannot be written.
@@ -54,7 +54,7 @@ def replacing(path: Path) -> Iterator[Path]:
     with naming(path), temporary(part_of(path)) as part:
         yield part
         with part.open("rb+") as file:
-            os.fsync(file.fileno())  # or else it may be empty after a power failure, under its own name
+            os.fsync(file.fileno())  # or else the final file may be empty after a power failure
         part.replace(path)
 
 
@@ -77,12 +77,12 @@ def _check_kind(path: Path, directory: bool = False) -> None:
 
 
 def part_of(path: Path, place: Path | None = None) -> Path:
-    """Return an unpredictable name for what is to replace a file or directory, beside it or in another place."""
+    """Return a random name for the replacement of a file or directory, beside it or in another place."""
     return (place or path.parent) / f"{PART}{token_hex(8)}.{path.name}"
 
 
 def tidy(directory: Path) -> None:
-    """Remove what killed commands left half written in a directory that is `held`, and below it."""
+    """Remove files that killed commands left half written in a directory that is `held`, and below it."""
     for part in directory.rglob(LEFT_BEHIND):
         _remove(part)
 
@@ -91,8 +91,8 @@ def tidy(directory: Path) -> None:
 def held(directory: Path) -> Iterator[None]:
     """Let no other command write to a directory while the block runs; make it, and remove it if it stays empty.
 
-    A lock that a killed command has left does not hold: the system has released it. Some shared disks have no locks:
-    there, the user has to take care.
+    The lock of a killed command does not hold, as the system has released it. On shared disks without locks, nothing is
+    held.
 
     Raises:
         ValueError: if another command is writing to it.
@@ -131,7 +131,7 @@ def temporary(path: Path) -> Iterator[Path]:
 
 
 def remove_temporary() -> None:
-    """Remove all that is `temporary` now."""
+    """Remove all files and directories that are `temporary` now."""
     for path in tuple(_temporary):
         _remove(path)
 
@@ -144,10 +144,10 @@ def _remove(path: Path) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let errors of the system name the file that the block writes; that of a full disk does not.
+    """Let errors of the system name the file that the block writes; the error of a full disk does not by itself.
 
     Raises:
-        OSError: in place of any other.
+        OSError: naming the file, in place of any other error of the system.
     """
     try:
         yield
@@ -158,12 +158,12 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path, remedy: str, kind: str = "") -> Iterator[None]:
-    """Let what is wrong with a file, any of `DAMAGES`, name it; other errors in the block are the program's own.
+    """Let errors of a damaged or missing file, any of `DAMAGES`, name it.
 
     Args:
         path: of the file.
         remedy: what the user can do.
-        kind: what the file is read as, beginning with `` as``.
+        kind: kind of the file, beginning with `` as``.
 
     Raises:
         ValueError: in place of any of `DAMAGES`.
@@ -179,10 +179,10 @@ def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
     Args:
         path: of the file.
-        most: how many bytes it may unpack to.
+        most: largest number of bytes that it may unpack to.
 
     Raises:
-        ValueError: if that is no file, or unpacks to more; any other of `DAMAGES`, if it is damaged.
+        ValueError: if it is no file, or unpacks to more; any other of `DAMAGES`, if it is damaged.
     """
     if not path.is_file():
         raise ValueError("it is missing, a directory or a device")
@@ -198,7 +198,7 @@ def read_json(path: Path) -> Any:
     """Return the content of a JSON file.
 
     Raises:
-        ValueError: if that is no JSON.
+        ValueError: if it is no JSON.
         OSError: if there is no such file.
     """
     return json.loads(path.read_text())

@@ -1,6 +1,6 @@
-"""Refuse to compute with JAX in a process that was forked after JAX had begun: it would wait for ever.
+"""Refuse to compute with JAX in a process that was forked after JAX had begun, where it would wait for ever.
 
-The hook is set when the package is imported, without importing JAX.
+A hook notes forks from the first import of the package on, without importing JAX.
 """
 
 import os
@@ -11,7 +11,7 @@ _forked = False  # whether this process was forked from one in which JAX had beg
 
 def jax_has_begun() -> bool:
     """Return whether JAX has begun to compute in this process, or has looked for devices."""
-    bridge = sys.modules.get("jax._src.xla_bridge")  # JAX tells it nowhere else
+    bridge = sys.modules.get("jax._src.xla_bridge")  # JAX has no public name for this
     return bridge is not None and bridge.backends_are_initialized()
 
 

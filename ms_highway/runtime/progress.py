@@ -1,4 +1,4 @@
-"""How a long computation reports what it is doing."""
+"""Report the progress of long computations."""
 
 from collections.abc import Callable
 from typing import TypeAlias

@@ -1,4 +1,4 @@
-"""Say what to use instead of the names that version 2.0.0 retired."""
+"""Say what to use instead of names that version 2.0.0 retired."""
 
 from collections.abc import Mapping
 

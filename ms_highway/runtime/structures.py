@@ -1,4 +1,4 @@
-"""Structures of numbers: read from JSON with a message that names what is wrong, taken by JAX as arrays."""
+"""Structures of numbers, which are read from JSON with messages that name errors, and which JAX takes as arrays."""
 
 import re
 from reprlib import repr as shortened
@@ -30,7 +30,7 @@ def pytree(kind: type[Kind]) -> type[Kind]:
 
 
 def plain(structure: Kind) -> Kind:
-    """Return a structure with the numbers of its arrays in their place, checked."""
+    """Return a structure with numbers in place of its arrays, checked."""
     content = msgspec.to_builtins(structure, enc_hook=lambda array: np.asarray(array, dtype=float).tolist())
     return msgspec.convert(content, type(structure))
 
@@ -39,7 +39,7 @@ def read(content: Any, kind: type[Kind]) -> Kind:
     """Return the content of JSON as a structure.
 
     Raises:
-        ValueError: naming the place, what must stand there and what does.
+        ValueError: naming the place, the wanted and the found value.
     """
     try:
         return msgspec.convert(content, kind)

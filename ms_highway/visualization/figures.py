@@ -1,4 +1,4 @@
-"""The figures of a comparison, from its records of steps and their summary: which there are, and what they show."""
+"""Draw the figures of a comparison from its records of steps and their summary."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -16,34 +16,32 @@ from ms_highway.planning.ladders import cheapest_first
 from ms_highway.visualization.style import color_of, controller_colors, styled
 from ms_highway.visualization.tradeoff import curve, episode_count, whiskers
 
-MIN_LAMBDAS = 3  # that make a curve
-MAX_CONTROLLERS = 8  # in bars and timelines, the first ones
+MIN_LAMBDAS = 3  # of a curve
+MAX_CONTROLLERS = 8  # in bars and timelines
 MAX_DECIDING = 2  # controllers whose decisions are drawn beside each other
 SMALL_GAIN = 0.01
 
 CAPTIONS = {
     "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
-    "hatched is the time of deciding about the model.",
+    "the hatched part is the time of deciding about the model.",
     "timeline": "Computation along the episode, as the mean over episodes. Below, which model was in use at every step "
     "of every episode of the controllers that choose it online.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
     "and deciding as measured. Whiskers are the 90 % intervals. Controllers that choose online are labelled by lambda. "
-    "Where schedules were compared, a dashed line is the most that anything fixed earns with so much computation or "
-    "less, in these episodes. "
-    "Crosses draw their models at random.",
-    "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model, before the "
-    "step that it is drawn at; one above zero is taken. For learned values, it is what all that follows is worth more "
-    "than with the model in use. Below, the reward. The background is the model in use.",
+    "Where schedules were compared, a dashed line is the highest reward of fixed orders with at most this computation, "
+    "in these episodes. Crosses are controllers that draw their models at random.",
+    "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model in this step; "
+    "a gain above zero is taken. For learned values, it is the gain of all that follows. Below, the reward. The "
+    "background is the model in use.",
 }
 """What the figures of `figures` show."""
 
 
 def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Callable[[], Figure]]:
-    """Return functions that draw the figures of a scenario, by the names that `CAPTIONS` explains.
+    """Return functions that draw the figures of a scenario, by the names of `CAPTIONS`.
 
-    Reward and computation are a curve of all controllers where a kind has three lambdas, and else bars. Decisions are
-    those of two controllers that choose online, beside the best fixed model, from the first start that all of them have
-    driven.
+    Reward and computation are a curve of all controllers if a kind has three lambdas, and bars otherwise. Decisions are
+    those of two controllers that choose online, beside the best fixed model, from the first start that they share.
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
@@ -70,8 +68,8 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
     rows = summaries.query("scenario == @scenario")
-    names, colors = rows["controller"], controller_colors(rows["controller"])
-    figure = Figure(figsize=(10, 4))
+    names = rows["controller"]
+    colors, figure = controller_colors(names), Figure(figsize=(10, 4))
     left, right = figure.subplots(1, 2)
     left.bar(names, rows["reward"], yerr=whiskers(rows), color=colors, capsize=4)
     left.axhline(0, color="black", linewidth=0.8)
@@ -89,8 +87,8 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     """Draw time per step along the episode, and the model in use, like Fig. 2 of the paper.
 
-    The upper axes show the mean over episodes of planning plus deciding; below, a row per episode of each
-    controller that chooses online shows the model of every step.
+    The upper axes show planning plus deciding, as means over episodes. Below, for each controller that chooses online,
+    a row per episode shows the model of every step.
     """
     rows = records.query("scenario == @scenario")
     rows = rows.assign(ms=1e3 * (rows["planning_seconds"] + rows["decision_seconds"]))
@@ -118,31 +116,31 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
 
 @styled
 def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None = None) -> Figure:
-    """Draw what was decided in an episode, and what it was worth; a column per episode.
+    """Draw the decisions and the reward of episodes, a column per episode.
 
-    Above, the estimated net gains of switching to each model, on which Algorithm 1 decides: one above zero is taken. A
-    learned value of computation counts all that follows, less a margin for doubt; it takes the highest. Gains
-    are drawn at the step that is planned next; the scale is linear up to 0.01 and logarithmic beyond. Below, the
-    reward per step, on a strip of the models in use.
+    Above, the estimated net gains of switching to each model in the step at which they are drawn. Algorithm 1 takes a
+    gain above zero. Learned values of computation estimate the gain of all that follows, less a margin for doubt, and
+    the highest one is taken. The scale is linear up to 0.01 and logarithmic beyond. Below, the reward per step, on a
+    background of the models in use.
 
     Args:
         episodes: of controllers that choose online, see `ms_highway.experiments.records.one_episode`.
-        reference: an episode from the same start, whose reward is drawn beside.
+        reference: an episode from the same start, whose reward is drawn for comparison.
     """
     figure = Figure(figsize=(10, 5))
     panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
     legend = {}
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
-        first, steps = episode.iloc[0], episode["step"]
+        first, steps, rewards = episode.iloc[0], episode["step"], episode["reward"]
         upper.set_title(f"{title(first['scenario'])}, {first['controller']}, seed {first['seed']}", fontsize="medium")
         upper.set_yscale("symlog", linthresh=SMALL_GAIN)
         upper.axhline(0, color="black", linewidth=0.8)
         for name in models_of(episode.dropna(axis=1, how="all"), "gain"):
             style = {"color": color_of(name), "markersize": 4, "linewidth": 0.8}
             legend[f"gain of switching to {name}"] = upper.plot(steps, episode[f"gain_{name}"], "o-", **style)[0]
-        lower.plot(steps, episode["reward"], color="black", linewidth=1.5)
+        lower.plot(steps, rewards, color="black", linewidth=1.5)
         lower.set(xlabel="step (0.1 s)", xlim=(-0.5, len(steps) - 0.5))
-        lower.set_title(f"mean reward {episode['reward'].mean():.2f}", loc="right", fontsize="small")
+        lower.set_title(f"mean reward {rewards.mean():.2f}", loc="right", fontsize="small")
         if reference is not None:
             (line,) = lower.plot(reference["step"], reference["reward"], ":", color="black")
             legend[f"reward of {reference['controller'].iloc[0]}"] = line

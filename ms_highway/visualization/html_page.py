@@ -1,4 +1,4 @@
-"""Draw one page that shows a comparison, in one file that needs nothing else."""
+"""Make one page that shows a comparison, in one file that needs no other."""
 
 import base64
 from typing import Any
@@ -19,12 +19,12 @@ from ms_highway.visualization.tables import cells
 
 
 def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:
-    """Return the page of a comparison, as HTML: a section for each scenario, and what made the results.
+    """Return the page of a comparison, as HTML: a section for each scenario, and the settings of the results.
 
     Args:
         results: of the comparison.
         videos: whether films are made.
-        progress: called with a message before everything that takes time.
+        progress: called with a message before each scenario.
 
     Raises:
         ImportError: for videos without the packages of the extra ``video``.
@@ -33,9 +33,8 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
     sections, summaries = [], results.summaries
     for scenario in results.scenarios:
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
-        pictures = {}
-        for name, draw in figures(results.records, summaries, scenario).items():
-            pictures[name] = _data("image/png", content(draw())), CAPTIONS[name]
+        drawn = figures(results.records, summaries, scenario)
+        pictures = {name: (_data("image/png", content(draw())), CAPTIONS[name]) for name, draw in drawn.items()}
         sections.append(
             {
                 "title": title(scenario),
@@ -60,7 +59,7 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
 
 
 def results_table(results: Results, scenario: str) -> pd.DataFrame:
-    """Return the texts of `cells`, beside what the paper published where it may be compared with that."""
+    """Return the texts of `cells`, with columns for the paper's figures if they may be compared."""
     texts = cells(results.summaries, scenario)
     published = [results.published(scenario, controller) for controller in texts["controller"]]
     if any(published):
@@ -70,7 +69,7 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
 
 
 def _film(results: Results, scenario: str) -> dict:
-    """Film the most informative controllers from the first start that all of them have driven; sizes are in px."""
+    """Film the most informative controllers from the first start that they share; sizes are in px."""
     controllers = most_informative_pair(results.summaries, scenario)
     seed = next(iter(common_seeds(results.records, scenario, controllers)), 0)
     films = video.film_together(scenario, controllers, seed, **results.config(scenario))
@@ -91,7 +90,7 @@ def _data(kind: str, file: bytes) -> str:
 
 
 def _text(value: Any) -> str:
-    """Return a value as text; of a mapping, its parts."""
+    """Return a value as text, a mapping part by part."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {_text(part)}" for name, part in value.items())
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward
+from ms_highway.game.learned_reward import LearnedReward, log_normal_interval
 from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with
@@ -39,7 +39,7 @@ PANELS = {
     "likelihood": {"log_p": "mean log density of the recorded position [1/m²]"},
     "calibration": {f"inside {level}": f"share of drivers in the region of {level} %" for level in LEVELS},
 }
-"""What each figure of an evaluation shows, and its label."""
+"""Metrics in each figure of an evaluation, and their labels."""
 
 METRICS = {
     "predicted by": "{label}",
@@ -60,15 +60,15 @@ LEARNED = {
     "feature of drivers": "{drivers:.3g}",
     "feature expected": "{expected:.3g}",
 }
-"""Headings of tables, and how their texts are made."""
+"""Columns of tables, see `ms_highway.visualization.tables.texts`."""
 
 
 @styled
 def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
     """Draw metrics of all predictors against the horizon, a figure for each of `PANELS`.
 
-    Calibration is how often drivers are in the predicted regions of 50, 90 and 99 %; the band is five points to each
-    side of the right share.
+    Calibration is the share of drivers in the predicted regions of 50, 90 and 99 %; the band is five percentage points
+    to each side of the right share.
     """
     figures = {}
     for figure_name, labels in PANELS.items():
@@ -99,11 +99,11 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
 def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
     """Draw predicted and recorded paths at one moment, seen from above; marks are a second apart.
 
-    It is the moment with most drivers that were recorded for the 3 s before and the 5 s after. Of the learned drivers,
-    all modes of 5 % or more are drawn, bolder with their probability; of the others, the expected path.
+    The moment is the one with most drivers that were recorded for 3 s before and 5 s after. For the learned drivers,
+    modes of 5 % or more are drawn, with widths by their probability, and for all predictors the expected path.
 
     Raises:
-        ValueError: if no driver was recorded for as long.
+        ValueError: if no driver was recorded for so long.
     """
     snapshots = cut_snapshots(recordings)
     states = np.concatenate([snapshots.past, snapshots.future], axis=1)
@@ -135,13 +135,13 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
 
 
 def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = None) -> list[pd.DataFrame]:
-    """Tabulate a learned reward, and what was learned of drivers, if anything; 90 % intervals.
+    """Tabulate a learned reward, and learned drivers if there are any, with 90 % intervals.
 
-    The last columns are mean sums of the features over a segment: the drivers', and those expected under the reward.
+    The last columns are mean sums of the features over a segment: of drivers, and expected under the reward.
 
     Args:
         learned: the reward.
-        true: the drivers' weights by name, for a further column, if they are known.
+        true: the drivers' true weights by name, if they are known, for a further column.
     """
     values = {**learned.weights, "temperature": learned.temperature}
     values |= {"tails": learned.tails} if learned.tails else {}
@@ -150,9 +150,8 @@ def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = No
     for name, value in values.items():
         row = {"weight": name, "value": value, "true": true.get(name)}
         row |= {"drivers": counts["human"].get(name), "expected": counts["model"].get(name)}
-        row["interval"] = "given" if name in learned.weights else None
-        if name in learned.learned:
-            row["interval"] = _ends(learned.interval(name))
+        if name in learned.weights:
+            row["interval"] = _ends(learned.interval(name)) if name in learned.learned else "given"
         rows.append(row)
     found = [grid(f"learned from {learned.windows} segments", texts(LEARNED, rows))]
     return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
@@ -163,7 +162,7 @@ def _ends(interval: Any) -> str:
 
 
 def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
-    """Tabulate what was learned seconds ahead, with 90 % intervals by driver where they were computed."""
+    """Tabulate the numbers learned seconds ahead, with 90 % intervals where there are any."""
     prior = drivers.prior
     numbers = {
         **drivers.weights,
@@ -175,13 +174,13 @@ def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
     rows = []
     for name, value in numbers.items():
         spread = drivers.deviations.get(name, np.nan)
-        ends = _ends(value * np.exp([-1.645 * spread, 1.645 * spread])) if np.isfinite(spread) else "given"
+        ends = _ends(log_normal_interval(value, spread)) if np.isfinite(spread) else "given"
         rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends})
     return grid("learned seconds ahead; factors while changing lanes", rows)
 
 
 def evaluation_tables(evaluation: Evaluation) -> list[pd.DataFrame]:
-    """Tabulate an evaluation: all metrics by horizon, mean errors and log densities by driving regime."""
+    """Tabulate an evaluation: all metrics by horizon, then mean errors and log densities by driving regime."""
     rows = []
     for horizon, (name, label) in product(map(str, HORIZONS), PREDICTORS.items()):
         found = {kind: values[horizon] for kind, values in evaluation.predictors[name].items() if horizon in values}

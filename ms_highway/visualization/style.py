@@ -1,4 +1,4 @@
-"""The style of figures, their files, and the colours of videos as Matplotlib takes them."""
+"""The style of figures, their files, and the colours of videos for Matplotlib."""
 
 import io
 from collections.abc import Iterable, Iterator
@@ -29,21 +29,21 @@ styled = rc_context(
         "legend.frameon": False,
     }
 )
-"""Decorator of what draws a figure: a light grid, no frame above and to the right."""
+"""Decorator of functions that draw a figure: a light grid, no frame above and to the right."""
 
 
 def color_of(model: str) -> str:
-    """Return the colour of a human model in figures, as it is in videos."""
+    """Return the colour of a human model in figures, the same as in videos."""
     return "#{:02x}{:02x}{:02x}".format(*model_color(model))
 
 
 def choosing_shades(kind: str) -> list[str]:
-    """Return shades of a colour for controllers that choose models online, by their kind; the last one is for lines."""
+    """Return shades of a colour for controllers of a kind that choose models online; the last one is for lines."""
     return SHADES.get(kind, OTHER_SHADES)
 
 
 def controller_colors(controllers: Iterable[str]) -> list[str]:
-    """Return a model's own colour for a fixed model, shades of its kind's for one that chooses online, else greys."""
+    """Return the model's colour for a fixed model, shades of its kind's colour for an online choice, else greys."""
     colors, left = [], dict[str, Iterator[str]]()
     for name in controllers:
         kind = controller_config(name)["type"]
@@ -53,7 +53,7 @@ def controller_colors(controllers: Iterable[str]) -> list[str]:
 
 
 def content(figure: Figure, kind: str = "png") -> bytes:
-    """Return the content of a file of a figure: ``png``, ``pdf`` with fonts that publishers take, or ``svg``."""
+    """Return the content of a figure's file: ``png``, ``pdf`` with fonts that publishers accept, or ``svg``."""
     written = io.BytesIO()
     with rc_context({"pdf.fonttype": 42}):  # TrueType
         figure.savefig(written, format=kind, dpi=DPI)

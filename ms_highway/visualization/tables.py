@@ -1,4 +1,4 @@
-"""Tables of texts, data frames that notebooks show as they are and commands print."""
+"""Make tables of texts: data frames that notebooks show as they are and commands print."""
 
 from collections.abc import Iterable, Mapping
 from string import Formatter
@@ -71,16 +71,16 @@ STEADINESS = {
     "collisions": "{without} -> {noisy}",
     "success changed": "{success_changes:.0%}",
 }
-"""Headings of texts, and how they are made of numbers by name."""
+"""Columns of tables: for every heading, the format of its texts, which takes numbers by name."""
 
 
 def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
-    """Return the texts of a table.
+    """Return a table of texts.
 
-    A text is empty where a value is missing, None or NaN. Columns that are empty in all rows are left out.
+    A text is empty if one of its values is missing, None or NaN. Columns without any text are left out.
 
     Args:
-        forms: by heading, format strings of the values' names.
+        forms: format strings by heading.
         rows: values by name.
     """
 
@@ -97,8 +97,8 @@ def grid(title: str, rows: Any, names: int = 1) -> pd.DataFrame:
 
     Args:
         title: of the table.
-        rows: a data frame of texts, or a mapping by heading for each row.
-        names: how many of the first columns are names.
+        rows: data frame of texts, or a mapping by heading for each row.
+        names: number of the first columns that name the row.
     """
     table = pd.DataFrame(rows).fillna("")
     table = table.set_index(list(table.columns[:names]))
@@ -107,25 +107,24 @@ def grid(title: str, rows: Any, names: int = 1) -> pd.DataFrame:
 
 
 def printed(table: pd.DataFrame, width: int) -> str:
-    """Return a table of `grid` as text of a width; columns that find no room follow below, beside the same names."""
+    """Return a table of `grid` as text of a width; columns beyond it follow below, beside the same names."""
     shown = table.rename(index=lambda name: name if len(name) <= NAME_WIDTH else f"{name[:15]}…{name[-16:]}")
     text = shown.to_string(line_width=width, sparsify=False)
     return "\n".join([table.attrs["title"], *(line.rstrip() for line in text.splitlines()), ""])
 
 
 def two_digits(value: float) -> str | None:
-    """Return a number of at most two significant digits below 10, and without decimals from there on; None of NaN."""
+    """Return a number with two significant digits, or without decimals from 10 on; None for NaN."""
     if pd.isna(value):
         return None
     return f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
 
 
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """Return the summary of one scenario as text: a row per controller, and texts under the columns' headings.
+    """Return the summary of one scenario as texts, a row per controller.
 
-    Planning has two columns: as decisions count it, at T(M), and as it was measured, if it was. The reward less T(M) is
-    that at a price of 1 per second. Steps driven by fallback have a column if there are any; cycles, late steps and
-    success where there are several humans.
+    Planning has two columns: counted at T(M), and measured, if it was. "reward less T" is at a price of 1 per second.
+    Fallback steps have a column if there are any; cycles, late steps and success have one with several humans.
     """
     rows = summaries.query("scenario == @scenario")
     models = models_of(summaries, "share")
@@ -138,26 +137,30 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
         success_percent=100 * rows.get("success", np.nan),
         late_percent=100 * rows.get("late", np.nan),
     )
-    forms = {heading or f"{' / '.join(models)} %": form for heading, form in SUMMARY.items()}
-    left_out: tuple[str, ...] = ("cycle", "late") if rows["success_percent"].isna().all() else ()
+    if rows["success_percent"].isna().all():
+        rows = rows.assign(cycle_ms_p50=np.nan, late_percent=np.nan)
     if not np.any(rows.get("fallbacks", 0)):
-        left_out += ("fallback",)
-    return texts({name: form for name, form in forms.items() if not name.startswith(left_out)}, rows.to_dict("records"))
+        rows = rows.assign(fallbacks=np.nan)
+    return texts(_with_shares(SUMMARY, models), rows.to_dict("records"))
+
+
+def _with_shares(forms: Mapping[str, str], models: Iterable[str]) -> dict[str, str]:
+    """Return the columns of a table, with the models in the heading of their shares."""
+    return {heading or f"{' / '.join(models)} %": form for heading, form in forms.items()}
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """Return the summary of one scenario, to be printed; its title says which controllers' T(M) is not known."""
-    said = scenario
-    rows = summaries.query("scenario == @scenario and counted_ms.isna()")
-    unknown = rows.loc[~rows["kind"].isin(["agent", "driver"]), "controller"]  # these have none
-    if len(unknown):
+    """Return the summary of one scenario, to be printed; the title names controllers whose T(M) is not known."""
+    title = scenario
+    rows = summaries.query("scenario == @scenario and counted_ms.isna() and kind not in ['agent', 'driver']")
+    if len(rows):
         remedy = "put its model on the ladder, or give its seconds by costs"
-        said += f"\nT(M) is not known of {', '.join(unknown)}; {remedy}"
-    return grid(said, cells(summaries, scenario).replace(" / ", "/", regex=True))
+        title += f"\nT(M) is not known of {', '.join(rows['controller'])}; {remedy}"
+    return grid(title, cells(summaries, scenario).replace(" / ", "/", regex=True))
 
 
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
-    """Return regrets per step in one scenario, a table per price; of controllers with a lambda, the best of each kind.
+    """Return tables of regrets per step in one scenario, one per price, with the best lambda of each kind.
 
     Args:
         behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
@@ -173,11 +176,11 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
 
 
 def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
-    """Return a table of the drivers in a scene, of stock roads or recorded traffic.
+    """Return a table of the drivers in a scene of stock roads or recorded traffic.
 
     Args:
-        title: which traffic and how many episodes.
-        drivers: figures of ``bench road --json`` by driver; those of earlier versions may lack some.
+        title: traffic and number of episodes.
+        drivers: figures of ``bench road --json`` by driver; files of earlier versions may lack some.
     """
     rungs = cheapest_first([*MODELS, *(rung for one in drivers.values() for rung in one.get("rungs", ()))])
     rows = []
@@ -188,7 +191,7 @@ def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
         percent = {name: 100 * one.get(name, 0.0) or None for name in ("off_road", "late")}
         row = {**one, **percent, "driver": driver, "success": 100 * one["success"], "shares": shares}
         rows.append(row | {"low": 100 * low, "high": 100 * high})
-    return grid(title, texts({heading or f"{' / '.join(rungs)} %": form for heading, form in DRIVERS.items()}, rows))
+    return grid(title, texts(_with_shares(DRIVERS, rungs), rows))
 
 
 def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:

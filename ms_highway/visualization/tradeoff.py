@@ -1,4 +1,4 @@
-"""Figures of reward against computation."""
+"""Draw reward against computation."""
 
 import numpy as np
 import pandas as pd
@@ -16,12 +16,12 @@ COUNTED = "planning per step, counted at T(M) [ms]"
 
 @styled
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Draw reward against computation of every controller; whiskers are the 90 % intervals, left out of schedules.
+    """Draw reward against computation of every controller; whiskers are the 90 % intervals, but not for schedules.
 
-    On the left, planning is counted at the seconds T(M) that decisions count; on the right, where they were measured,
-    planning and deciding are as on this machine. Controllers that choose online are joined in the order of lambda, a
-    line per kind; the dashed line is the most that schedules, periods and fixed models earn with so much computation or
-    less; crosses are random controllers.
+    On the left, planning is counted at the seconds T(M) that decisions count. On the right are planning and deciding as
+    measured on this machine, if they were. A line per kind joins controllers that choose online, in the order of
+    lambda. The dashed line is the highest reward of schedules, periods and fixed models with at most this computation.
+    Crosses are random controllers.
     """
     rows = summaries.query("scenario == @scenario")
     measures = {"counted_ms": COUNTED}
@@ -46,15 +46,15 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
 
 @styled
 def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
-    """Draw reward against counted computation: what a search has found, and the controllers that stay behind it.
+    """Draw reward against counted computation: the orders of models that a search found, and controllers.
 
-    The line joins the means of the best orders of each start at the prices that were searched. Dots are orders that are
-    the same for all starts.
+    The line joins, over the prices that were searched, the means of the best orders of each start. Dots are orders that
+    are the same for all starts.
 
     Args:
         behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
         scenario: its name.
-        starts: their number.
+        starts: number of starts.
     """
     rows = behind.query("scenario == @scenario")
     rows = rows.assign(counted_ms=1e3 * rows["counted_seconds"])
@@ -76,17 +76,18 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
 
 
 def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
-    """Draw the controllers of a summary over a measure of computation: online ones, random ones and fixed models."""
+    """Draw the reward of online controllers, random ones and fixed models over a measure of computation."""
     own_kinds = ["fixed", "random", *priced_types()]
     shown = rows[rows["kind"].isin(own_kinds)].sort_values("price", kind="stable")
     names = shown["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)  # with the file of values, if any
     for name, own in shown.groupby(names, sort=False):
         kind = own["kind"].iloc[0]
-        form, color, label = "o-", choosing_shades(kind)[-1], f"{name}, by lambda"
         if kind == "fixed":
-            form, color, label = "s", color_of(str(name)), str(name)
+            form, color, label = "s", color_of(str(name)), name
         elif kind == "random":
             form, color, label = "x", RANDOM_COLOR, kind
+        else:
+            form, color, label = "o-", choosing_shades(kind)[-1], f"{name}, by lambda"
         reward, errors = own["reward"], whiskers(own)
         axes.errorbar(own[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)
     axes.margins(0.1)  # so that labels of points at the edges are inside
@@ -102,12 +103,12 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
 
 
 def episode_count(rows: pd.DataFrame) -> str:
-    """Return the number of episodes that the rows of a summary stand for, as text for titles."""
+    """Return the number of episodes of each row of a summary, as text for titles."""
     least, most = rows["episodes"].min(), rows["episodes"].max()
     return f"{most if least == most else f'{least} to {most}'} episodes per controller"
 
 
 def whiskers(rows: pd.DataFrame) -> list[list[float]]:
-    """Return how far the intervals of the rows of a summary reach below and above their rewards; 0 without any."""
+    """Return how far the intervals in a summary reach below and above the rewards; 0 without an interval."""
     reward = rows["reward"]
     return [(rows.get(end, reward) - reward).abs().fillna(0).to_list() for end in ("reward_low", "reward_high")]

@@ -26,13 +26,13 @@ GIF_COLORS = 48  # enough for flat colours and smooth edges
 
 @dataclass(frozen=True)
 class Film:
-    """An episode that was filmed.
+    """A filmed episode.
 
     Attributes:
-        controller: short name of what drove the robot.
-        pictures: what was seen after each step, and at the end for as long as films beside it go on.
+        controller: short name of the robot's controller.
+        pictures: after each step; the last one is repeated as long as films beside this one go on.
         records: of each step, see `ms_highway.experiments.runner.episode`.
-        frames_per_second: at which it plays at true speed.
+        frames_per_second: of true speed.
     """
 
     controller: str
@@ -47,9 +47,9 @@ def film(scenario: str, controller: str, seed: int, **config: Any) -> Film:
 
 
 def film_together(scenario: str, controllers: Sequence[str], seed: int, **config: Any) -> list[Film]:
-    """Film an episode of each controller from the same start; all pictures have one scale of planning time.
+    """Film an episode of each controller from the same start, with one scale of planning time in all pictures.
 
-    All films are as long as the longest: pictures after the end of an episode show its end.
+    All films are as long as the longest one: after an episode, its last picture is repeated.
 
     Raises:
         ValueError: for an unknown scenario, controller or configuration.
@@ -74,7 +74,7 @@ def film_together(scenario: str, controllers: Sequence[str], seed: int, **config
 
 
 def check_format(path: Path) -> None:
-    """Refuse a file name that says no known format, or one that cannot be written here.
+    """Refuse a file name of an unknown format, or of one that cannot be written here.
 
     Raises:
         ValueError: if the name does not end in .mp4 or .gif.
@@ -94,7 +94,7 @@ def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
 
 
 def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> None:
-    """Write a video in the format that its name says.
+    """Write a video in the format of its file name.
 
     Raises:
         ValueError: if the name does not end in .mp4 or .gif.
@@ -126,7 +126,7 @@ def _imageio() -> Any:
 
 
 def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
-    """Write a GIF with one palette and no dithering: what stands still costs nothing."""
+    """Return a GIF with one palette and no dithering, so that still parts of the picture take no space."""
     some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]])
     palette = Image.fromarray(some).quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)
     images = [Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
@@ -141,10 +141,10 @@ NAME_SIZE, NUMBERS_SIZE = 26, 20  # px, of texts
 
 
 def side_by_side(films: Sequence[Film]) -> list[Picture]:
-    """Show films of one scenario, of the same length, one above the other, since roads are wide and low.
+    """Put films of one scenario and of the same length one above the other, as roads are wide and low.
 
-    Above each stands its controller, its mean reward per step and its planning and deciding time so far; a bar shows
-    that time, coloured by model, in one scale for all films.
+    The heading of each shows its controller, its mean reward per step and its time of planning and deciding so far; a
+    bar shows this time, coloured by model, in one scale for all films.
     """
     longest = max(sum(map(_seconds, film.records)) for film in films)
     return [
@@ -159,7 +159,7 @@ def _seconds(record: Mapping) -> float:
 
 
 def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
-    """Return a heading and the picture of a film below it; ``longest`` [s] is the full length of the bar."""
+    """Return the heading and the picture of a film at a place; ``longest`` [s] is the full length of the bar."""
     picture, records = film.pictures[place], film.records[: place + 1]
     width, middle = picture.shape[1], (HEADING_HEIGHT - BAR_HEIGHT) // 2
     surface, end = pygame.Surface((width, HEADING_HEIGHT)), 0.0

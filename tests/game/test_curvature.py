@@ -1,4 +1,4 @@
-"""How rewards bend along a motion, beside derivatives by JAX."""
+"""The curvature of rewards along a motion, compared with derivatives by JAX."""
 
 import jax
 import numpy as np
@@ -25,6 +25,11 @@ def bends(scene, reward, own, others):
     return np.asarray(curvature(scene, reward, jnp.stack(own), others)[..., 0])
 
 
+def assert_semidefinite(difference, size):
+    """Assert that a symmetric matrix has no eigenvalue below 0, up to rounding in numbers of this size."""
+    assert np.linalg.eigvalsh(difference)[0] > -1e-4 * np.abs(size).max() - 1e-4
+
+
 @jax.jit
 def hessian(scene, reward, own, others):
     def cost(fields):
@@ -42,24 +47,24 @@ def test_where_a_feature_is_a_square_its_curvature_is_the_second_derivative(weig
     np.testing.assert_allclose(bent, kept, rtol=1e-3, atol=1e-6)  # the product of speed and cosine counts as linear
 
 
-def test_without_a_leader_a_gap_bends_nothing():
+def test_a_gap_without_a_leader_has_no_curvature():
     assert not bends(GAME.scene, linear_reward({"gap": 70.0}, 20.0), motion(0.0, 0.0), FAR).any()
 
 
-def test_closeness_bends_no_further_up_or_down_than_its_curvature_nor_much_less():
+def test_the_curvature_of_closeness_bounds_its_hessian_and_is_not_much_larger():
     reward, random = linear_reward({"collision_risk": -1.0, "collision": -100.0}, 20.0), np.random.default_rng(0)
     larger = []
     for _ in range(20):
         own = motion(random.uniform(-4, 1), random.normal(0, 0.2), x=random.uniform(50, 66))
         near = observe(random.normal((60, -1.5, 0, 20), (6, 2, 0.1, 3), size=(2, 1, 4)).astype(np.float32))
         bent, exact = bends(GAME.scene, reward, own, near), np.asarray(hessian(GAME.scene, reward, own, near))
-        assert np.linalg.eigvalsh(bent - exact)[0] > -1e-4 * np.abs(bent).max() - 1e-4
-        assert np.linalg.eigvalsh(bent + exact)[0] > -1e-4 * np.abs(bent).max() - 1e-4
+        assert_semidefinite(bent - exact, bent)
+        assert_semidefinite(bent + exact, bent)
         larger.append(np.linalg.eigvalsh(bent)[-1] / np.abs(np.linalg.eigvalsh(exact)).max())
     assert np.median(larger) < 2.5
 
 
-def test_no_reward_bends_upwards_whatever_its_weights():
+def test_the_curvature_of_any_reward_is_positive_semidefinite():
     random = np.random.default_rng(0)
     for _ in range(20):
         own = motion(random.uniform(-7, 4), random.normal(0, 0.2))

@@ -1,4 +1,4 @@
-"""Features of one's own: in rewards, plans and decisions, without a change of the package."""
+"""User-defined features in rewards, plans and decisions."""
 
 import pickle
 from dataclasses import replace
@@ -21,7 +21,7 @@ STEP = 1e-2  # of scaled controls, for differences in single precision
 
 
 def room(scene, own, others):
-    """Squared distance to the nearest car or cone in length units, softly: nearer ones count more."""
+    """A soft minimum of the squared distances to cars and cones, in length units."""
     x, y = (
         jnp.concatenate([ours, theirs])
         for ours, theirs in ((others.x, scene.obstacles[:, 0]), (others.y, scene.obstacles[:, 1]))
@@ -55,7 +55,7 @@ def close_cars(played):
 
 
 def differences(function, point):
-    """Central differences of a function, in every entry of the point; those come last."""
+    """Central differences of a function in every entry of the point; the last axes are those of the point."""
     steps = STEP * np.eye(point.size, dtype=np.float32).reshape(-1, *point.shape)
     slopes = [(np.asarray(function(point + step)) - np.asarray(function(point - step))) / (2 * STEP) for step in steps]
     return np.stack(slopes, axis=-1).reshape(*slopes[0].shape, *point.shape)
@@ -74,8 +74,8 @@ def drawn(steps):
     return np.random.default_rng(0).normal(0, 0.3, (2, steps, 2)).astype(np.float32)
 
 
-def test_decisions_expand_a_feature_that_looks_at_everything_at_once(roomy, close_cars):
-    """Other cars and cones, which are left out of the package's own, change how the feature depends on the human."""
+def test_decisions_expand_a_feature_that_depends_on_all_cars_at_once(roomy, close_cars):
+    """Expansions leave other cars and cones out for features of the package; this feature depends on them."""
     both = drawn(1)
     slopes = slopes_in(roomy, close_cars)
     slope, bend = slopes(both)[:, 0], differences(slopes, both)[:, 0, :, :, 0]
@@ -120,21 +120,21 @@ def speed(scene, own, others):
         ("own", 3.0, "'own' cannot be computed: TypeError"),
     ],
 )
-def test_a_name_that_is_taken_and_a_function_of_no_use_are_refused(name, function, message):
+def test_taken_names_and_unusable_functions_are_refused(name, function, message):
     before = weight_names()
     with pytest.raises(ValueError, match=message):
         add_feature(name, function)
     assert weight_names() == before
 
 
-def test_a_weight_of_a_feature_that_is_not_known_or_not_computed_is_refused():
+def test_weights_of_unknown_or_left_out_features_are_refused():
     with pytest.raises(ValueError, match=r"unknown reward features \['rom'\].*room.*--import the module that does"):
         linear_reward({"rom": 1.0}, 20.0)
     with pytest.raises(ValueError, match="room would not be computed; add them to the names"):
         linear_reward({"room": 1.0}, 20.0, names=PAPER_FEATURES)
 
 
-def test_a_game_with_it_is_pickled_and_equal(roomy):
+def test_a_game_with_a_user_defined_feature_is_pickled(roomy):
     again = pickle.loads(pickle.dumps(roomy))
     assert jax.tree.structure(again) == jax.tree.structure(roomy)
     assert again.robot.own == (room,)

@@ -33,8 +33,8 @@ def test_features_do_not_depend_on_the_unit_of_length(scenario, played):
     np.testing.assert_allclose(in_metres, in_units, rtol=2e-4, atol=1e-6)
 
 
-def test_the_slope_of_every_feature_is_that_of_differences_and_indicators_have_none(played):
-    """In double precision, in situations of four cars close to each other on the road's left edge, behind a leader."""
+def test_the_slope_of_every_feature_equals_differences_and_indicators_have_none(played):
+    """In double precision, for four cars close to each other at the left edge of the road, behind a leader."""
     game, state = played("merger", humans=2, unit=1.0)
     driver = linear_reward(dict.fromkeys(FEATURES, 1.0), 0.6)
     random = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Scenarios: their geometry, what humans drive for, and where they start."""
+"""Scenarios: starts in streams, and the weights of humans."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_m
             assert abs((x > 0).sum() - len(x) / 2) <= 1
 
 
-def test_humans_of_streams_differ_in_how_readily_they_yield_and_in_nothing_else():
+def test_humans_in_streams_differ_only_in_how_readily_they_yield():
     game = build_game(DENSE_MERGE, human_driving=LEARNED)
     assert game.number == 8
     believed, risk = game.humans.weights, game.humans.names.index("collision_risk")

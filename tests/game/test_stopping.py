@@ -1,4 +1,4 @@
-"""What plans for seconds pay where they could no longer stop before an obstacle."""
+"""The cost of plans for seconds that could no longer stop before an obstacle."""
 
 from dataclasses import replace
 
@@ -70,7 +70,7 @@ def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_th
 BRAKING = SPEED**2 / (2 * GRIP)
 
 
-def test_a_car_pays_from_where_it_can_no_longer_stop_with_room_to_steer_out():
+def test_a_car_pays_once_it_can_no_longer_stop_with_room_to_steer():
     assert cost(STOP - BRAKING - 0.1) == 0.0
     assert cost(STOP - BRAKING + CAR) == pytest.approx(1 / 1.2**4, rel=1e-3)
     assert cost(STOP - BRAKING + CAR, CONE[1], SPEED - 1.0) < cost(STOP - BRAKING + CAR)
@@ -84,8 +84,8 @@ def test_without_a_limit_of_braking_only_the_gap_counts():
 
 
 @pytest.mark.parametrize("late", [0.01, 0.5, 6.0, 30.0])
-def test_reward_and_curvature_of_a_plan_hold_the_cost_at_the_price_of_a_collision(late):
-    """The curvature is that of the squares of r and has no jump. At 30 m, the car is passing the obstacle."""
+def test_payoff_and_curvature_include_the_cost_at_the_price_of_a_collision(late):
+    """The curvature is that of squares of r, without a jump. At 30 m, the car is passing the obstacle."""
     humans = [motion(300.0 + place, -3.3) for place in (0, 9, 18)]
     nobody = jnp.stack([jnp.stack(human) for human in humans])
     own = jnp.stack(motion(STOP - BRAKING + late, CONE[1] - 0.4 * WIDTH))

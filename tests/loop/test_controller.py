@@ -1,4 +1,4 @@
-"""Controllers: records, clocks, fallbacks and compilations."""
+"""Controllers: their records, fallbacks, beliefs and compilations."""
 
 import pickle
 from dataclasses import replace
@@ -10,7 +10,7 @@ from jax import numpy as jnp
 
 from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import Switching
-from ms_highway.choice.rule import Order, always
+from ms_highway.choice.rule import PUBLISHED_COSTS, Order, always
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.loop.driver import Driver, fixed
@@ -18,8 +18,12 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import MODELS, ladder
 
 
+def switching(*models):
+    return Switching(Costs(0.0, np.array([PUBLISHED_COSTS[name] for name in models])), 0.0, ladder(models))
+
+
 @pytest.mark.usefixtures("stopped_by_nans")
-def test_a_step_tells_what_was_planned_for_every_human(played):
+def test_a_step_records_the_models_and_controls_of_every_human(played):
     game, state = played("merger", humans=2)
     step = Driver(game, Nearest(1, ladder(("naive", "turn", "tom")))).step(np.asarray(state))
     assert step.models == ("tom", "naive")
@@ -35,12 +39,11 @@ def test_a_step_tells_what_was_planned_for_every_human(played):
 
 @pytest.mark.slow
 def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(played):
-    """Neither does another driver compile anything, whose game and rule have other numbers."""
+    """Another driver, whose game and rule have other numbers, compiles nothing either."""
     game, state = played("merger")
-    switching = Switching(Costs(0.0, np.array([0.09, 0.17, 0.37])), 0.0, ladder(("naive", "turn", "tom")))
+    rule, models = switching("naive", "turn", "tom"), set()
     other = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
-    models = set()
-    for number, controller in enumerate([Driver(game, switching), Driver(other, replace(switching, price=3.0))]):
+    for number, controller in enumerate([Driver(game, rule), Driver(other, replace(rule, price=3.0))]):
         for count in range(6):
             step = controller.step(np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)))
             assert step.compile_seconds == 0 or (number, count) == (0, 0)
@@ -49,7 +52,7 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
 
 
 @pytest.mark.parametrize("solver", ["gradient", "newton"])
-def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(played, solver):
+def test_a_driver_whose_plans_fail_follows_the_rest_of_the_last_one_and_then_brakes(played, solver):
     game, state = played("merger", solver=solver)
     controller = fixed(game)
     first = controller.step(np.asarray(state))
@@ -61,10 +64,9 @@ def test_plans_that_fail_fall_back_to_the_rest_of_the_last_one_and_then_brake(pl
     np.testing.assert_allclose(steps[4].control, [0.0, -8.0], atol=0.01)
 
 
-def test_a_late_step_has_the_models_of_the_plan_that_was_followed_and_the_rule_goes_on_from_them(played):
+def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_continues_from_them(played):
     game, state = played("merger")
-    controller = Driver(game, Switching(Costs(0.0, np.array([0.09, 0.17])), 0.0, ladder(("naive", "turn"))))
-    steps = []
+    controller, steps = Driver(game, switching("naive", "turn")), []
     for count, budget in enumerate([None, 0.0, None]):
         controller.budget = budget
         steps.append(controller.step(np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count))))
@@ -73,29 +75,6 @@ def test_a_late_step_has_the_models_of_the_plan_that_was_followed_and_the_rule_g
     assert [step.planned for step in steps] == [("naive",), ("turn",), ("turn",)]
     np.testing.assert_array_equal(steps[1].plan, steps[0].plan[1:])
     assert np.isfinite(steps[2].gains[0, 1])  # of going up once more, as the robot has not gone up yet
-
-
-def persistent(game):
-    """The game whose plans start from the rest of the last one."""
-    return replace(game, planner=replace(game.planner, persistent=True))
-
-
-def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(played):
-    game, state = played("merger")
-    state = np.asarray(state)
-    switching = Switching(Costs(0.0, np.array([0.0, 0.0])), 0.0, ladder(("naive", "turn")))
-    controller = Driver(persistent(game), switching)
-    moved = [state + np.outer(state[:, 3], [0.1 * count, 0, 0, 0]) for count in range(4)]
-    models = [controller.step(now).models[0] for now in moved]
-    assert models[-1] == "turn"
-    own = controller._rest.plan.robot.copy()
-    controller.reset_partner()
-    np.testing.assert_array_equal(controller._rest.plan.robot, own)
-    assert (controller._rest.plan.humans == 0).all()
-    step = controller.step(moved[-1])
-    assert step.models == ("naive",)
-    assert np.isnan(step.gains).all()
-    assert np.isfinite(controller.step(moved[-1]).gains).any()
 
 
 @pytest.mark.parametrize(
@@ -109,14 +88,16 @@ def test_who_meets_another_partner_starts_again_at_the_bottom_with_its_own_plan(
 )
 def test_switching_with_impossible_numbers_or_rungs_is_refused(played, changes, message):
     game, _ = played("merger")
-    switching = Switching(Costs(0.0, np.array([0.09, 0.37])), 0.1, ladder(("naive", "tom")))
     with pytest.raises(ValueError, match=message):
-        Driver(game, replace(switching, **changes))
+        Driver(game, replace(switching("naive", "tom"), **changes))
+
+
+def test_the_first_rung_must_not_respond_with_a_belief(played):
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
-        Driver(game, replace(switching, ladder=ladder(("tom@4", "tom"))), belief=True)
+        Driver(played("merger")[0], replace(switching("naive", "tom"), ladder=ladder(("tom@4", "tom"))), belief=True)
 
 
-def test_another_order_is_followed_at_once_also_with_a_belief_and_on_the_same_ladder_only(played):
+def test_a_driver_follows_another_rule_at_once_if_it_is_on_the_same_ladder(played):
     game, state = played("merger")
     models = ladder(("naive", "turn"))
     driver, followed = Driver(game, Order(np.array([[0]]), models), belief=True), []
@@ -128,17 +109,7 @@ def test_another_order_is_followed_at_once_also_with_a_belief_and_on_the_same_la
         driver.rule = always(models[0])
 
 
-def test_a_schedule_goes_on_among_other_humans(played):
-    game, state = played("merger")
-    driver, followed = Driver(game, Order(np.array([[1], [1], [0]]), ladder(("naive", "turn")))), []
-    for count in range(4):
-        if count == 2:
-            driver.reset_partner()
-        followed.append(driver.step(np.asarray(state)).models[0])
-    assert followed == ["turn", "turn", "naive", "naive"]
-
-
-def test_an_order_with_a_belief_can_fall_back_on_naive_and_is_pickled(played):
+def test_an_order_with_a_belief_adds_naive_to_its_ladder_and_is_pickled(played):
     game, state = played("merger")
     order = Order(np.array([[1]]), ladder(("turn", "tom")))
     controller = pickle.loads(pickle.dumps(Driver(game, order, belief=True)))
@@ -148,8 +119,8 @@ def test_an_order_with_a_belief_can_fall_back_on_naive_and_is_pickled(played):
     assert "naive" in make_batch(Comparison({"merger": ["tom+belief"]}, config=config), "merger").models
 
 
-def test_an_escape_is_followed_where_the_next_plan_fails_and_plans_go_on_from_the_one_that_it_replaced(played):
-    """A human comes from behind, faster than the robot; another one is beside it."""
+def test_an_escape_is_followed_if_the_next_plan_fails_and_later_plans_start_from_the_plan_it_replaced(played):
+    """A faster human comes from behind; another one is beside the robot."""
     game, state = played("dense_merge")
     game = replace(game, planner=replace(game.planner, newton_steps=1))  # so that it matters where plans start from
     lane, x = float(game.scene.target_lane), float(state[0, 0])

@@ -17,7 +17,6 @@ from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.devices import use_devices
-from ms_highway.loop.fallback import STATUSES
 
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"
@@ -40,7 +39,7 @@ def records():
     return simulated(COMPARISON)
 
 
-def test_records_are_those_of_an_experiment_without_measured_times(records):
+def test_records_have_the_columns_of_an_experiment_but_measured_times(records):
     assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
     assert len(records) == len(CONTROLLERS) * 6 * 40
     assert records["controller"].drop_duplicates().tolist() == CONTROLLERS
@@ -69,18 +68,6 @@ def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(ref
         records = simulate(batch.loop, replace(given, starts=np.float32(logged["states"][:, 0] * units)))
         np.testing.assert_allclose(records.states[:, :-1] / units, logged["states"][:, 1:], atol=1e-3)
         assert records.reward.mean() == pytest.approx(logged["rewards"].mean(), abs=0.01)
-
-
-def test_a_plan_that_is_not_finite_gives_way_to_braking_and_leaves_the_other_episodes_alone(records):
-    batch = make_batch(COMPARISON, "merger")
-    given = batch.episodes([("naive", 0), ("naive", 1)])
-    weights = given.robot_weights.copy()
-    weights[0] = np.nan
-    found = simulate(batch.loop, replace(given, robot_weights=weights))
-    assert (found.status[0] == STATUSES.index("braking")).all()
-    assert found.states[0, -1, 0, 3] == pytest.approx(0, abs=1e-4)
-    alone = records.query("controller == 'naive' and seed == 1")
-    np.testing.assert_allclose(found.states[1, :, :2].reshape(40, -1), alone[STATES], atol=1e-3)
 
 
 class NearsightedEnv(MergerEnv):
@@ -130,9 +117,9 @@ def test_the_speed_of_environment_and_batches_is_measured(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
     ((name, result),) = speed("stay_back", ["switching:1"], {"ladder": ["naive", "turn"]}, [1, 20])
     assert name == "switching:1"
-    assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
-    assert 0 < result["decision_us"] < 1e6
-    assert 0 < result["step_us"] < 1e6
+    assert result["plan_us"]["p50"] <= result["plan_us"]["p99"]
+    times = *result["plan_us"].values(), result["decision_us"], result["step_us"]
+    assert all(0 < time < 1e6 for time in times)
     assert result["environment"] > 1
     assert result["batch"]["20"] > result["batch"]["1"] > 1
     assert result["devices"].endswith(" of kind cpu")

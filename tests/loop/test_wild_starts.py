@@ -1,4 +1,4 @@
-"""Plans and decisions from states that no scenario would start in."""
+"""Plans and decisions from states in which no scenario starts."""
 
 from functools import partial
 
@@ -45,13 +45,12 @@ def check(step):
 
 
 @pytest.mark.slow
-def test_switching_goes_on_from_wild_starts(scenario, wild):
-    """Five steps from every start, the human driving at random: enough to go up and all the way down."""
+def test_switching_drives_from_wild_starts(scenario, wild):
+    """Five steps from every start, with a random human: enough to go up the ladder and all the way down."""
     game, starts = wild
     rungs = ladder(SCENARIOS[scenario].ladder)
-    controller = Driver(
-        game, Switching(Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs])), 0.1, rungs)
-    )
+    costs = Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs]))
+    controller = Driver(game, Switching(costs, 0.1, rungs))
     random, models, estimated = np.random.default_rng(1), set(), set()
     for state in starts:
         controller.reset()
@@ -79,7 +78,7 @@ def absurd_states(number, cars, largest):
     return random.choice([-1, 1], shape) * 10.0 ** random.uniform(-largest, largest, shape)
 
 
-def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, semantics):
+def test_braking_ends_at_a_standstill_and_is_finite_and_limited_in_any_finite_state(played, semantics):
     game, _ = played("merger", semantics=semantics)
     compiled = jax.jit(jax.vmap(partial(braking_control, game)))
     for car in absurd_states(2000, 1, 308)[:, 0]:
@@ -87,11 +86,13 @@ def test_braking_is_finite_and_within_the_limits_in_any_finite_state(played, sem
             control = braking_control(game, car)
         assert np.isfinite(control).all()
         assert abs(control[1]) <= DECELERATION
+    slow = np.array([0.0, 0.0, 0.1, 0.5])
+    assert move(game.dynamics, slow, braking_control(game, slow))[3] == pytest.approx(0.0, abs=1e-6)  # it stops
     single = absurd_states(2000, 1, 38)[:, 0].astype(np.float32)
     assert np.isfinite(compiled(single)).all()
 
 
-def test_controls_are_finite_in_any_state_that_is_so_in_single_precision_and_others_are_refused(played, semantics):
+def test_controls_are_finite_in_any_state_that_single_precision_holds_and_others_are_refused(played, semantics):
     game, state = played("merger", semantics=semantics)
     controller, random = fixed(game), np.random.default_rng(3)
     for states in absurd_states(300, len(state), 38):

@@ -1,4 +1,4 @@
-"""Newton steps that are a continuous function of where they start."""
+"""Newton steps whose result is a continuous function of the start."""
 
 import jax
 import numpy as np
@@ -24,8 +24,9 @@ def objective(reward, curvature=0.0, limit=10.0):
         reward,
         lambda controls: jnp.sum(controls**2) / 2,
         lambda controls: jnp.clip(controls, -limit, limit),
-        None,
+        jax.grad(reward),
         lambda path: (curvature(path) if callable(curvature) else jnp.full_like(path, curvature))[None],
+        lambda controls: PATH,
     )
 
 
@@ -39,10 +40,10 @@ def test_a_concave_reward_is_climbed_almost_to_its_top_within_the_limits():
     assert np.abs(convex_newton_steps(objective(hill, 40.0, limit=0.1), start)).max() <= 0.1
 
 
-def test_starts_that_differ_little_end_in_plans_that_differ_little_also_where_the_reward_has_walls():
-    """A line search that chooses among shares goes from one to the next at some of these starts.
+def test_similar_starts_end_in_similar_plans_even_where_the_reward_has_walls():
+    """At some of these starts, a line search that chooses among shares would jump from one share to the next.
 
-    In double precision, as rounding hides whether the steepest fork is a jump.
+    In double precision, as rounding hides whether the steepest change is a jump.
     """
 
     def walls(path):
@@ -81,13 +82,13 @@ def test_the_share_of_a_step_is_that_of_a_parabola(slope, after, expected):
     assert share(jnp.float32(slope), jnp.float32(after)) == pytest.approx(expected, abs=1e-4)
 
 
-def test_steps_into_what_is_not_finite_are_short_and_out_of_it_none_so_that_a_plan_fails_and_says_so():
+def test_a_step_towards_nan_is_short_and_a_plan_without_a_finite_reward_is_nan():
     assert share(jnp.float32(1.0), jnp.float32(jnp.nan)) == jnp.float32(MIN_SHARE)
     lost = objective(lambda path: jnp.sum(path) * jnp.nan)
     assert np.isnan(convex_newton_steps(lost, jnp.zeros((6, 2)))).all()
 
 
-def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_changes_nearly_nothing():
+def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_hardly_matters():
     def rest(start, most=50, left=0.3):
         return until_still(lambda point: left * point, jnp.float32(start), most, lambda point: point)
 
@@ -101,7 +102,7 @@ def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_changes_ne
     assert np.isnan(rest(1.0, left=np.nan))
 
 
-def test_what_is_not_finite_is_never_the_best():
+def test_the_best_candidate_earns_a_finite_reward():
     candidates = jnp.arange(3.0)[:, None]
     assert best_of(candidates, jnp.array([jnp.nan, -1.0, jnp.inf])) == 1.0
     assert np.isnan(best_of(candidates, jnp.full(3, jnp.nan))).all()  # so that a plan fails, and says so

@@ -8,14 +8,15 @@ from jax import numpy as jnp
 from ms_highway.numerics.second_derivatives import floored, response
 
 
-@pytest.mark.parametrize("size", [2, 5])
-def test_the_exact_response_solves_the_linear_equations(size):
+def test_the_exact_response_solves_linear_equations_and_the_damped_one_always_ascends():
     random = np.random.default_rng(0)
-    for _ in range(10):
-        matrix, push = random.normal(size=(size, size)), random.normal(size=(size, 2))
-        matrix = matrix + matrix.T + 3 * np.eye(size)
-        answer = response("exact", jnp.float32(matrix), jnp.float32(push))
-        np.testing.assert_allclose(matrix @ answer, -push, atol=1e-4 * abs(np.linalg.inv(matrix)).max())
+    for _ in range(20):
+        matrix, push = random.normal(0, 3, (5, 5)), random.normal(size=5)
+        matrix = matrix + matrix.T
+        exact, damped = (response(kind, jnp.float32(matrix), jnp.float32(push)) for kind in ("exact", "damped"))
+        np.testing.assert_allclose(matrix @ exact, -push, atol=1e-4 * abs(np.linalg.inv(matrix)).max())
+        assert damped @ push > 0
+        assert np.linalg.norm(damped) <= np.linalg.norm(push) * 1.001
 
 
 def symmetric(seed, eigenvalues):

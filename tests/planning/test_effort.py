@@ -1,4 +1,4 @@
-"""Efforts: models in fewer or more ascent steps, from the last plan, by name, and what they cost."""
+"""Efforts: models by name in fewer or more steps or from the last plan, and their costs."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,7 +41,7 @@ def lazy():
 
 
 @pytest.mark.parametrize("name", ["naive@10", "tom+warm", "tom@8+warm"])
-def test_a_name_is_that_of_the_model_that_it_stands_for(name):
+def test_a_model_has_the_name_that_makes_it(name):
     model = human_model(name)
     assert model.name == name
     assert model.responds == name.startswith("tom")
@@ -49,7 +49,7 @@ def test_a_name_is_that_of_the_model_that_it_stands_for(name):
 
 
 @pytest.mark.parametrize("name", STRANGE)
-def test_a_name_of_no_effort_is_refused_with_the_remedy(name):
+def test_an_invalid_effort_is_refused_with_the_remedy(name):
     assert not is_model(name)
     with pytest.raises(ValueError, match=r"unknown human model .*tom, also in 1 to 5000 steps \(tom@8\)"):
         ladder([name])
@@ -58,12 +58,12 @@ def test_a_name_of_no_effort_is_refused_with_the_remedy(name):
 @pytest.mark.parametrize(
     "names", [[], ["tom", "tom@40"], ["tom@8+warm", "tom@8"], ["tom@4", "naive"], ["tom@8", "tom@8"]]
 )
-def test_a_ladder_goes_from_model_to_model_and_in_each_from_fewer_steps_to_more(names):
+def test_a_ladder_is_ordered_by_model_and_then_by_number_of_steps(names):
     with pytest.raises(ValueError, match=r"cheapest first.*of the same model fewer steps first"):
         ladder(names)
 
 
-def test_the_ladder_that_serves_best_has_a_name_which_no_model_may_have():
+def test_the_best_ladder_has_a_name_that_is_reserved():
     for names in ("best", ["best"], BEST_LADDER):
         assert tuple(model.name for model in ladder(names)) == BEST_LADDER
     with pytest.raises(ValueError, match="'best'"):

@@ -12,7 +12,6 @@ import ms_highway
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_players, total_reward
 from ms_highway.game.scenarios import MERGER, MERGER_V1
-from ms_highway.numerics.second_derivatives import response
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import TheoryOfMind
 from ms_highway.planning.ladders import MODELS
@@ -72,22 +71,11 @@ def test_theory_of_mind_steps_along_the_total_derivative(played, influence):
 
 
 def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
-    """In Merger the human brakes for a robot that counts on it, and the robot steers in; seen in the plans."""
+    """In plans for Merger, the human brakes for a robot that counts on it, and the robot steers in."""
     game, state = played("merger")
     naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
     assert tom.humans[0, :, 1].mean() < naive.humans[0, :, 1].mean()
     assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
-
-
-def test_the_damped_response_always_ascends():
-    random = np.random.default_rng(0)
-    for _ in range(20):
-        hessian = random.normal(0, 3, (10, 10)).astype(np.float32)
-        hessian = hessian + hessian.T
-        push = random.normal(size=10).astype(np.float32)
-        damped = response("damped", hessian, push)
-        assert damped @ push > 0
-        assert np.linalg.norm(damped) <= np.linalg.norm(push) * 1.001
 
 
 @dataclass(frozen=True)
@@ -109,7 +97,7 @@ def test_a_registered_model_predicts_in_si_units(played, humans):
     np.testing.assert_allclose(planned.humans[..., 1] * game.planner.control_scale[1], expected, rtol=1e-5)
 
 
-def test_a_prediction_that_the_limits_cut_is_warned_of(played):
+def test_there_is_a_warning_if_limits_cut_a_prediction(played):
     game, state = played(MERGER_V1, semantics="physical")
     state = checked_state(state)
     with pytest.warns(UserWarning, match=r"'told' predicts an acceleration of -396 m/s\^2.*limits.*to -3.99"):
@@ -130,20 +118,18 @@ class Says(ms_highway.PredictedHuman):
     ("what", "told"),
     [
         (None, "None"),
-        ("fast", "'fast'"),
-        (4.0, r"an array of shape \(\) and type float32"),
         (((0.0, -4.0),) * 3, r"an array of shape \(3, 2\)"),
         (((0.0, 1j),) * 5, "an array .* and type complex64"),
     ],
 )
-def test_what_is_no_prediction_is_refused_with_the_shape_and_the_units(played, humans, what, told):
+def test_an_invalid_prediction_is_refused_with_the_shape_and_the_units(played, humans, what, told):
     game, state = played("merger", humans=humans)
     plans = CompiledPlans(game, [Says(what=what)])
     with pytest.raises(ValueError, match=rf"model 'says' predicts {told}.*; predict numbers \(5, 2\): curvature \[1/m"):
         plans.plan(checked_state(state), [0] * humans)
 
 
-def test_every_model_predicts_what_its_plan_counts_on(played):
+def test_the_prediction_of_every_model_is_what_its_plan_expects(played):
     game, state = played("merger")
     for model in MODELS.values():
         predicted, counted_on = jit_quickly(model.predict)(game, state), plan(model, game, state).humans[0]
@@ -154,7 +140,6 @@ def test_every_model_predicts_what_its_plan_counts_on(played):
     ("numbers", "told"),
     [
         ({"lanes": (-0.1, 0.0)}, r"lanes at \(-0.1, 0.0\).*2.5 to 6 m apart.*metres"),
-        ({"lanes": (-133.0, 0.0)}, r"lanes at \(-133.0, 0.0\)"),
         ({"cars": ((-10.0, 0.0), (0.0, 30.0))}, r"a car at \(0.0, 30.0\), beside all lanes"),
         ({"humans": 2}, "humans=2 and 0 streams; streams say where"),
         ({"cones": ((10.0, float("nan")),)}, r"a cone at \(10.0, nan\)"),

@@ -1,4 +1,4 @@
-"""What every human would do next under each model."""
+"""The next control of every human under each model."""
 
 import jax
 import numpy as np
@@ -26,7 +26,7 @@ def predicted(played):
     return predict
 
 
-def test_turn_is_what_a_human_of_this_package_does_and_naive_makes_up_for_friction(predicted):
+def test_turn_predicts_humans_of_this_package_and_naive_compensates_friction(predicted):
     controls, cars, game = predicted(STRAIGHT)
     human = fixed(swap_roles(game)).step(cars[[1, 0, *range(2, len(cars))]])
     np.testing.assert_allclose(controls[TURN], human.control, atol=0.01)

@@ -58,7 +58,7 @@ def earned(game, state, robot):
     return game.payoff.total(move(game, state[0], robot), others) - discomfort(game, state[0], robot)
 
 
-def test_a_plan_that_is_good_enough_is_kept_and_one_that_hits_somebody_is_left(game, start):
+def test_a_plan_that_is_good_enough_is_kept_and_one_that_collides_is_replaced(game, start):
     state = traffic(game, [-30.0, 30.0])
     kept = cold_start(game, state).robot
     humans = constant_velocity(game, state[1:])
@@ -73,7 +73,7 @@ def test_a_plan_that_is_good_enough_is_kept_and_one_that_hits_somebody_is_left(g
     assert earned(game, blocked, other) > 0
 
 
-def test_a_plan_that_is_not_finite_is_left_for_a_manoeuvre_and_nothing_finite_is_no_plan(game, start):
+def test_a_manoeuvre_replaces_a_plan_that_is_not_finite_and_without_a_finite_one_there_is_no_plan(game, start):
     state = traffic(game, [-30.0, 30.0])
     lost = jnp.full((20, 2), jnp.nan)
     assert np.isfinite(start(state, lost, constant_velocity(game, state[1:]))).all()

@@ -1,4 +1,4 @@
-"""Plans among several humans: far humans, their order, all assignments in one compilation, efforts, measured times."""
+"""Plans among several humans: assignments of models, far humans, their order, and numbers of steps."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -56,7 +56,7 @@ def test_one_compilation_serves_all_assignments(three, plans):
     assert function._cache_size() == sizes
 
 
-def test_what_the_robot_changes_of_a_humans_gradient_is_found_without_the_other_cars(three):
+def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
     game, state = three[0], jnp.asarray(three[1]).at[0, 1].set(-1.5)  # between the lanes
     start, who, changed = cold_start(game, state), Situation(game, state), []
     robot, humans = move(game, state[0], start.robot), move_all(game, state[1:4], start.humans)
@@ -68,7 +68,7 @@ def test_what_the_robot_changes_of_a_humans_gradient_is_found_without_the_other_
     assert max(changed) > 0.1
 
 
-def test_each_human_is_predicted_in_the_robots_game_with_it_alone(three, plans):
+def test_each_human_is_predicted_in_the_game_of_the_robot_with_this_human_alone(three, plans):
     game, state = three
     expected = plans.plan(state, [TURN, IDM, NAIVE])[0].humans
     for human, model in enumerate((Turn(), MODELS["idm"], MODELS["naive"])):
@@ -83,7 +83,7 @@ class Answering(TheoryOfMind):
     name: ClassVar[str] = "answering"
 
 
-def test_a_model_of_ones_own_that_responds_answers_the_robots_plan(three, plans):
+def test_a_user_defined_model_can_respond_to_the_robots_plan(three, plans):
     game, state = three
     expected = plans.plan(state, [TOM, NAIVE, TOM])[0]
     found = CompiledPlans(game, (MODELS["naive"], Answering())).plan(state, [1, 0, 1])[0]
@@ -120,17 +120,17 @@ def test_the_order_of_humans_changes_nothing(three, plans):
         ("naive@2 naive@12 tom", [0, 1, 0], (12, 0)),  # nobody answers
     ],
 )
-def test_answers_limit_the_steps_of_a_plan_unless_a_rung_in_use_asks_for_a_number(three, names, rungs, steps):
+def test_plans_take_the_largest_numbers_of_steps_that_rungs_in_use_ask_for(three, names, rungs, steps):
     found = most_steps(ladder(names.split()), three[0], np.array(rungs))
     assert (found and tuple(map(int, found))) == steps
 
 
-def test_plans_start_from_zero_controls_or_at_once_from_keeping_the_velocity(three, plans):
+def test_plans_start_from_zero_controls_or_up_a_smooth_reward_from_constant_velocity(three, plans):
     game, state = three
-    kept = np.asarray(cold_start(game, state).humans[2, 4]) * game.planner.control_scale
-    assert kept == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
+    start = cold_start(game, state)
+    assert start.humans[2, 4] * game.planner.control_scale == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
+    assert {type(part) for part in start} == {np.ndarray}  # computed by NumPy, as its time is not counted
     *_, begin = plans.call(state, [TOM] * 3)
-    np.testing.assert_allclose(begin.humans[2, 4] * game.planner.control_scale, kept, rtol=1e-6)
-    assert {type(part) for part in cold_start(game, state)} == {np.ndarray}  # JAX, uncounted here, takes no part
+    np.testing.assert_array_equal(begin.humans, start.humans)
     papers = replace(game, planner=replace(game.planner, smooth=False))
-    assert not np.concatenate([each.ravel() for each in cold_start(papers, state)]).any()
+    assert not any(controls.any() for controls in cold_start(papers, state))

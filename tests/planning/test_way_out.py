@@ -32,6 +32,12 @@ def beside(game, offsets):
     return jnp.asarray(np.concatenate([robot, humans]), jnp.float32)
 
 
+def changed(game, state, curvature, acceleration):
+    """The scaled control that changes the robot's velocity by this much."""
+    kept = keep_velocity(game.dynamics, state[0])
+    return (kept + np.float32([curvature, acceleration])) / game.planner.control_scale
+
+
 @pytest.fixture(scope="module")
 def moved(game):
     """The state after a control of the robot, while humans keep their velocity, and whether the robot collides then."""
@@ -60,7 +66,7 @@ def driven(game, moved, state, control, escape=None):
 
 
 @pytest.mark.parametrize("control", [[0.0, 4.0], [-0.01, 4.0]], ids=["into the cones", "into a human"])
-def test_a_robot_that_would_collide_brakes_in_time_where_the_lane_beside_is_taken(game, moved, escape, control):
+def test_a_robot_that_would_collide_brakes_in_time_if_the_next_lane_is_taken(game, moved, escape, control):
     state = beside(game, [-8.0, 0.0, 8.0])
     assert driven(game, moved, state, control)[0]
     collided, replaced = driven(game, moved, state, control, escape)
@@ -85,8 +91,8 @@ def test_a_control_that_leaves_a_way_out_stays(game, escape):
     assert not escape(state, control).replaces
 
 
-def test_a_control_and_the_escapes_from_now_are_judged_over_the_same_time(game, escape):
-    """A human comes up from behind, who reaches the robot sooner or later: no escape replaces the first of the best."""
+def test_a_control_is_judged_over_the_same_time_as_escapes(game, escape):
+    """A human from behind reaches the robot sooner or later: no escape replaces the first control of the best one."""
     replaced = []
     for gap in np.arange(10.0, 60.0, 0.5):
         state = beside(game, [-gap, -gap, -gap]).at[1, 1].set(0.0).at[1:, 3].set(40.0)
@@ -95,11 +101,11 @@ def test_a_control_and_the_escapes_from_now_are_judged_over_the_same_time(game, 
     assert not any(replaced)
 
 
-def test_a_robot_that_cannot_get_away_from_who_comes_up_behind_speeds_up(game, escape):
+def test_a_robot_speeds_up_before_a_faster_car_from_which_it_cannot_escape(game, escape):
     state = beside(game, [-12.0, 0.0, 8.0]).at[1, 1].set(0.0).at[1, 3].set(30.0)
-    steady = keep_velocity(game.dynamics, state[0]) / np.asarray(game.planner.control_scale)
+    steady = changed(game, state, 0.0, 0.0)
     found = escape(state, steady)
-    assert bool(found.replaces)
+    assert found.replaces
     assert found.controls[0, 1] > steady[1]
     assert not escape(state, found.controls[0]).replaces  # one that is as good stays
 
@@ -107,10 +113,9 @@ def test_a_robot_that_cannot_get_away_from_who_comes_up_behind_speeds_up(game, e
 def test_a_robot_that_cannot_stop_before_the_cones_brakes_as_hard_as_it_can(game, escape):
     cones = float(game.scene.obstacles[:, 0].min())
     state = beside(game, [-8.0, 0.0, 8.0]).at[:, 0].add(cones - 20.0)
-    scale, steady = np.asarray(game.planner.control_scale), np.asarray(keep_velocity(game.dynamics, state[0]))
-    found = escape(state, jnp.asarray((steady + np.array([0.0, 4.0])) / scale, jnp.float32))
-    assert bool(found.replaces)
-    assert (np.asarray(found.controls[0]) * scale - steady)[1] == pytest.approx(-8.0, abs=0.1)
+    found = escape(state, changed(game, state, 0.0, 4.0))
+    assert found.replaces
+    np.testing.assert_allclose(found.controls[0, 1], changed(game, state, 0.0, -8.0)[1], rtol=0.01)
 
 
 def test_the_controls_of_an_escape_are_those_that_avoid_the_collision(game, moved, escape):

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, whatever happens, and whoever else writes."""
+"""Files are whole or absent, whatever happens and whoever else writes."""
 
 import resource
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +13,7 @@ SIZE = 20_000  # bytes
 
 @contextmanager
 def room_for(size):
-    """No file may grow larger; the system refuses as it does on a full disk, and names no file either."""
+    """No file may grow larger than this; as on a full disk, the error of the system names no file."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
     try:

@@ -16,7 +16,7 @@ SCRIPT = [str(Path(sys.executable).with_name("ms-highway"))]
 
 
 def begin(*command, **streams):
-    """A process that heeds interrupts, even where this one ignores them."""
+    """A process that reacts to interrupts, even if this one ignores them."""
     heeded = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         return subprocess.Popen([sys.executable, *command], stderr=subprocess.PIPE, text=True, **streams)
@@ -25,7 +25,7 @@ def begin(*command, **streams):
 
 
 def outcome(process):
-    """What a process says, which is not left running if it does not end."""
+    """What a process says; it is killed if it does not end."""
     try:
         return process.communicate(timeout=300)
     finally:
@@ -79,7 +79,7 @@ except KeyboardInterrupt:
 
 @pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
-    """In Python 3.11, those that `Thread.join` was waiting for count as ended, and outlive Python."""
+    """In Python 3.11, threads that an interrupted `Thread.join` waits for count as ended, and outlive Python."""
     process = begin("-c", LONG, stdout=subprocess.PIPE)
     said, errors = outcome(process)
     assert (said.strip(), process.returncode) == ("[]", 0), errors

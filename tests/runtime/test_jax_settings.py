@@ -1,4 +1,4 @@
-"""Compiled functions that are kept: where, and by whom."""
+"""Compiled functions that are kept on disk, and single precision everywhere."""
 
 import os
 import subprocess
