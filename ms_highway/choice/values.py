@@ -77,9 +77,7 @@ class Values:
         sizes += [size for shape in shapes[1::2] for size in shape[-1:]]
         wanted = [networks + shape for one, other in pairwise(sizes) for shape in ((one, other), (other,))]
         if shapes != wanted or 0 in networks or sizes[-1] != 2 * (len(self.ladder) - 1):
-            raise ValueError(
-                f"layers of the networks have the shapes {shapes}, not those for {len(self.ladder)} models"
-            )
+            raise ValueError(f"the networks have layers of shapes {shapes}, not those for {len(self.ladder)} models")
         standard = np.shape(self.centre), np.shape(self.spread)
         if set(standard) != {(sizes[0],)} or not all(
             (np.abs(part) <= MAX_NUMBER).all() for part in (self.centre, self.spread)
