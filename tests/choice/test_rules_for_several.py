@@ -44,7 +44,7 @@ def chosen(rule, game):
 
 
 def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately():
-    """JAX takes such dataclasses for equal: `jax.jit` alone confuses about one in eight of these with an earlier one."""
+    """JAX takes such dataclasses for equal: `jax.jit` alone takes one in eight of these for an earlier one."""
     number = jit_quickly(lambda rule: rule.count * type(rule).number)
     for copy in range(60):
         kind = dataclass(frozen=True)(type(f"Rule{copy}", (), {"__annotations__": {"count": int}, "number": copy}))
