@@ -7,7 +7,6 @@ from gymnasium import spaces
 
 import ms_highway
 from ms_highway.envs.agents import AGENTS
-
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment, read, run
