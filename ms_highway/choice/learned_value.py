@@ -1,9 +1,9 @@
 """Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et al. 2018).
 
-From the situation of a human, networks estimate how much more the robot earns per step if a rung predicts this human
-instead of the cheapest one, while the same rung predicts all nearer humans. The price of the time that the human adds
-to a plan is subtracted. As a gap may open only if two humans yield together, the values of the nearest humans are added
-up: the rule chooses how many of the nearest humans are predicted by more than the cheapest rung.
+From the situation of a human, networks estimate how much more the robot earns per step if a rung, instead of the
+cheapest one, predicts this human, while the same rung predicts all nearer humans. The price of the time that the human
+adds to a plan is subtracted. A gap may open only if two humans yield together. Therefore, the rule adds up the values
+from the nearest human outwards, and predicts as many humans by more than the cheapest rung as have the highest sum.
 """
 
 from dataclasses import dataclass, field

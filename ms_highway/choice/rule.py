@@ -36,7 +36,7 @@ NOT_ESTIMATED = -np.inf
 """Gain of a rung for which none was estimated. It is not NaN, as NaN would trigger ``jax_debug_nans``."""
 
 NEVER = -(2**20)
-"""Step of the last check before any check."""
+"""Step that stands for the last check if there was none."""
 
 
 class Memory(NamedTuple):
@@ -118,7 +118,7 @@ class Rule:
         return replace(self, price=price) if "price" in {each.name for each in fields(self)} else self  # type: ignore
 
     def deciding_in(self, seconds: Callable[[], float]) -> "Rule":
-        """Return the rule for decisions of this duration; only rules that need the duration call the measurement."""
+        """Return the rule, told the duration of its decisions; only rules that need it call ``seconds`` to measure it."""
         return self
 
     def for_unresponsive(self) -> "tuple[Rule, int]":

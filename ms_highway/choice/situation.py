@@ -33,7 +33,7 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
     their rewards, with a single sum for those beyond the paper's, and the derivatives of the rewards in both cars'
     states, in the scene's unit of length. Then their relative state, their headings, their speeds as shares of the
     speed limit, and their distances from the target lane. All these are compressed by ``sign(n) log(1 + |n|)``, as a
-    collision or leaving the road costs a thousand times more than anything else. At last, the time gaps of both to the
+    collision or leaving the road costs a thousand times more than anything else. Finally, the time gaps of both to the
     cars around them, as ``log(1 + gap / s)``, and the share of humans who are nearer to the robot.
 
     Args:
@@ -56,7 +56,7 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
 
 
 def nearness(game: Game, state: State) -> Rungs:
-    """Return, for each human, how many others are nearer to the robot; of equal distances, the first is nearer."""
+    """Return, for each human, how many are nearer to the robot; of equally near ones, the first counts as nearer."""
     places = jnp.asarray(state)[: 1 + game.number, :2]
     return jnp.argsort(jnp.argsort(jnp.linalg.norm(places[1:] - places[0], axis=1)))
 

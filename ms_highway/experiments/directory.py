@@ -63,7 +63,7 @@ class ResultsDirectory:
             return msgspec.convert(read_json(self.path / SETTINGS_FILE), dict)
 
     def take_up(self, settings: Mapping) -> dict:
-        """Return the settings of results that are resumed here, or these settings if results begin here.
+        """Return the settings to compute with: those of the results in the directory or, without results, these.
 
         Raises:
             ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, or other files.

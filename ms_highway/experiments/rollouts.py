@@ -38,8 +38,8 @@ class Rollouts(NamedTuple):
 
     Attributes:
         descriptions: descriptions of the situations [examples, numbers], see `ms_highway.choice.situation`.
-        gains: gain of each rung over the first one, per step with it, while all nearer humans have this rung in both
-            cases [examples, rungs - 1]; -inf if a rung is not on the course's ladder.
+        gains: gain per step if a rung, instead of the first one, predicts a human, while this rung predicts all nearer
+            humans [examples, rungs - 1]; -inf if the rung is not on the course's ladder.
     """
 
     descriptions: Any
@@ -201,7 +201,7 @@ class Driving:
         return Rollouts(described.reshape(len(gains), -1), gains)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
-        """Draw states from episodes with models from random orders and from the rule, and return the humans' weights.
+        """Draw states from episodes that random orders and the rule have planned; return them and the humans' weights.
 
         After a fit, the rule chooses in half of the episodes and, with one human, in the later part of the others. With
         several humans, states in which the robot drives and is not in its lane yet are drawn more often, as predictions

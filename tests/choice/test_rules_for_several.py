@@ -23,7 +23,7 @@ RUNGS = ladder(("naive", "turn", "tom"))
 NAIVE, TURN, TOM = range(3)
 LANE = 100 / 30  # m
 
-# in the robot's lane, 15 m ahead and as fast; likewise, 40 m ahead and much slower; beside it and faster; far aside
+# in the robot's lane: 15 m ahead and as fast, 40 m ahead and slower; in the next one: 20 m behind; far aside
 HUMANS = [[15.0, 0.0, 0.0, 20.0], [40.0, 0.0, 0.0, 2.0], [-20.0, LANE, 0.0, 22.0], [12.0, 4 * LANE, 0.0, 5.0]]
 STATE = np.array([[0.0, 0.0, 0.0, 20.0], *HUMANS], np.float32)
 
