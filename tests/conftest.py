@@ -1,4 +1,4 @@
-"""What the tests share: games, starts, reference episodes, and one cache of compilations for all runs."""
+"""Fixtures of all tests: games, starts, reference episodes, and one cache of compiled functions for all runs."""
 
 import os
 import resource
@@ -30,12 +30,12 @@ LARGEST = 500e6  # bytes of the cache
 MAX_MEMORY = 3e6  # kB of a worker
 
 XLA_DEFAULTS = "--xla_cpu_max_isa= --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
-"""XLA's own defaults, stated so that commands leave them unchanged. XLA reads its flags once, but JAX names a compiled
-function after the flags of the moment: after a test of a command, others would compile theirs again."""
+"""XLA's own defaults, set so that commands leave them unchanged. XLA reads its flags once, but JAX files a compiled
+function under the present flags: after the test of a command, other tests would compile their functions again."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before any worker begins, remove from the cache what has not been used for longest, beyond its largest size."""
+    """Before any worker begins, remove the least recently used files from the cache, beyond its largest size."""
     if not hasattr(config, "workerinput"):
         found = []
         for file in CACHE.glob("*"):
@@ -49,7 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def shared_cache() -> None:
-    """All runs, their workers, and the processes that they start, find what one of them has compiled already.
+    """Let all runs, their workers and the processes that they start share what one of them has compiled.
 
     JAX's keys hold the program, the compiler's options and the versions, so that the cache needs no other key.
     """
@@ -61,7 +61,7 @@ def shared_cache() -> None:
 
 @pytest.fixture(autouse=True)
 def still_shared() -> Iterator[None]:
-    """Go back to that cache after tests of others, and of none."""
+    """Return to the shared cache after tests that use another cache or none."""
     yield
     if jax.config.jax_compilation_cache_dir != str(CACHE):
         keep_compilations(CACHE)
@@ -69,7 +69,7 @@ def still_shared() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def drivers_as_they_were() -> Iterator[None]:
-    """Undo what stock intersections set in the class of highway-env's drivers, for all scenes of the process."""
+    """Undo what stock intersections change in the class of highway-env's drivers, which all scenes share."""
     before = {name: getattr(IDMVehicle, name) for name in ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")}
     yield
     for name, value in before.items():
@@ -78,14 +78,14 @@ def drivers_as_they_were() -> Iterator[None]:
 
 @pytest.fixture
 def stopped_by_nans() -> Iterator[None]:
-    """Let JAX raise an error where a compiled function returns a NaN, as under JAX_DEBUG_NANS=1."""
+    """Let JAX raise an error if a compiled function returns a NaN, as under JAX_DEBUG_NANS=1."""
     with jax.debug_nans(True):
         yield
 
 
 @pytest.fixture(scope="module", autouse=True)
 def little_memory() -> Iterator[None]:
-    """Forget what has been compiled where it takes much memory: that of all files would take many gigabytes."""
+    """Forget compiled functions if they take much memory; those of all tests would take many gigabytes."""
     yield
     if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MAX_MEMORY:
         jax.clear_caches()
@@ -93,7 +93,7 @@ def little_memory() -> Iterator[None]:
 
 
 def _shared(variable: str, folder: str, pattern: str) -> Path:
-    """A directory of data beside the project, or skip the test."""
+    """Return a directory of data beside the project, or skip the test."""
     directory = Path(os.environ.get(variable, Path(__file__).parents[2] / "shared" / folder))
     if not list(directory.glob(pattern)):
         pytest.skip(f"no {pattern} in {directory}; set {variable} to their directory")
@@ -116,7 +116,7 @@ def us101_directory() -> Path:
 def refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[[str], str]:
-    """A function that runs a command in an own directory, where it must write nothing; returns its line of refusal."""
+    """Return a function that runs a command, which must be refused and write nothing, and returns its one line."""
 
     def refusal(command: str) -> str:
         monkeypatch.chdir(tmp_path)
@@ -138,10 +138,10 @@ def scenario(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def played() -> Callable[..., tuple[Game, jax.Array]]:
-    """A scenario's game, with anything that `build_game` takes, and a drawn start in the game's unit.
+    """Return a function that makes a scenario's game, with options of `build_game`, and a start in the game's unit.
 
-    Scenarios with streams have two humans and plans of five steps within their limits, unless the options say
-    otherwise. In the others, further humans follow the first one, 30 m apart.
+    By default, scenarios with streams have two humans, and plans of five steps within their limits. In the others,
+    further humans follow the first one, 30 m apart.
     """
 
     def make(which: str | Scenario, seed: int = 0, **options: object) -> tuple[Game, jax.Array]:

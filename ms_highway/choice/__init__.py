@@ -1,8 +1,8 @@
-"""Decide which human model is worth its computation.
+"""Choose, in every step and for every human, the model that is worth its computation.
 
-`rule` defines what a rule sees and returns, and fixed orders of models; `quadratic` is the paper's Algorithm 1,
-`learned_value` chooses by learned values of `situation`, `nearest` by distance, `budget` within a time. `belief` infers
-whether humans respond.
+`rule` defines the interface of all rules, and fixed orders of models. `quadratic` is the paper's Algorithm 1.
+`learned_value` chooses by learned values of a `situation`, `nearest` by distance, and `budget` within a time. `belief`
+infers whether humans respond.
 
-Imports `ms_highway.planning` and what stands below it.
+Imports `ms_highway.planning` and the packages below it.
 """

@@ -1,11 +1,11 @@
-"""Infer which model predicts each human best, from its observed controls: interacting multiple models.
+"""Infer from each human's controls which model predicts this human best: interacting multiple models.
 
-A human follows one of the models at a time and may change it from step to step; states are observed exactly, so that
-the filter of Blom and Bar-Shalom (1988) is the forward pass of a hidden Markov model::
+A human follows one model at a time and may change it from step to step. As states are observed exactly, the filter of
+Blom and Bar-Shalom (1988) is the forward pass of a hidden Markov model::
 
     p(m) <- sum over m' of P(m | m') p(m'),    p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum
 
-with the observed control u and the control u_m that model m predicted for this step.
+where u is the observed control, and u_m the control that model m predicts for this step.
 """
 
 import numpy as np
@@ -19,16 +19,16 @@ from ms_highway.planning.ladders import PACKAGE_MODELS
 from ms_highway.runtime.arrays import Array, Belief, Controls, SameArray, State
 
 STAY_PROBABILITY = 0.98
-"""Probability that a human keeps to its model for 0.1 s, so for five seconds on average."""
+"""Probability that a human keeps its model for 0.1 s. On average, a human keeps it for five seconds."""
 
 CONTROL_NOISE = (0.005, 1.0)
-"""Standard deviations of humans around the controls of their model: curvature [1/m], acceleration [m/s^2]."""
+"""Standard deviations of a human's controls from those of its model: curvature [1/m], acceleration [m/s^2]."""
 
 MIN_PROBABILITY = 1e-3
-"""Probability that no model falls below, so that a human who changes is noticed soon."""
+"""Least probability of each model, so that the filter soon notices a human who changes."""
 
-MIN_RESPONSE = 0.3  # probability of the models below which nobody counts on a human
-RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # that explain a human who minds its reward
+MIN_RESPONSE = 0.3  # least probability of `RESPONDING` at which plans count on a human's response
+RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # models of humans who plan for their reward
 
 
 def updated_belief(
@@ -37,12 +37,12 @@ def updated_belief(
     observed: Float[SameArray, "*humans 2"],
     time_step: float | Float[SameArray, ""],
 ) -> Float[SameArray, "*humans models"]:
-    """Return the probabilities of the models after a step; where a control is not finite, only the mixing is done.
+    """Return the probabilities of the models after a step. A control that is not finite favours no model.
 
     Args:
-        belief: probabilities before the step, sum 1.
-        predicted: control of each model for the step, unscaled.
-        observed: control in the step, unscaled.
+        belief: probabilities before the step, with sum 1.
+        predicted: control that each model predicts for the step, unscaled.
+        observed: control of the human in the step, unscaled.
         time_step: duration of the step [s].
     """
     xp = belief.__array_namespace__()
@@ -59,7 +59,7 @@ def updated_belief(
 
 
 def first_belief(humans: int) -> Belief:
-    """Return the probabilities before anything was seen, the same for all of `PACKAGE_MODELS`."""
+    """Return equal probabilities of all `PACKAGE_MODELS`, as nothing was observed yet."""
     return np.full((humans, len(PACKAGE_MODELS)), 1 / len(PACKAGE_MODELS), np.float32)
 
 
@@ -67,11 +67,11 @@ def infer(game: Game, belief: Belief, before: State, after: State, robot: Contro
     """Return the probabilities of the models after a step.
 
     Args:
-        game: with the humans' rewards as the robot believes them.
+        game: game with the rewards that the robot believes the humans to have.
         belief: probabilities before the step.
         before: all cars before the step.
         after: all cars after it.
-        robot: scaled controls that the robot followed from there on.
+        robot: scaled controls of the robot's plan for this step and the following ones.
     """
     last = 1 + game.number
     observed = recover_control(game.world, before[1:last], after[1:last])
@@ -79,5 +79,5 @@ def infer(game: Game, belief: Belief, before: State, after: State, robot: Contro
 
 
 def counted_on(belief: Float[SameArray, "humans models"]) -> Bool[Array, "humans"]:
-    """Return which humans can be counted on to respond: all but those whose actions turn and tom do not explain."""
+    """Return which humans can be counted on to respond: those whose controls turn and tom explain."""
     return belief[:, RESPONDING].sum(axis=1) >= MIN_RESPONSE

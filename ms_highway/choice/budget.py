@@ -1,4 +1,4 @@
-"""Choose the rungs that gain most together within the time of a cycle."""
+"""Choose the rungs with the highest total gain within the time of a cycle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,24 +16,24 @@ from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
 
 PLANNABLE_SHARE = 0.8
-"""Share of a budget that decision and plan may need; the rest is for times above the quantile that was measured.
+"""Share of a budget that decision and plan may take. The rest is a margin for times above the measured quantile.
 
-Measured in 40 episodes of Dense Merge: with a share of 1, a budget of 5 ms is late in 47 % of the steps."""
+With a share of 1, plans within a budget of 5 ms were late in 47 % of the steps of 40 episodes of Dense Merge."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Budget(Rule):
-    """Maximise the summed gains of all humans, subject to ``deciding + base + sum_i each[rung_i] <= share seconds``.
+    """Maximise the total gain for all humans, subject to ``deciding + base + sum_i each[rung_i] <= share seconds``.
 
-    Where even the first rungs do not fit, they are chosen all the same.
+    If not even the first rungs fit, they are chosen all the same.
 
     Attributes:
         gains: rule that estimates the gain of each rung, without a price; its own choice is not used.
-        costs: of plans; a high quantile, if plans are to be in time.
-        seconds: of a cycle.
-        share: of it that may be planned for.
-        deciding: seconds of a decision; drivers measure them before their first step.
+        costs: planning times [s]; high quantiles, if plans have to be in time.
+        seconds: duration of a cycle [s].
+        share: share of the cycle that decision and plan may take.
+        deciding: duration of a decision [s]; drivers measure it before their first step.
     """
 
     gains: Rule
@@ -48,7 +48,7 @@ class Budget(Rule):
         return self.gains.ladder
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Choose the best rungs within the time that is left; rungs without an estimate are not chosen."""
+        """Choose the best rungs for the time that is left, but none above the first without an estimate."""
         decision = self.gains.decide(game, memory, outcome)
         known = jnp.isfinite(decision.gains)
         values = jnp.where(known, jnp.asarray(decision.gains), -jnp.inf)
@@ -58,21 +58,21 @@ class Budget(Rule):
         return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
     def deciding_in(self, seconds: Callable[[], float]) -> Rule:
-        """Return the rule with measured decision seconds, unless it has some already."""
+        """Return the rule with the measured duration of a decision, unless the rule has one already."""
         return self if np.any(self.deciding) else replace(self, deciding=seconds())
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class OneStepGains(Rule):
-    """Estimate in every step what the top of the ladder gains over its first rung for every human, by Algorithm 1.
+    """Estimate for `Budget`, by Algorithm 1, what the top rung gains over the first one for every human.
 
-    Algorithm 1 runs on a ladder of these two, with costs and cooldown of zero. It estimates the robot's reward in the
-    last step under the other one. Rungs between are not estimated: their prediction takes as long as a plan.
-    Nothing is chosen; for `Budget`.
+    Algorithm 1 runs in every step, on a ladder of these two rungs and with costs and cooldown of zero. It estimates the
+    robot's reward in the last step under the rung that was not in use. The rungs between are not estimated, as their
+    prediction would take as long as a plan. Nothing is chosen.
 
     Attributes:
-        switching: its costs, price and cooldown are not used.
+        switching: Algorithm 1; its costs, price and cooldown are not used.
     """
 
     switching: Quadratic
@@ -83,7 +83,7 @@ class OneStepGains(Rule):
         return self.switching.ladder
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Estimate the gains, and keep the rungs; before the first step, the gains are unknown."""
+        """Estimate the gains, which are unknown before the first step, and keep the rungs."""
         two, free = (self.ladder[0], self.ladder[-1]), Costs(0.0, np.zeros(2))
         rule = replace(self.switching, costs=free, price=0.0, ladder=two, cooldown=0)
         on_top = jnp.asarray(memory.rungs) == len(self.ladder) - 1
@@ -97,28 +97,32 @@ class OneStepGains(Rule):
 
 
 def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) -> Rungs:
-    """Return the rungs of the highest summed value whose summed cost is within a capacity; of equals, the cheapest.
+    """Return the rungs with the highest total value whose total cost is within a capacity; of equals, the cheapest.
 
-    Costs are the same for all humans, so they follow from how many humans have each rung: a dynamic programme over
-    these counts is exact for any costs. For h humans and r rungs, it keeps a table of (h + 1)^(r - 1) values.
+    Costs are the same for all humans, so the total cost depends only on how many humans have each rung. A dynamic
+    programme over these counts is therefore exact for any costs. For h humans and r rungs, it keeps a table of
+    (h + 1)^(r - 1) values.
 
     Args:
-        values: of each rung for each human; minus infinity where a rung is impossible.
-        costs: of each rung; infinite or NaN where a rung is impossible.
-        capacity: most cost of all together.
+        values: value of each rung for each human; minus infinity if the rung is impossible.
+        costs: cost of each rung; infinite or NaN if the rung is impossible.
+        capacity: largest total cost.
 
     Returns:
-        The rungs; the first one for every human where nothing fits.
+        The rungs; the first one for every human if nothing fits.
     """
     humans, rungs = values.shape
-    counts = jnp.indices((humans + 1,) * (rungs - 1))  # of humans with each rung above the first
+    counts = jnp.indices((humans + 1,) * (rungs - 1))  # number of humans with each rung above the first
     counts = jnp.concatenate([humans - counts.sum(axis=0, keepdims=True), counts])
     each = jnp.asarray(costs).reshape(-1, *[1] * (rungs - 1))
     cost = jnp.where(counts == 0, 0.0, counts * each).sum(axis=0)
 
     def add(table: Float[jax.Array, "*counts"], human: Float[jax.Array, "rungs"]) -> tuple[jax.Array, jax.Array]:
-        before = jnp.stack([table, *(_one_more(table, axis) for axis in range(rungs - 1))])
-        options = before + human.reshape(each.shape)
+        before = [table]
+        for axis in range(rungs - 1):
+            one_less = jnp.roll(table, 1, axis)  # humans had this rung before
+            before.append(jnp.where(counts[1 + axis] == 0, -jnp.inf, one_less))
+        options = jnp.stack(before) + human.reshape(each.shape)
         return options.max(axis=0), options.argmax(axis=0)
 
     nobody = jnp.where(counts[0] == humans, 0.0, -jnp.inf)
@@ -133,9 +137,3 @@ def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) ->
     steps = jnp.array([0, *((humans + 1) ** (rungs - 2 - axis) for axis in range(rungs - 1))])
     _, best = jax.lax.scan(take, place, choices, reverse=True)
     return jnp.where(value.max() > -jnp.inf, best, 0)
-
-
-def _one_more(table: Float[jax.Array, "*counts"], axis: int) -> Float[jax.Array, "*counts"]:
-    """Shift a table by one along an axis: nobody had one more before the first."""
-    first = jnp.expand_dims(jnp.full_like(jax.lax.index_in_dim(table, 0, axis, keepdims=False), -jnp.inf), axis)
-    return jnp.concatenate([first, jax.lax.slice_in_dim(table, 0, -1, axis=axis)], axis=axis)

@@ -1,9 +1,9 @@
-"""Decide which human model is worth its time, by a learned value of computation.
+"""Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et al. 2018).
 
-Networks estimate from the situation of each human what the robot earns more per step if this human is predicted by a
-rung rather than by the cheapest one, as all nearer humans are (Russell and Wefald 1991; Callaway et al. 2018). The
-price of the time that the human adds to a plan is subtracted. A gap may open only if two humans are asked together:
-what is chosen is how many of the nearest humans are predicted by more than the cheapest rung.
+From the situation of a human, networks estimate how much more the robot earns per step if a rung, instead of the
+cheapest one, predicts this human, while the same rung predicts all nearer humans. The price of the time that the human
+adds to a plan is subtracted. A gap may open only if two humans yield together. Therefore, the rule adds up the values
+from the nearest human outwards, and predicts as many humans by more than the cheapest rung as have the highest sum.
 """
 
 from dataclasses import dataclass, field
@@ -23,26 +23,26 @@ from ms_highway.runtime.arrays import Array, Index, Scalar, Vector
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
-TOGETHER = 4  # humans at most that are predicted by more than the first rung, the nearest ones
-DOUBT_MARGIN = 0.5  # standard deviations among the networks
-MIN_NOISE = 0.02  # of gains
+TOGETHER = 4  # largest number of humans that are predicted by more than the first rung
+DOUBT_MARGIN = 0.5  # in standard deviations among the networks
+MIN_NOISE = 0.02  # least standard deviation of a gain
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LearnedValue(Rule):
-    """Take the rung of the highest estimated value for as many of the nearest humans as are worth most together.
+    """Take the rung with the highest value for the nearest humans, as many as have the highest total value.
 
     Attributes:
-        costs: planning time.
+        costs: planning time of each rung.
         price: lambda, reward per second of planning.
-        network: estimates the gains over the first rung from `ms_highway.choice.situation.describe`.
-        centre, spread: of its inputs, by which they are standardised.
+        network: networks that estimate the gains over the first rung from `ms_highway.choice.situation.describe`.
+        centre, spread: mean and standard deviation by which the inputs of the networks are standardised.
         ladder: human models, cheapest first (static).
-        cautious: whether gains are what is compared to choose, net of the price and of a margin for doubt; or else what
-            is expected over the first rung, as budgets need it. Where networks cannot tell whether the top rung gains,
-            less than `MIN_NOISE`, it then counts a little for the nearest humans, so that spare time goes to them
-            (static).
+        cautious: whether a decision tells the gains that it compares, net of the price and of a margin for doubt.
+            Otherwise, it tells the expected gains over the first rung, which budgets need. If the networks then expect
+            a gain below `MIN_NOISE` from the top rung, a small gain replaces it, which is larger for nearer humans, so
+            that spare time goes to them (static).
         together: whether a value is what a human adds to nearer ones, so that some of the nearest are chosen together;
             or else that of each human alone, as the values of Dense Merge and Crossing Crowd were learned (static).
     """
@@ -57,7 +57,7 @@ class LearnedValue(Rule):
     together: bool = field(default=True, metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Choose in the state after the last step; where no value is known, the first rung."""
+        """Choose by the state after the last step. A value that is not known counts as 0, that of the first rung."""
         if len(self.ladder) == 1:
             return unestimated(memory, memory.rungs)
         values, gains, failed = jax.vmap(self._values)(describe(game, outcome.after), jnp.asarray(memory.rungs))
@@ -75,7 +75,7 @@ class LearnedValue(Rule):
         """Return the values of the rungs for a human, their gains for the `Decision`, and whether they are unknown.
 
         The value of a rung is its gain over the first one, less its price and `DOUBT_MARGIN` standard deviations among
-        the networks: in doubt, the first rung predicts.
+        the networks, so that the first rung is chosen in doubt.
         """
         means, _ = outputs(self.network, (described - self.centre) / self.spread)
         gains, doubts = (jnp.pad(part(means, axis=0), (1, 0)) for part in (jnp.mean, jnp.std))
@@ -88,7 +88,7 @@ class LearnedValue(Rule):
 def outputs(
     network: Network, inputs: Float[jax.Array, "inputs"]
 ) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
-    """Return what each of the networks expects of the same inputs, and what `noise` computes its spread from."""
+    """Return what each network expects for the same inputs, and the numbers from which `noise` computes spreads."""
     *hidden, (weights, biases) = network
     inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
     for layer_weights, layer_biases in hidden:

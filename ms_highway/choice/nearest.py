@@ -26,6 +26,6 @@ class Nearest(Rule):
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Rank the humans by their distance after the last step."""
+        """Choose by the distances after the last step."""
         rank = nearness(game, outcome.after)
         return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))

@@ -1,8 +1,8 @@
-"""Decide which human model is worth its time, by the paper's Algorithm 1, over one step or over the whole horizon.
+"""Choose models by the paper's Algorithm 1, with estimates over one step or over the whole horizon.
 
-After a step with one rung of the ladder, a quadratic expansion of both rewards estimates the robot's controls under
-another rung, and what they would have earned. All controls are scaled, see `ms_highway.game.game`, and ravelled: n = 2
-steps numbers of each player.
+After a step, a quadratic expansion of the rewards of robot and human estimates the robot's controls under another rung
+of the ladder, and what they would have earned. All controls are scaled, see `ms_highway.game.game`, and ravelled to
+n = 2 steps numbers for each player.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,14 +31,14 @@ from ms_highway.planning.human_models import HumanModel, scaled_prediction
 from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Trajectory, Vector
 
 TRUST_TOLERANCE = 1e-3
-"""Share of the trust radius within which the length of a step is found."""
+"""Tolerance of the length of a trust-region step, as a share of the radius."""
 
 RELEASED_TRUST_TOLERANCE = 0.05
-"""Share of the trust radius within which the released code's solver stops."""
+"""The same tolerance in the solver of the released code."""
 
 
 class RewardExpansion(NamedTuple):
-    """The robot's reward to second order in the controls of both, and the human's response."""
+    """Derivatives of the robot's reward in the controls of both players, and the human's response."""
 
     robot: Vector  # d r_R / d u_R
     human: Vector  # d r_R / d u_H
@@ -51,34 +51,34 @@ class RewardExpansion(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Quadratic(Rule):
-    """Algorithm 1: check rungs in its order, by the gains of a quadratic expansion over some steps of the last plan.
+    """Algorithm 1: switch to a rung with a positive gain, by a quadratic expansion over some steps of the last plan.
 
-    Up, checked at every step below the top: straight to the top rung, as if it had predicted the human control that
-    was observed. Down, checked if not gone up and if this rung's last check is ``cooldown`` steps ago: one rung, with
-    that rung's own prediction and no influence. A positive gain switches. The first step is planned with the first
-    rung. Gains are additive: what one human's rung gains does not depend on the rungs of others.
+    The first step is planned with the first rung. After a step below the top, the rule checks the top rung, as if that
+    had predicted the human control that was observed. If it does not switch up, and its last downward check from this
+    rung was ``cooldown`` steps ago, it checks the rung below, with the prediction of that rung and without influence.
+    Gains are additive: the gain for one human does not depend on the rungs of the others.
 
-    * The rewards R_R and R_H over the steps are expanded around the last plan, from the state in which it was made:
-      the robot's controls, the first as executed, and the human's as expected, the first as observed. One step is the
-      estimate of Sec. III-D; all K are that of Sec. III-C, in which the plan's expectation stands for what the human
-      does later.
-    * Going up, the alternative expects these same human controls, and their response to the robot's,
-      ``J = du_H / du_R = -(d2R_H / du_H2)^-1 d2R_H / du_H du_R``. Going down, it expects the controls that the rung
-      below predicts, and no response.
+    * The rewards R_R and R_H of the steps are expanded around the last plan, from the state in which it was made. The
+      first control of the robot is the executed one, and the first of the human the observed one; the others are those
+      of the plan. With one step, this is the estimate of Sec. III-D. With all K steps, it is that of Sec. III-C, with
+      the plan's expectation of the human in place of later observations.
+    * On the way up, the alternative expects the same human controls, and their response to the robot's controls,
+      ``J = du_H / du_R = -(d2R_H / du_H2)^-1 d2R_H / du_H du_R``. On the way down, it expects the controls that the
+      rung below predicts, and no response.
     * ``delta u`` maximises the expansion within the trust region, whose radius bounds all 2 steps numbers together.
-    * The gain is R_R after that change, to which the human responds by J, less what the last plan earns: its first
+    * The gain is R_R after this change and the human's response J to it, less what the last plan earns: its first
       reward as observed, the others as expected.
-    * The meta-MDP pays ``lambda T(M)`` for every step. Driving several steps takes as many plans, so that the gain is
-      less ``steps lambda (T' - T)``.
+    * The meta-MDP charges ``lambda T(M)`` for every step. Driving several steps takes as many plans, so
+      ``steps lambda (T' - T)`` is subtracted from the gain.
 
     Attributes:
-        costs: planning time of each rung [s]; NaN if unknown: then no gain is estimated, and the rung stays.
+        costs: planning time of each rung [s]. If a time is NaN (unknown), no gain is estimated, and the rung stays.
         price: lambda, reward per second of planning.
         trust_radius: longest change of the scaled controls for which the expansion is trusted.
-        trust_tolerance: of the step's length, as a share of the radius: 0.001, in the released code 0.05.
-        cooldown: least number of steps between two downward checks of the same rung.
+        trust_tolerance: tolerance of the length of ``delta u``, as a share of the radius; 0.05 in the released code.
+        cooldown: least number of steps between two downward checks from the same rung.
         ladder: tuple of human models, cheapest first, see `ms_highway.planning.ladders.ladder` (static).
-        steps: of the last plan that are expanded; None for the whole horizon (static).
+        steps: number of steps of the last plan that are expanded; None for the whole horizon (static).
     """
 
     costs: Costs
@@ -90,7 +90,7 @@ class Quadratic(Rule):
     steps: int | None = field(default=1, metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Take a step that gains: to the top of the ladder, or one rung down."""
+        """Switch to the top of the ladder, or one rung down, if that gains."""
         rungs, top = jnp.asarray(memory.rungs), len(self.ladder) - 1
         humans, places = jnp.arange(len(rungs)), jnp.arange(top + 1)
         waited = memory.step + 1 - jnp.asarray(memory.last_check)[humans, rungs]
@@ -109,13 +109,13 @@ class Quadratic(Rule):
         return Decision(memory._replace(rungs=chosen, last_check=last_check), gains, jnp.bool(False))
 
     def check(self) -> None:
-        """See `ms_highway.choice.rule.Rule.check`; the number of steps is positive."""
+        """See `ms_highway.choice.rule.Rule.check`; the number of steps must be positive."""
         super().check()
         if self.steps is not None and self.steps < 1:
-            raise ValueError(f"Quadratic.steps is {self.steps}; give a number of steps from 1 on, or None for all")
+            raise ValueError(f"Quadratic.steps is {self.steps}; give at least 1, or None for all")
 
     def _gains(self, game: Game, outcome: Outcome, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
-        """Estimate the gains of going up and down about one human; `NOT_ESTIMATED` where none is needed."""
+        """Estimate the gains of going up and down for one human; return `NOT_ESTIMATED` for unneeded ones."""
         ladder, costs, none = self.ladder, jnp.asarray(self.costs.each), jnp.float32(NOT_ESTIMATED)
         state, plan, observed = jnp.asarray(outcome.before), outcome.plan, _observed(game)
 
@@ -148,13 +148,13 @@ class Quadratic(Rule):
 
 
 def _observed(game: Game) -> Game:
-    """Return the game with the reward that is observed, whose jumps are not smooth."""
+    """Return the game with the observed reward, whose jumps are not smoothed."""
     return replace(game, planner=replace(game.planner, smooth=False))
 
 
 @jax.jit
 def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
-    """Expand both rewards in the controls of both, in one batch, each from its own car's side."""
+    """Expand the rewards of both players in the controls of both, in one batch; each is seen from its own car."""
     payoff, n = _observed(game).payoff, len(robot)
 
     def derivatives(driver: Reward, state: State, both: Float[jax.Array, "players n"]) -> tuple[Vector, Matrix]:
@@ -181,11 +181,11 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
 
 
 def change_of_control(expansion: RewardExpansion, surprise: Vector, influence: Matrix, rule: Quadratic) -> Vector:
-    """Return the best controls under another model, less the present ones: ``delta u``.
+    """Return ``delta u``, which leads from the present controls to the best ones under another model.
 
-    With d the human controls that the model expects less u_H, and J' its influence, the expansion is
+    Let d be the human controls that the model expects less u_H, and J' its influence. The expansion is
     ``du^T A du / 2 + B du`` with ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and
-    ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``, subscripts being derivatives of r_R.
+    ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``. Subscripts are derivatives of r_R.
     """
     cross = expansion.robot_human @ influence
     quadratic = expansion.robot_robot + cross + cross.T + influence.T @ expansion.human_human @ influence

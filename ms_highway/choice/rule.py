@@ -1,4 +1,4 @@
-"""Define rules, which choose the human model of every human for the coming step, and what they see and return.
+"""Define the interface of rules, which choose the model of every human for the coming step, and fixed orders.
 
 All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on the rule's ladder.
 """
@@ -18,7 +18,7 @@ from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, Control, Flag, Gains, HumansControl, Index, Rungs, Scalar, State
 
 PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
-"""Planning time of each model in the decisions of the paper's experiments."""
+"""Planning time of each model, as the decisions in the paper's experiments count it."""
 
 SHIPPED_COSTS = {  # s
     "pair": {"naive": 0.0007, "idm": 0.0007, "turn": 0.0013, "tom": 0.0011},
@@ -26,25 +26,26 @@ SHIPPED_COSTS = {  # s
     "several": {"naive": 0.0015, "idm": 0.0015, "turn": 0.0021, "tom": 0.0021},
     "physical several": {"naive": 0.0018, "idm": 0.0018, "turn": 0.0021, "tom": 0.0021},
 }
-"""Planning time by kind of scene, see `shipped_kind`; among several humans, with one of them under the model.
+"""Planning time of each model by kind of scene, see `shipped_kind`. With several humans, it is the time of a plan in
+which the model predicts one of them and naive the others.
 
-Means of episodes on one core, with the look for a way out: of Merger v1 and Give Way v1, six of Dense Merge, and 20 of
-Dense Merge v1."""
+These are means over episodes on one core, including the search for a way out: of Merger v1 and Give Way v1 with one
+human, and with several of Dense Merge (six episodes) and Dense Merge v1 (20)."""
 
 NOT_ESTIMATED = -np.inf
-"""Gain of a rung for which none was estimated; not NaN, which trips ``jax_debug_nans``."""
+"""Gain of a rung for which none was estimated. It is not NaN, as NaN would trigger ``jax_debug_nans``."""
 
 NEVER = -(2**20)
-"""Step of a check that has not been made."""
+"""Step that stands for the last check if there was none."""
 
 
 class Memory(NamedTuple):
     """What a rule remembers.
 
     Attributes:
-        rungs: in use for every human: of the plan that was followed in the last step, or chosen for the coming one.
-        step: number of the coming step; 0 before the first one, when nothing has happened yet.
-        last_check: step in which Algorithm 1 last looked, from each rung of every human, whether the one below serves.
+        rungs: rung of every human in the plan of the last step; in a `Decision`, for the coming step.
+        step: number of the coming step, from 0.
+        last_check: for each rung of every human, the step in which Algorithm 1 last checked the rung below it.
     """
 
     rungs: Rungs
@@ -53,15 +54,15 @@ class Memory(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """A step of the world, as a rule sees it; before the first step, a step in which no car moved.
+    """The last step, as a rule sees it. Before the first step, it is a step in which no car moved.
 
     Attributes:
         before: all cars before the step.
         after: all cars after it.
         robot: scaled control that the robot executed.
-        humans: scaled controls that the humans were observed to execute.
-        reward: the robot's, after the step.
-        plan: that the robot followed, and the humans' controls that it expected.
+        humans: scaled controls of the humans, as observed.
+        reward: the robot's reward after the step.
+        plan: plan that the robot followed, with the controls that it expected of the humans.
     """
 
     before: State
@@ -76,11 +77,11 @@ class Decision(NamedTuple):
     """What a rule chose.
 
     Attributes:
-        memory: with the rungs of the coming step; whoever drives counts the steps.
-        gains: estimated gain of each rung over the one in use, net of the price of its time, for every human;
-            `NOT_ESTIMATED` where none was. Rules that `ms_highway.choice.budget.Budget` asks return the gain over the
-            first rung, without a price.
-        failed: whether the rule could not estimate what it needs.
+        memory: memory with the rungs for the coming step. The caller counts the steps.
+        gains: for every human, the estimated gain of each rung over the rung in use, net of the price of its time;
+            `NOT_ESTIMATED` where none was estimated. Rules inside a `ms_highway.choice.budget.Budget` return the gain
+            over the first rung, without a price.
+        failed: whether an estimate that the rule needs could not be computed.
     """
 
     memory: Memory
@@ -89,14 +90,14 @@ class Decision(NamedTuple):
 
 
 class Rule:
-    """Base of the rules that choose the rungs of the coming step from the outcome of the last one.
+    """Base class of rules, which choose the rungs of the coming step from the outcome of the last one.
 
-    Rules are frozen dataclasses and pytrees, and pure: numbers may change without compiling anew. They serve any number
-    of humans, live and in batches.
+    Rules are frozen dataclasses and pytrees with pure methods, so that their numbers may change without recompilation.
+    They work for any number of humans, live and in batches.
 
     Attributes:
         ladder: human models, cheapest first (static).
-        estimates: whether a decision takes a computation, which is compiled and timed.
+        estimates: whether a decision needs a computation, which is then compiled and timed.
     """
 
     ladder: Any
@@ -106,25 +107,25 @@ class Rule:
         """Choose the rungs of the coming step.
 
         Args:
-            game: that is played; rules of `ms_highway.road`, which plays none, are given None.
-            memory: of the rule.
-            outcome: of the last step; rules of `ms_highway.road` are given bounds on the gain of each human's response.
+            game: game that is played; None in `ms_highway.road`, which plays no game.
+            memory: what the rule remembers.
+            outcome: outcome of the last step; in `ms_highway.road`, bounds on the gain of each human's response.
         """
         raise NotImplementedError
 
     def at_price(self, price: Scalar) -> "Rule":
-        """Return the rule at another price lambda; the same rule, if it has none."""
+        """Return the rule at another price lambda; a rule without a price is returned unchanged."""
         return replace(self, price=price) if "price" in {each.name for each in fields(self)} else self  # type: ignore
 
     def deciding_in(self, seconds: Callable[[], float]) -> "Rule":
-        """Return the rule for decisions that take this long, which is measured where it matters."""
+        """Return the rule, told the duration of its decisions; ``seconds`` measures it for the rules that need it."""
         return self
 
     def for_unresponsive(self) -> "tuple[Rule, int]":
-        """Return the rule and the first rung, which predicts unresponsive humans.
+        """Return the rule, and the rung that predicts unresponsive humans: the first one.
 
         Raises:
-            ValueError: if the first model counts on a response.
+            ValueError: if the first model counts on a response of the human.
         """
         if self.ladder[0].responds:
             message = f"the ladder begins with {self.ladder[0].name}, which counts on a response"
@@ -132,10 +133,11 @@ class Rule:
         return self, 0
 
     def check(self) -> None:
-        """Check the ladder and, where there are some, costs and price.
+        """Check the ladder, and the costs and the price of a rule that has them.
 
         Raises:
-            ValueError: for what is no human model, negative numbers, or fewer or more costs than rungs.
+            ValueError: if the ladder holds something else than human models, if the costs or the price are negative,
+                or if there is not one cost for each rung.
         """
         if strange := [model for model in self.ladder if not hasattr(model, "plan")]:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
@@ -145,7 +147,7 @@ class Rule:
         each = np.asarray(costs.each)
         if each.shape != (len(self.ladder),):
             names = ", ".join(model.name for model in self.ladder)
-            raise ValueError(f"costs are of shape {each.shape}; give one for each of {names}")
+            raise ValueError(f"costs have the shape {each.shape}; give one for each of {names}")
         if not (price >= 0).all() or (each < 0).any():
             raise ValueError(f"the price is {price} and the costs are {each.tolist()}; neither may be negative")
 
@@ -153,10 +155,10 @@ class Rule:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Order(Rule):
-    """Take the rungs of a table: a fixed model, a schedule, a period, or what was drawn beforehand.
+    """Take the rungs from a table: a fixed model, a schedule, a period, or rungs that were drawn beforehand.
 
     Attributes:
-        rungs: of every human in each step; the last row is kept. With a single column, it is the same for all humans.
+        rungs: rung of every human in each step. Later steps take the last row. A single column holds for all humans.
         ladder: human models (static).
     """
 
@@ -172,7 +174,7 @@ class Order(Rule):
         return unestimated(memory, xp.broadcast_to(row, memory.rungs.shape))
 
     def for_unresponsive(self) -> tuple[Rule, int]:
-        """Return the order, and the rung of naive, which is added where it is not on the ladder."""
+        """Return the order, and the rung of naive, which is added to a ladder without it."""
         names = [model.name for model in self.ladder]
         if Naive.name in names:
             return self, names.index(Naive.name)
@@ -190,7 +192,7 @@ def decide(rule: Rule, game: Any, memory: Memory, outcome: Any) -> Decision:
 
 
 def with_human(game: Game, outcome: Outcome, human: Index) -> tuple[Game, Outcome]:
-    """Return the game of the robot with one human, see `ms_highway.game.game.pair`, and the outcome in it."""
+    """Return the game of the robot with one human, see `ms_highway.game.game.pair`, and the outcome of this game."""
     if game.number == 1:
         return game, outcome
     alone, before = pair(game, outcome.before, human)
@@ -209,13 +211,13 @@ def shipped_kind(semantics: str, humans: int) -> str:
 
 
 def first_memory(rule: Rule, humans: int) -> Memory:
-    """Return the memory before the first step: every human is on the first rung, and every rung may be checked."""
+    """Return the memory before the first step. Every human is on the first rung, and every rung may be checked."""
     checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
     return Memory(np.zeros(humans, np.int32), np.zeros((), np.int32), checks)
 
 
 def unestimated(memory: Memory, rungs: Rungs) -> Decision:
-    """Return a decision for some rungs for which no gain was estimated."""
+    """Return the decision for these rungs, without estimated gains."""
     xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
     gains = xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
     return Decision(memory._replace(rungs=xp.asarray(rungs, dtype=xp.int32)), gains, xp.asarray(False))

@@ -1,4 +1,4 @@
-"""Describe the situation of every human by numbers that do not depend on the scene, for values of computation."""
+"""Describe every human's situation by numbers that mean the same in all scenes, for learned values of computation."""
 
 import jax
 from jax import numpy as jnp
@@ -10,7 +10,7 @@ from ms_highway.game.neighbours import headways, neighbours
 from ms_highway.game.reward import PAPER_FEATURES, Reward
 from ms_highway.runtime.arrays import Index, Rungs, State
 
-LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, for which all cars coast
+LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, during which all cars keep their velocity
 DRIVERS = ("robot", "human")
 STATE = ("x", "y", "heading", "speed")
 PLACES = ("ahead", "behind", "ahead left", "behind left", "ahead right", "behind right")
@@ -27,17 +27,17 @@ def description_names() -> tuple[str, ...]:
 
 
 def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
-    """Compute what a choice of models looks at for every human, `description_names`.
+    """Compute the numbers by which learned values choose, for every human; `description_names` names them.
 
-    Of robot and human, now and after all cars have coasted for each of `LOOKAHEADS`: the weighted features of their
-    rewards (those beyond the paper's in one sum), and the derivatives of the rewards in both cars' states, in units of
-    length of the scene; the relative state of robot and human; headings, speeds as shares of the speed limit, and
-    distances from the target lane. Numbers are compressed by ``sign(n) log(1 + |n|)``: costs of a collision or of
-    leaving the road are a thousand times what they are otherwise. Beside these, the time gaps of both to the cars
-    around them, as ``log(1 + gap / s)``, and the share of humans who are nearer to the robot.
+    For robot and human, after all cars have kept their velocity for each of `LOOKAHEADS`: the weighted features of
+    their rewards, with a single sum for those beyond the paper's, and the derivatives of the rewards in both cars'
+    states, in the scene's unit of length. Then their relative state, their headings, their speeds as shares of the
+    speed limit, and their distances from the target lane. All these are compressed by ``sign(n) log(1 + |n|)``, as a
+    collision or leaving the road costs a thousand times more than anything else. Finally, the time gaps of both to the
+    cars around them, as ``log(1 + gap / s)``, and the share of humans who are nearer to the robot.
 
     Args:
-        game: with the humans' rewards as the robot believes them.
+        game: game with the rewards that the robot believes the humans to have.
         state: all cars.
     """
     state, (length, _) = jnp.asarray(state), game.scene.car_size
@@ -56,7 +56,7 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
 
 
 def nearness(game: Game, state: State) -> Rungs:
-    """Return how many humans are nearer to the robot than each; of equal distances, the first counts as nearer."""
+    """Return, for each human, how many are nearer to the robot; of equally near ones, the first counts as nearer."""
     places = jnp.asarray(state)[: 1 + game.number, :2]
     return jnp.argsort(jnp.argsort(jnp.linalg.norm(places[1:] - places[0], axis=1)))
 

@@ -22,7 +22,7 @@ from ms_highway.runtime.files import read_arrays, reading, replacing
 from ms_highway.runtime.structures import Structure, read
 
 SHIPPED_VALUES = "shipped"
-"""Stands for the values that come with the package."""
+"""Name of the values that come with the package."""
 
 SHIPPED_FILES = {
     "pair": "values.npz",
@@ -35,8 +35,8 @@ SHIPPED_FILES = {
 VERSION = 3
 REMEDY = "learn values with `ms-highway values learn`"
 ALTERNATIVES = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
-MAX_BYTES = 2**24  # of a file, unpacked; those of the package have a hundredth
-MIN_SPREAD, MAX_NUMBER = 1e-9, 1e9  # of spreads; other numbers are no larger, either, so that nothing overflows
+MAX_BYTES = 2**24  # of an unpacked file; the package's files have a hundredth
+MIN_SPREAD, MAX_NUMBER = 1e-9, 1e9  # bounds of `spread` that rule out overflow; the second also bounds `centre`
 MAX_WEIGHT = 1e3  # of networks; those of the package are below 1
 
 
@@ -46,11 +46,11 @@ class Values:
 
     Attributes:
         network: see `ms_highway.choice.learned_value.LearnedValue`.
-        centre, spread: of its inputs.
+        centre, spread: mean and standard deviation of its inputs.
         ladder: names of the models that the values were learned on, cheapest first.
         inputs: names of the network's inputs.
-        provenance: scenarios, settings and versions of the software.
-        place: where they were read from.
+        provenance: scenarios, settings and software versions with which the values were learned.
+        place: file from which they were read, for messages.
     """
 
     network: Network
@@ -68,31 +68,31 @@ class Values:
             ValueError: naming the problem.
         """
         if len(self.ladder) < 2 or len({*self.ladder}) < len(self.ladder):
-            raise ValueError(f"the ladder has the models {list(self.ladder)}; there must be two at least, each once")
+            raise ValueError(f"the ladder has the models {list(self.ladder)}; it must have at least two, each once")
         if self.inputs != description_names():
-            raise ValueError("the inputs of the network are those of another version")
+            raise ValueError("the networks have the inputs of another version")
         layers = [part for layer in self.network for part in layer]
         shapes = [np.shape(part) for part in layers]
         networks, sizes = shapes[0][:1] if shapes else (), [len(self.inputs)]
         sizes += [size for shape in shapes[1::2] for size in shape[-1:]]
         wanted = [networks + shape for one, other in pairwise(sizes) for shape in ((one, other), (other,))]
         if shapes != wanted or 0 in networks or sizes[-1] != 2 * (len(self.ladder) - 1):
-            raise ValueError(f"the layers of the networks are of shapes {shapes}, for {len(self.ladder)} models")
+            raise ValueError(f"the networks have layers of shapes {shapes}, not those for {len(self.ladder)} models")
         standard = np.shape(self.centre), np.shape(self.spread)
         if set(standard) != {(sizes[0],)} or not all(
             (np.abs(part) <= MAX_NUMBER).all() for part in (self.centre, self.spread)
         ):
-            raise ValueError(f"the numbers of the networks are beyond {MAX_NUMBER:g}, or not as many as their inputs")
+            raise ValueError(f"centre or spread has a number beyond {MAX_NUMBER:g}, or not one for each input")
         if not all((np.abs(part) <= MAX_WEIGHT).all() for part in layers):
             raise ValueError(f"the weights of the networks are beyond {MAX_WEIGHT:g}, or not finite")
         if np.min(self.spread) < MIN_SPREAD:
             raise ValueError(f"spreads are below {MIN_SPREAD:g}")
 
     def rule(self, models: tuple[HumanModel, ...], costs: Costs, price: float) -> LearnedValue:
-        """Return the rule on a ladder of some of the models that were learned, the cheapest of them first.
+        """Return the rule on a ladder of learned models that begins with the cheapest of them.
 
         Raises:
-            ValueError: if a model was not learned, or the first one is another.
+            ValueError: if values of a model were not learned, or the ladder begins with another model.
         """
         names = [model.name for model in models]
         message = f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
@@ -110,7 +110,7 @@ class Values:
 
 
 class _About(Structure):
-    """What a file of values says of itself, as in `Values`."""
+    """Description in a file of values; the fields are those of `Values`."""
 
     ladder: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -128,18 +128,18 @@ def save_values(values: Values, path: Path) -> None:
         np.savez(file, **arrays)
 
 
-def load_values(which: str | PathLike[str], learned_in: str = "pair") -> Values:
-    """Read learned values: those that come with the package (`SHIPPED_VALUES`), or a file that `save_values` wrote.
+def load_values(which: str | PathLike[str], kind: str = "pair") -> Values:
+    """Read learned values from the package or from a file that `save_values` wrote.
 
     Args:
-        which: values.
-        learned_in: which of the package's values serve, a key of `SHIPPED_FILES`.
+        which: `SHIPPED_VALUES`, or a file.
+        kind: kind of scene of the package's values, a key of `SHIPPED_FILES`.
 
     Raises:
-        ValueError: if the file cannot be read, is damaged, or is of another version.
+        ValueError: if the file cannot be read, is damaged, or has another version.
     """
     if which == SHIPPED_VALUES:
-        return _shipped(SHIPPED_FILES[learned_in])
+        return _shipped(SHIPPED_FILES[kind])
     with reading(Path(which), f"{REMEDY} --out {which}", " as learned values"):
         return _read(Path(which), Path(which).stat().st_mtime_ns)
 
@@ -152,7 +152,7 @@ def _shipped(name: str) -> Values:
 
 @cache
 def _read(path: Path, changed: int) -> Values:
-    """Read a file, once for every time that it was ``changed``."""
+    """Read a file, and read it again only if its time of change ``changed`` differs."""
     arrays = read_arrays(path, MAX_BYTES)
     about = json.loads(str(arrays.pop("about")))
     version = about.pop("version", None) if isinstance(about, dict) else None

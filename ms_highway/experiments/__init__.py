@@ -1,4 +1,4 @@
-"""Compare controllers over many episodes, live or many at a time; search for the best choices, and learn them.
+"""Compare controllers over many episodes, live or in batches; search for the best choices of models, and learn them.
 
-Imports `ms_highway.irl` and what stands below it.
+Imports `ms_highway.irl` and the packages below it.
 """

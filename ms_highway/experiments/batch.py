@@ -1,7 +1,7 @@
-"""Simulate episodes of a comparison many at a time rather than in the environments: the same starts, the same records.
+"""Simulate the episodes of a comparison in batches, with the same starts and records as in the environments.
 
-`ms_highway.experiments.runner` runs the same `Comparison` in the environments. Nothing is measured here, so that no
-plan is late: a budget counts planning at the seconds that are given, and deciding as nothing.
+`ms_highway.experiments.runner` runs the same `Comparison` in the environments. Nothing is measured here, so no plan is
+late. A budget counts the given seconds for planning, and none for deciding.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,7 +35,7 @@ from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.arrays import Array
 
 Key: TypeAlias = tuple[str, int]
-"""Which episode of a scenario: its controller's short name, and its seed."""
+"""An episode of a scenario: the short name of its controller, and its seed."""
 
 Tables: TypeAlias = dict[str, pd.DataFrame]
 """Tables by name."""
@@ -47,10 +47,10 @@ class Batch:
 
     Attributes:
         comparison: what is compared.
-        environment: what is simulated; it draws the episodes.
-        controllers: settings by short name.
+        environment: environment that is simulated; it draws the starts.
+        controllers: settings of the controllers by short name.
         costs: T(M) by model [s], as far as it is known.
-        loop: what all episodes have in common, with the ladder and an order in place of a rule.
+        loop: what all episodes have in common; its rule is an order on the ladder, to be replaced.
     """
 
     comparison: Comparison
@@ -61,7 +61,7 @@ class Batch:
 
     @property
     def models(self) -> list[str]:
-        """Names of the models, in the order of their numbers: those of the ladder, then what only orders use."""
+        """Names of the models, in the order of their numbers: the ladder's, then those that only orders use."""
         return [model.name for model in self.loop.models]
 
     @property
@@ -87,19 +87,19 @@ class Batch:
     def simulate(
         self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None, errors: Array | None = None
     ) -> Records:
-        """Simulate episodes, together those of controllers that choose alike but for their lambda.
+        """Simulate episodes; those whose controllers differ only in lambda are simulated together.
 
         Args:
-            keys: which.
+            keys: the episodes.
             mesh: see `ms_highway.loop.batch.simulate`.
-            shifts: what is added to the starts of the first cars, the robot before the humans [episodes, cars, 4].
-            errors: of what the robot sees, see `ms_highway.loop.records.Episodes`.
+            shifts: changes of the starts of the robot and the first humans [episodes, cars, 4].
+            errors: errors of the states that the robot sees, see `ms_highway.loop.records.Episodes`.
         """
         alike: dict[Any, list[int]] = {}
         for place, (name, _) in enumerate(keys):
             settings = self.settings(name)
-            anyway = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
-            alike.setdefault((anyway if settings.chooses else None, settings.belief), []).append(place)
+            free = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
+            alike.setdefault((free if settings.chooses else None, settings.belief), []).append(place)
         parts = []
         for (settings, belief), places in alike.items():
             loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
@@ -113,7 +113,7 @@ class Batch:
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
     def settings(self, controller: str) -> ControllerSettings:
-        """Return the settings of a controller of the comparison, or of an order of its models by any short name."""
+        """Return the settings of a controller of the comparison, or of any order of its models, by short name."""
         return self.controllers.get(controller) or controller_settings(controller)
 
     def rule(self, settings: ControllerSettings) -> Rule:
@@ -125,7 +125,7 @@ class Batch:
         return settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
-        """Return what the simulation is given for these episodes, drawn as the environment draws it at a reset."""
+        """Return the inputs of the simulation for these episodes, drawn as at a reset of the environment."""
         drawn = []
         for name, seed in keys:
             random = seeding.np_random(seed)[0]
@@ -161,7 +161,7 @@ class Batch:
     def tables(self, keys: Sequence[Key], records: Records) -> Tables:
         """Return ``steps``, a row per step, and ``episodes``, see `ms_highway.experiments.records.per_episode`.
 
-        Episodes have ``price`` as well, that is lambda, empty where nothing is decided.
+        Episodes also have ``price``, the lambda of their controller, empty if it has none.
 
         Raises:
             ValueError: for a reward that is not finite.
@@ -175,16 +175,16 @@ class Batch:
 
 
 def make_batch(comparison: Comparison, scenario: str) -> Batch:
-    """Make one scenario ready to be simulated.
+    """Prepare a scenario of a comparison for simulation.
 
     Args:
         comparison: what is compared.
-        scenario: its name.
+        scenario: name of the scenario.
 
     Raises:
-        ValueError: for anything unknown or impossible, and where there are no controllers; for costs that are to be
-            measured, as nothing is timed here; and for environments that end early, do something of their own in a
-            step, or tell the robot the true rewards.
+        ValueError: for anything unknown or impossible; without controllers; for costs that have to be measured, as
+            nothing is timed here; and for environments that end early, have a step of their own, or tell the robot the
+            true rewards.
     """
     names = comparison.controllers.get(scenario, [])
     if not names:
@@ -214,8 +214,8 @@ def simulate_parts(
 
     Args:
         comparison: of a single scenario.
-        parts: episodes by number.
-        mesh: devices that share each, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
+        parts: episodes of each part by its number.
+        mesh: devices that share each part, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
     """
     batch = make_batch(comparison, *comparison.controllers)
     for number, part in parts.items():
@@ -231,7 +231,7 @@ def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
         mesh: see `ms_highway.loop.batch.simulate`.
 
     Raises:
-        ValueError: for anything unknown or impossible, and for costs that are to be measured.
+        ValueError: see `make_batch`.
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
     tables = [batch.steps_table(keys, batch.simulate(keys, mesh)) for batch in batches for keys in [batch.keys()]]

@@ -1,7 +1,7 @@
 """Compute the parts of a sweep on a cluster of dask.distributed: workers return rows, and this process writes them.
 
 A part whose worker is lost is computed again on another one. Workers need no disk in common with this process, but the
-same versions, as these decide the last digits.
+same versions of packages, on which the last digits depend.
 """
 
 import logging
@@ -26,15 +26,15 @@ from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.forks import jax_has_begun
 from ms_highway.runtime.jax_settings import keep_compilations
 
-PATIENCE = 10  # s, in which a scheduler has to answer
-AHEAD = 2  # parts that are submitted per thread of a worker: more would wait in memory
+PATIENCE = 10  # s, within which a scheduler has to answer
+AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory
 
 
 class Setup(distributed.WorkerPlugin):
-    """Sets workers up like this process, also those that come late.
+    """Sets up workers like this process, including workers that join later.
 
     Args:
-        modules: to import.
+        modules: modules that workers import.
     """
 
     name = "ms_highway"
@@ -45,19 +45,19 @@ class Setup(distributed.WorkerPlugin):
         self.keeps_compilations = jax.config.values["jax_compilation_cache_dir"] is not None
 
     def setup(self, worker: distributed.Worker) -> None:
-        """Set a worker up.
+        """Set up a worker.
 
         Raises:
-            ValueError: if it has other versions, JAX has begun with other flags, or a module cannot be imported.
+            ValueError: if it has other versions, its JAX runs with other flags, or a module cannot be imported.
         """
         for there, wanted in zip(_versions(), self.versions, strict=True):
             if there != wanted:
                 remedy = f"install {wanted} there and start it again"
-                raise ValueError(f"worker {worker.address}: {there} is there and {wanted} here; {remedy}")
+                raise ValueError(f"worker {worker.address} has {there} instead of {wanted}; {remedy}")
         if os.environ.get("XLA_FLAGS", "") != self.xla_flags:
             if jax_has_begun():
-                reason = "JAX has begun there with other XLA_FLAGS, which change the last digits"
-                raise ValueError(f"worker {worker.address}: {reason}; start it again")
+                reason = "runs JAX with other XLA_FLAGS, which change the last digits"
+                raise ValueError(f"worker {worker.address} {reason}; start it again")
             os.environ["XLA_FLAGS"] = self.xla_flags
         if self.keeps_compilations:
             with suppress(OSError):
@@ -67,16 +67,16 @@ class Setup(distributed.WorkerPlugin):
 
 @contextmanager
 def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
-    """Connect to a scheduler and set its workers up; yield what computes there.
+    """Connect to a scheduler and set up its workers; yield the function that computes there.
 
     Args:
-        address: of the scheduler, such as ``tcp://host:8786``.
-        modules: that workers have to import, for scenarios, models and rules that they add.
+        address: address of the scheduler, such as ``tcp://host:8786``.
+        modules: modules that workers import, for scenarios, models and rules that they add.
 
     Raises:
         ValueError: if there is no scheduler, or a worker has other versions or cannot be set up.
     """
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # errors are raised as well
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its errors are raised as well
     try:
         get_address_host_port(address, strict=True)
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
@@ -103,7 +103,7 @@ def _compute_there(comparison: Comparison, number: int, part: Sequence[EpisodeKe
 def _compute(
     client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]]
 ) -> Iterator[tuple[int, Tables]]:
-    """Submit parts, some for each thread of a worker at a time; yield each with its rows as it comes back.
+    """Submit parts, `AHEAD` for each thread of a worker at a time; yield each with its tables when it is done.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
@@ -123,4 +123,4 @@ def _compute(
     except (distributed.KilledWorker, CancelledError) as error:
         reason = " ".join(str(error).split())
         remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"
-        raise ValueError(f"{address} gave a part up ({reason}); {remedy}") from error
+        raise ValueError(f"{address} gave up a part ({reason}); {remedy}") from error

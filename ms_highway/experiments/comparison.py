@@ -1,4 +1,4 @@
-"""What is compared: scenarios, controllers, seeds and the configuration that all environments have in common."""
+"""Define what is compared: scenarios, controllers, seeds and the common configuration of all environments."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,10 +12,10 @@ from ms_highway.experiments.records import columns
 from ms_highway.planning.ladders import rung_names
 
 EpisodeKey: TypeAlias = tuple[str, str, int]
-"""Which episode: its scenario, its controller's short name, and its seed."""
+"""An episode: its scenario, the short name of its controller, and its seed."""
 
 USUAL = ("semantics", "solver", "human_reward", "costs")
-"""Keys of the configuration that results say in any case, unless the scenarios' defaults differ."""
+"""Keys of the configuration that results always record, unless the scenarios' defaults differ."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Comparison:
     Attributes:
         controllers: short names of the controllers of each scenario, by its name or id.
         seeds: number of episodes of each controller.
-        first_seed: of the first episode, from which all others count on.
-        config: what differs from the environments' default configuration, by key.
+        first_seed: seed of the first episode; the others have the following seeds.
+        config: values that differ from the environments' default configuration, by key.
     """
 
     controllers: Mapping[str, Sequence[str]]
@@ -35,7 +35,7 @@ class Comparison:
     config: Mapping = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check everything before anything is run or written.
+        """Check everything before an episode is run or a file written.
 
         Raises:
             ValueError: for an unknown scenario or controller, an impossible configuration, or a controller that does
@@ -57,12 +57,12 @@ class Comparison:
         """Return the whole configuration of the environment of a scenario and a controller.
 
         Raises:
-            ValueError: as a comparison of it.
+            ValueError: for the same reasons as `Comparison`.
         """
         return ENVIRONMENTS[scenario_name(scenario)].checked_config({**self.config, **robot_config(controller)})
 
     def common_config(self) -> dict:
-        """Return what all environments have in common and results are resumed under: `USUAL` and what was given."""
+        """Return the common configuration, under which results are resumed: `USUAL` and all keys of ``config``."""
         defaults = [{**ENVIRONMENTS[name].default_config(), **self.config} for name in self.controllers]
         for config in defaults:
             config["human_reward"] = config["human_reward"] or HUMAN_REWARDS[config["semantics"]]

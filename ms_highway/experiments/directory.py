@@ -1,4 +1,4 @@
-"""A directory of results: the settings that they are resumed under, and what made them."""
+"""Keep results in a directory, with the settings under which they are resumed and the runs that made them."""
 
 import json
 import os
@@ -20,23 +20,23 @@ from ms_highway.runtime.jax_settings import cores
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
 EXTENDED = ("measured", "asked")
-"""Keys of the settings that further comparisons in the same directory add to: T(M), and numbers of episodes."""
+"""Keys of the settings that later comparisons in the same directory extend: T(M), and numbers of episodes."""
 
 CHECKOUT = Path(__file__).parents[2]
-"""Where the package lies in a checkout, beside ``.git``."""
+"""Directory above the package, which has ``.git`` in a checkout."""
 
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
 
 Run: TypeAlias = dict
-"""What computed results, see `this_run`."""
+"""Description of a process that computed results, see `this_run`."""
 
 
 @dataclass(frozen=True)
 class ResultsDirectory:
-    """A directory of results, or one to be.
+    """A directory of results, which may not exist yet.
 
-    An interrupted run is resumed under the same settings: a piece of the results, an episode or a part of many, is
-    either whole in the directory or computed again.
+    An interrupted run is resumed under the same settings. Each piece of the results, an episode or a part of many, is
+    either complete in the directory or computed again.
     """
 
     path: Path
@@ -46,7 +46,7 @@ class ResultsDirectory:
         """Lock the directory for this run while the block runs, and remove half-written files of earlier runs.
 
         Raises:
-            ValueError: if another command is writing there, or the runs before cannot be read.
+            ValueError: if another command is writing there, or the record of earlier runs cannot be read.
         """
         with held(self.path):
             self.runs()
@@ -54,7 +54,7 @@ class ResultsDirectory:
             yield
 
     def settings(self) -> dict:
-        """Return what the results were computed with.
+        """Return the settings of the results.
 
         Raises:
             ValueError: if the file cannot be read.
@@ -63,10 +63,10 @@ class ResultsDirectory:
             return msgspec.convert(read_json(self.path / SETTINGS_FILE), dict)
 
     def take_up(self, settings: Mapping) -> dict:
-        """Return the settings of results that can begin here, or be resumed: these, or those that are known.
+        """Return the settings to compute with: those of the results in the directory or, without results, these.
 
         Raises:
-            ValueError: if it holds results of settings that differ beyond `EXTENDED`, or other things.
+            ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, or other files.
         """
         remedy = "choose another directory with --out"
         if not (self.path / SETTINGS_FILE).exists():
@@ -80,15 +80,15 @@ class ResultsDirectory:
         return known
 
     def write_settings(self, settings: Mapping) -> None:
-        """Write what the results are computed with.
+        """Write the settings of the results.
 
         Raises:
-            OSError: if that cannot be written.
+            OSError: if the file cannot be written.
         """
         write_json(self.path / SETTINGS_FILE, settings)
 
     def runs(self) -> list[Run]:
-        """Return the runs that made the results, the first one first; none where nothing is recorded.
+        """Return the recorded runs that made the results, the first one first.
 
         Raises:
             ValueError: if the record cannot be read.
@@ -98,13 +98,13 @@ class ResultsDirectory:
             return msgspec.convert(read_json(file), list[Run]) if file.exists() else []
 
     def record(self, command: str) -> str:
-        """Record this process as one more run, which a line of a shell began.
+        """Record this process as a further run, with the command that started it.
 
         Returns:
-            In which versions, flags and commit it differs from the run before; empty if in none.
+            The versions, flags and commit that differ from the last run; empty if none does.
 
         Raises:
-            ValueError: if the runs before cannot be read.
+            ValueError: if the record of earlier runs cannot be read.
         """
         runs = [*self.runs(), this_run(command)]
         write_json(self.path / PROVENANCE_FILE, runs)
@@ -116,13 +116,13 @@ class ResultsDirectory:
 
 
 def _differences(one: Mapping, other: Mapping, absent: str, but: tuple[str, ...] = ()) -> str:
-    """Say in which keys two mappings differ: what the one has instead of what the other has."""
+    """Say in which keys two mappings differ, and what the first one has instead of the second."""
     pairs = {key: (one.get(key, absent), other.get(key, absent)) for key in {**one, **other} if key not in but}
     return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
 
 
 def write_table(table: pd.DataFrame, file: Path) -> None:
-    """Write a table without its index, as its file's name says: ``.csv`` or ``.parquet``."""
+    """Write a table without its index, in the format of the file's ending: ``.csv`` or ``.parquet``."""
     with replacing(file) as path:
         if file.suffix == ".parquet":
             table.to_parquet(path, index=False)
@@ -135,7 +135,7 @@ def this_run(command: str = "") -> Run:
 
     Returns:
         ``command``; ``time``, UTC in ISO 8601; ``versions`` by package; ``machine`` with its ``processor``, ``cores``
-        that the process may use, and ``platform``; ``xla_flags``; and in a checkout, its ``commit``, and ``dirty``,
+        that the process may use, and ``platform``; ``xla_flags``; and in a checkout, its ``commit``, and ``dirty``:
         whether files have changed since.
     """
     return {
@@ -154,7 +154,7 @@ def _checkout(directory: Path) -> dict:
     command = ["git", "-C", str(directory), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
         told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):  # without git, or where it does not trust the directory's owner
+    except (OSError, subprocess.CalledProcessError):  # git is missing, or does not trust the directory's owner
         return {}
     return {"commit": told.removesuffix("-dirty"), "dirty": told.endswith("-dirty")}
 

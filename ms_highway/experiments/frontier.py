@@ -1,7 +1,7 @@
-"""The best orders of models, found by search, and regret: how far controllers stay behind them.
+"""Search for the best orders of models, and compute the regret of controllers, by which they fall short of these.
 
-From a known start nothing in an episode is left to chance, so that no rule for choosing models, however clever, earns
-more than the best order of models for that very start. What a search finds is as good as that, or worse.
+From a known start, an episode is deterministic, so no rule for choosing models earns more than the best order of models
+for this start. The order that a search finds is as good as that, or worse.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,14 +20,14 @@ from ms_highway.experiments.summary import interval
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import reading
 
-MEAN_STRETCH = 4  # steps, mean of their number in a stretch that is changed
-SINGLE_SHARE = 0.5  # of the changes among several humans: for a single one
-SWITCHES = 12  # steps at which the first orders go over from one rung to another
+MEAN_STRETCH = 4  # mean number of steps in a stretch that a mutant changes
+SINGLE_SHARE = 0.5  # share of the changes that are for a single one of several humans
+SWITCHES = 12  # number of steps at which the first orders may change their rung
 INDEX = ["controller", "seed"]
 KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
 
 BEST_PER_START = "best order of each start"
-"""Name that `regrets` gives to the best order that was found for every start."""
+"""Name that `regrets` gives to the best orders that were found, one for each start."""
 
 
 class Outcomes:
@@ -35,32 +35,32 @@ class Outcomes:
 
     Attributes:
         batch: the scenario.
-        table: what is known, by controller and seed: ``scenario``, ``reward``, ``counted_seconds``, ``collisions`` and
-            ``fallbacks`` as in `ms_highway.experiments.records.per_episode`.
+        table: all known episodes by controller and seed: ``scenario``, ``reward``, ``counted_seconds``, ``collisions``
+            and ``fallbacks`` as in `ms_highway.experiments.records.per_episode`.
     """
 
     def __init__(self, batch: Batch, file: Path, mesh: Mesh | None = None) -> None:
-        """Begin with what a file knows.
+        """Begin with the episodes in a file.
 
         Args:
             batch: the scenario.
-            file: where all outcomes are kept, as CSV.
+            file: CSV file that keeps all episodes.
             mesh: devices, see `ms_highway.loop.devices.device_mesh`.
 
         Raises:
-            ValueError: if the file is there and holds something else.
+            ValueError: if the file exists and holds something else.
         """
         self.batch, self._file, self._mesh = batch, file, mesh
         self.table = pd.DataFrame(columns=[*INDEX, *KEPT_COLUMNS]).set_index(INDEX)
         if file.exists():
             with reading(file, "remove it or choose another directory"):
-                # Python's float gives back the very numbers that were written.
+                # Python's float restores exactly the numbers that were written.
                 known = pd.read_csv(file, converters=KEPT_COLUMNS)
                 check_table(known)
                 self.table = known.set_index(INDEX)[list(KEPT_COLUMNS)]
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
-        """Return the rows of some episodes, in their order; simulate and keep those that are not known."""
+        """Return the rows of some episodes, in their order; simulate and keep the unknown ones."""
         lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
             episodes = self.batch.tables(lacking, self.batch.simulate(lacking, self._mesh))["episodes"]
@@ -71,13 +71,13 @@ class Outcomes:
 
 
 def controller_name(models: Sequence[str], order: Array) -> str:
-    """Return the short name of the controller that plans with these models: ``schedule:tom=6,naive``, ``tom``.
+    """Return the short name of an order as a controller, such as ``schedule:tom=6,naive`` or ``tom``.
 
-    Models that differ between humans are named one by one: ``schedule:tom/naive=6,naive``.
+    If models differ between humans, all of them are named: ``schedule:tom/naive=6,naive``.
 
     Args:
         models: names of the rungs.
-        order: the rung of every human in each step, [steps, humans].
+        order: rung of every human in each step, [steps, humans].
     """
     names = ["/".join(models[rung] for rung in (rungs if len(set(rungs)) > 1 else rungs[:1])) for rungs in order]
     *stretches, (last, _) = [(name, len(list(steps))) for name, steps in groupby(names)]
@@ -91,21 +91,21 @@ def search(
 ) -> Iterator[int]:
     """Search for the orders of models with the highest meta-reward, for each start and price separately.
 
-    This is an evolution strategy. Round 1 tries one rung up to some step and another one from there on, the same for
-    every start; each further round tries mutants of the best order so far, see `mutant`. What was tried for one price
-    counts for all. After the last round, every start tries what is best for the others.
+    This is an evolution strategy. Round 1 tries, from every start, the same orders that change the rung at most once.
+    Each further round tries mutants of the best order so far, see `mutant`. An order that was tried for one price
+    counts for all prices. After the last round, every start tries the best orders of the other starts.
 
-    The same arguments give the same orders, on any number of devices, and when an interrupted search is resumed.
+    The same arguments give the same orders on any number of devices, even if a search was interrupted and resumed.
 
     Args:
-        outcomes: the scenario, and where its episodes are kept.
-        seeds: of the starts.
+        outcomes: episodes of the scenario.
+        seeds: seeds of the starts.
         prices: lambdas [reward per second].
-        population: orders per start, price and round.
-        rounds: how often orders are tried, the first ones included.
+        population: number of orders per start, price and round.
+        rounds: number of rounds.
 
     Yields:
-        The number of each round that is done, from 1; and one more, when starts have tried each other's best orders.
+        The number of each finished round, from 1; a last number after the starts have tried each other's best orders.
     """
     random, batch = np.random.default_rng(0), outcomes.batch
     rungs, steps = range(len(batch.rungs)), np.arange(batch.steps)[:, None].repeat(batch.humans, axis=1)
@@ -129,7 +129,7 @@ def search(
 
 
 def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
-    """Return an order [steps, humans] with another rung in one or two stretches of steps, for all humans or for one."""
+    """Return an order [steps, humans] with a random rung in one or two stretches of steps, for one or all humans."""
     new, (steps, humans) = order.copy(), order.shape
     for _ in range(random.integers(1, 3)):
         start, length = random.integers(steps), random.geometric(1 / MEAN_STRETCH)
@@ -139,13 +139,13 @@ def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
 
 
 def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFrame:
-    """Return, by seed, the row of the highest meta-reward, ``r_R - lambda T(M)`` per step, with that in a column.
+    """Return, by seed, the row with the highest meta-reward, ``r_R - lambda T(M)`` per step, and add it as a column.
 
-    It may be that of any controller: its choices are an order of models, too.
+    The row may be that of any controller, as its choices are an order of models, too.
 
     Args:
-        table: of `Outcomes`.
-        seeds: of the starts.
+        table: table of `Outcomes`.
+        seeds: seeds of the starts.
         price: lambda [reward per second].
     """
     rows = table.query("seed in @seeds").reset_index()
@@ -154,19 +154,19 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
 
 
 def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int], price: float) -> pd.DataFrame:
-    """Compute how far controllers stay behind the best order that was found for each start.
+    """Compute by how much controllers fall short of the best order that was found for each start.
 
     Args:
-        table: of `Outcomes`.
-        controllers: short names; their lambdas may be others than the price.
-        seeds: of the starts.
+        table: table of `Outcomes`.
+        controllers: short names; their lambdas may differ from the price.
+        seeds: seeds of the starts.
         price: lambda of the meta-reward [reward per second of planning].
 
     Returns:
-        A row per ``controller``, `BEST_PER_START` the last: ``kind``; ``reward`` and ``counted_seconds`` per step, as
-        means over starts; ``meta_reward``; ``regret``, and ``regret_low`` and ``regret_high``, the 90 % interval of its
-        mean over starts (Student's t). Among the controllers is the order with the highest
-        mean meta-reward of those that were tried from every start.
+        A row per ``controller``, with `BEST_PER_START` as the last: ``kind``; means over starts of ``reward`` and
+        ``counted_seconds`` per step, of ``meta_reward`` and of ``regret``; and the 90 % interval of the mean regret,
+        ``regret_low`` and ``regret_high`` (Student's t). There is also a row of the order with the highest mean
+        meta-reward among those that were tried from every start.
 
     Raises:
         KeyError: if a controller was not driven from every start.

@@ -1,8 +1,8 @@
-"""Learn the value of computation: rollouts and fits, round by round, as cost-sensitive policy iteration.
+"""Learn the value of computation by rounds of rollouts and fits, as cost-sensitive policy iteration.
 
-Rollouts of later rounds follow the rule that was fitted last, and their states are those that this rule comes through.
-Every number is drawn from its own stream, so that a seed gives the same values, whether learning was interrupted or
-not, and on any number of devices.
+Rollouts of later rounds follow the rule of the last fit, from states that this rule visits. Every course and every fit
+of a round has its own stream of random numbers. Therefore, a seed gives the same values on any number of devices, even
+if learning was interrupted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,45 +35,46 @@ with needing("learning"):
     import optax
 
 REMEDY = "remove it, or choose another --out"
-MIN_SPREAD = 1e-3  # of an input
+MIN_SPREAD = 1e-3  # added to the standard deviation of an input, which may be 0
 COURSE, FIT = 1, 2  # streams of random numbers
 
-NETWORKS = 4  # that differ in their first weights and in the order of the rollouts
+NETWORKS = 4  # which differ in their first weights and in the order of the examples
 HIDDEN = (32, 32)
 STEPS = 3000
 BATCH = 256
-RATE = 3e-3  # of learning at first; it falls to 0 by a cosine
-SOFTENING = 1.0  # power of the noise that an error weighs more with than its likelihood says (Seitzer et al. 2022)
-DECAY = 0.5  # of weights, times the rate and per step
+RATE = 3e-3  # first learning rate, which falls to 0 as a cosine
+SOFTENING = 1.0  # power of the noise by which errors weigh more than their likelihood says (Seitzer et al. 2022)
+DECAY = 0.5  # share that weights lose per step, times the learning rate
 
 
 SEVERAL = {"prices": (30.0, 30.0), "rounds": 2, "states": (100, 100), "horizon": 25, "held": 25}
-"""How values are learned among several humans, where that differs from the defaults of `Learning`."""
+"""Settings of learning among several humans that differ from the defaults of `Learning`."""
 
 
 def prepare(
     comparison: Comparison, rounds: int | None, states: int | None, horizon: int | None, seed: int
 ) -> tuple[Learning, list[Course]]:
-    """Return how values are learned, and on which courses.
+    """Return the settings of learning, and the courses. None stands for the usual number.
 
     Args:
-        comparison: of the scenarios, with a controller that needs all T(M).
-        rounds: of rollouts and fits, None for the usual number, as below.
-        states: that rollouts start from in the first round; later ones have 5 for every 8 with one human.
-        horizon: steps of a rollout.
-        seed: of everything that is drawn.
+        comparison: the scenarios, with a controller that needs T(M) of all models.
+        rounds: number of rounds of rollouts and fits.
+        states: number of states from which rollouts start in the first round. With one human, each later round has 5
+            for every 8 of them.
+        horizon: number of steps of a rollout.
+        seed: seed of everything that is drawn.
 
     Raises:
-        ValueError: naming what cannot be learned.
+        ValueError: naming what prevents learning.
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
     costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
     several = batches[0].humans > 1
     if any((batch.humans > 1) != several for batch in batches):
-        raise ValueError("some scenarios have one human, others several; learn them in a file each")
+        raise ValueError("some scenarios have one human, others several; learn a file for each kind")
     if any(human_model(name).warm for name in models):
-        raise ValueError("rollouts have no rest of a last plan to begin with; leave +warm out of the ladder")
+        raise ValueError("rollouts begin without a last plan; leave +warm out of the ladder")
     if batches[0].loop.drivers:
         remedy = "leave config['yielding'] and config['human_driver'] out"
         raise ValueError(f"values are learned among humans who plan for their reward; {remedy}")
@@ -92,7 +93,7 @@ def prepare(
 
 
 def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
-    """Fit values to rollouts in round ``number``, from 1; without any, return values that mean nothing."""
+    """Fit values to the rollouts of ``number`` rounds; without rollouts, return values that mean nothing."""
     random, names = _stream(how, number, FIT), description_names()
     network = new_network(random, len(names), len(how.costs) - 1)
     centre, spread = np.zeros(len(names)), np.ones(len(names))
@@ -108,7 +109,7 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
 
 
 def _stream(how: Learning, *place: int) -> Random:
-    """Return the random numbers of a place, such as a round and the number of a course."""
+    """Return the stream of random numbers of a place, such as a round and the number of a course."""
     return np.random.default_rng([how.seed, *place])
 
 
@@ -116,16 +117,16 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
     """Learn values on some courses.
 
     Args:
-        learning: how.
-        courses: where.
-        kept: directory of all rollouts, from which an interrupted run goes on; removed by the caller at the end.
+        learning: settings.
+        courses: the courses.
+        kept: directory that keeps all rollouts, so that an interrupted run can resume; the caller removes it.
         mesh: devices, see `ms_highway.loop.devices.device_mesh`.
 
     Yields:
-        What was done, after the rollouts of each course and after each fit, and the values after a fit.
+        What was done, after the rollouts of each course and after each fit; and after a fit, the values.
 
     Raises:
-        ValueError: if the directory is there and holds something else.
+        ValueError: if the directory exists and holds something else.
     """
     games = []
     for course in courses:
@@ -166,7 +167,7 @@ def read_rollouts(file: Path) -> Rollouts:
 
 
 def new_network(random: Random, inputs: int, means: int) -> Network:
-    """Draw weights with the variance that keeps the size of what tanh layers pass on (LeCun et al. 1998)."""
+    """Draw first weights whose variance keeps the scale of activations across tanh layers (LeCun et al. 1998)."""
     return tuple(
         (
             (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(np.float32),
@@ -177,16 +178,17 @@ def new_network(random: Random, inputs: int, means: int) -> Network:
 
 
 def fit(network: Network, rollouts: Rollouts, centre: Array, spread: Array, random: Random) -> Network:
-    """Fit what rungs gain over the first one, and the spread of that, by AdamW and the likelihood of normal errors.
+    """Fit the gains of rungs over the first one, and their spreads, by AdamW and the likelihood of normal errors.
 
-    Where small causes have large effects (Stay Back in 20 gradient steps), the spread is large, and errors weigh less.
+    If small causes have large effects, as in Stay Back with 20 gradient steps, the spread is large, and errors weigh
+    less.
 
     Args:
         network: first weights.
-        rollouts: from many states.
-        centre: of the inputs, means by which they are standardised.
-        spread: of the inputs, standard deviations likewise.
-        random: draws rollouts.
+        rollouts: rollouts from many states.
+        centre: means by which the inputs are standardised.
+        spread: standard deviations by which the inputs are standardised.
+        random: draws the batches.
     """
     chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, BATCH))
     standard = (rollouts.descriptions - centre) / spread

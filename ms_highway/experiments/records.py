@@ -10,14 +10,14 @@ from ms_highway.loop.fallback import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY
 from ms_highway.planning.ladders import known_models
 
 KEYS = ["scenario", "controller", "seed"]
-"""Columns that say which episode a step is of."""
+"""Columns that identify the episode of a step."""
 
 MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
-"""Columns of times as they were measured, which a simulation does not have."""
+"""Columns of measured times, which simulations do not have."""
 
 COUNTED = "counted_seconds"
 NEEDED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
-"""Columns of live steps that must be filled in every row."""
+"""Columns that records of live steps must have, without empty cells."""
 
 TEXTS = ("scenario", "controller", "model", "status")
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
@@ -28,15 +28,15 @@ STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "
 def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> list[str]:
     """Return the columns of a record of steps.
 
-    ``counted_seconds`` is T of the step's plan as decisions count it; a gain, of which every known human model and
-    every rung has one, is the highest over all humans, empty where none was estimated; states are in SI units after the
-    step, that of the first human. Where there are several humans, ``model`` is the most expensive one in use,
+    ``counted_seconds`` is T of the step's plan, as decisions count it. ``gain_MODEL``, for every known human model and
+    every rung, is the highest gain over all humans, and empty if none was estimated. States are those of the robot and
+    the first human after the step, in SI units. With several humans, ``model`` is the most expensive model in use,
     ``humans_MODEL`` the number of humans that each rung above the first predicts, and ``success`` whether the robot has
     succeeded so far.
 
     Args:
-        rungs: names of the models on ladders, which may have efforts.
-        above: of those above the first, where there are several humans; otherwise None.
+        rungs: names of the models on the ladders, which may have efforts.
+        above: names of the rungs above the first; None with one human.
     """
     planning, decision, compiling = MEASURED
     steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
@@ -46,13 +46,13 @@ def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> li
 
 
 def by_column(gains: Mapping, states: Any) -> dict:
-    """Return gains by model, and the states [..., cars, 4] of the first two cars, by the columns of records."""
+    """Return columns of records from gains by model, and from states [..., cars, 4], of which two cars are kept."""
     first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(len(STATES), *np.shape(states)[:-2])
     return {f"gain_{name}": gain for name, gain in gains.items()} | dict(zip(STATES, first, strict=True))
 
 
 def models_of(table: pd.DataFrame, what: str) -> list[str]:
-    """Return the known models that a table has columns ``WHAT_MODEL`` of, such as ``gain``, cheapest first."""
+    """Return the known models that have a column ``WHAT_MODEL``, such as ``gain_tom``, in a table, cheapest first."""
     names = {str(name).removeprefix(f"{what}_") for name in table if str(name).startswith(f"{what}_")}
     return [name for name in known_models(names) if name in names]
 
@@ -60,16 +60,19 @@ def models_of(table: pd.DataFrame, what: str) -> list[str]:
 def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame:
     """Return a row per episode, in the order of the steps.
 
-    Columns: ``scenario``, ``controller`` and ``seed``; ``reward``, ``counted_seconds`` and, where they were measured,
-    ``planning_seconds`` and ``decision_seconds`` as means over the steps, empty where a step's is; ``share_MODEL`` of
-    the steps; ``collisions``, steps in which the robot collided; ``fallbacks``, steps whose plan failed; ``way_out``
-    and, where times were measured, ``late``, shares of the steps driven to keep a way out, and with an old plan because
-    the new one was late. Where scenarios have several humans, there are ``success``, 0 or 1, at the end, and the mean
-    of ``humans_MODEL``; the share of a model is of the steps in which it is the most expensive one in use.
+    Columns are ``scenario``, ``controller`` and ``seed``, and:
+
+    * means over the steps, empty if a step's cell is empty: ``reward``, ``counted_seconds`` and, if they were measured,
+      ``planning_seconds`` and ``decision_seconds``;
+    * shares of the steps: ``share_MODEL``, planned with a model; ``way_out``, driven to keep a way out; and, if times
+      were measured, ``late``, driven with an old plan because the new one was late;
+    * numbers of steps: ``collisions``, in which the robot collided; and ``fallbacks``, whose plan failed;
+    * with several humans: ``success``, 0 or 1, at the end of the episode; and the means of ``humans_MODEL``.
+      ``share_MODEL`` then counts the steps in which the model is the most expensive one in use.
 
     Args:
-        steps: records; those of an episode follow each other.
-        models: whose shares are wanted; by default, all known ones.
+        steps: records, in which the steps of an episode follow each other.
+        models: models whose shares are wanted; by default, all known ones.
     """
     models = list(models) or known_models(steps["model"].unique())
     shares = {f"share_{name}": steps["model"] == name for name in models}
@@ -94,7 +97,7 @@ def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
 
     Args:
         table: the table.
-        needed: columns that must be there, beside those of every table. Those of `NEEDED` must have no empty cell.
+        needed: columns that must be there in addition to those of every table. Those of `NEEDED` have no empty cell.
 
     Raises:
         ValueError: naming what is wrong, and where.
@@ -123,7 +126,7 @@ def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int
 
 
 def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str]) -> list[int]:
-    """Return the seeds of the episodes that all of these controllers, one at least, have driven, ascending."""
+    """Return the seeds of the episodes that every one of these controllers has driven, ascending."""
     rows = records.query("scenario == @scenario and controller in @controllers")
     driven = rows.groupby("seed")["controller"].nunique()
     return driven.index[driven == len(set(controllers))].tolist()

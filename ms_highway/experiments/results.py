@@ -1,4 +1,4 @@
-"""Read and check a directory of results of ``ms-highway compare``, beside the results that the paper published."""
+"""Read and check a directory of results of ``ms-highway compare``, and tell the results that the paper published."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ PUBLISHED_WITH = {
     "human_reward": "published",
     "costs": "published",
 }
-"""Settings of a comparison that may be compared with the paper's; all others are the usual ones."""
+"""Settings under which results may be compared with the paper's; all other settings are the defaults."""
 
 
 ROWS = """\
@@ -38,11 +38,12 @@ PUBLISHED = {
     (scenario, controller): (float(reward), float(seconds))
     for scenario, controller, reward, seconds in map(str.split, ROWS.splitlines())
 }
-"""By scenario and short name of the controller, means per step over 30 episodes: the robot's reward, and the seconds of
-planning and deciding about the model.
+"""Published results by scenario and short name of the controller: means per step over 30 episodes of the robot's
+reward, and of the seconds of planning and deciding.
 
-From the logs that the authors of Sripathy, Bobu, Brown and Dragan, "Dynamically Switching Human Prediction Models for
-Efficient Planning" (ICRA 2021), released; seconds are those of their laptop. The paper compared no others.
+They are from the logs that the authors of Sripathy, Bobu, Brown and Dragan, "Dynamically Switching Human Prediction
+Models for Efficient Planning" (ICRA 2021), released. The seconds were measured on their laptop. The paper compared no
+other controllers.
 """
 
 REMEDY = "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
@@ -50,13 +51,13 @@ REMEDY = "name a directory that `ms-highway compare` wrote; frontier, bench road
 
 @dataclass(frozen=True)
 class Results:
-    """What a comparison has found.
+    """Results of a comparison.
 
     Attributes:
         records: a row per step.
         summaries: a row per scenario and controller, see `ms_highway.experiments.summary.summary`.
-        settings: what the environments had in common, T(M), and the numbers of episodes that were asked for.
-        runs: what made it; empty if that is not known.
+        settings: common configuration of the environments, T(M), and the numbers of requested episodes.
+        runs: runs that made the results; empty if they are not recorded.
     """
 
     records: pd.DataFrame
@@ -71,7 +72,7 @@ class Results:
 
     @property
     def missing(self) -> int:
-        """The number of requested episodes that are not there yet."""
+        """The number of requested episodes that are missing."""
         asked = pd.DataFrame(self.settings["asked"]).unstack().dropna()
         there = self.summaries.set_index(["scenario", "controller"])["episodes"]
         return int((asked - there.reindex(asked.index, fill_value=0)).clip(lower=0).sum())
@@ -82,11 +83,11 @@ class Results:
         return {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
 
     def published(self, scenario: str, controller: str) -> tuple[float, float] | None:
-        """Return what the paper published of a controller, if these results may be compared with it."""
+        """Return the published results of a controller, if these results may be compared with them."""
         return PUBLISHED.get((scenario, controller)) if self.common == PUBLISHED_WITH else None
 
     def config(self, scenario: str) -> dict:
-        """Return the configuration that a scenario's environment had, but for the controller."""
+        """Return the configuration of a scenario's environment, without the controller."""
         measured = self.settings.get("measured", {})
         return self.common | ({"costs": measured[scenario]} if scenario in measured else {})
 
@@ -95,7 +96,7 @@ def read_results(directory: Path) -> Results:
     """Read a directory of results.
 
     Raises:
-        ValueError: if it is none, or a file is missing or cannot be read.
+        ValueError: if it is no such directory, or a file is missing or cannot be read.
     """
     results = ResultsDirectory(directory)
     settings = results.settings() if (directory / SETTINGS_FILE).is_file() else {}

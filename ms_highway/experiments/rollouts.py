@@ -1,7 +1,7 @@
-"""Roll out the models of a ladder from visited situations: what the value of computation is learned from.
+"""Roll out the models of a ladder from visited states; the value of computation is learned from these examples.
 
-The nearest humans, one, two or more, are predicted by each model for some steps, the others naively; then all of them
-naively or by the learned rule.
+In a rollout, a model predicts one or more of the nearest humans for some steps, and naive predicts the others. Then
+naive predicts all of them, or the learned rule chooses.
 """
 
 from collections.abc import Mapping
@@ -24,22 +24,22 @@ from ms_highway.runtime.arrays import Array
 
 Random: TypeAlias = np.random.Generator
 
-WORST_STEP = 1e3  # reward of a step, where plans fail and cars leave the world
+WORST_STEP = 1e3  # largest loss that counts in a step, as plans may fail and cars may leave the world
 
-# with one human, and among several:
+# The first value is for one human, the second for several.
 MAX_NOISE = 4.0, 1.0  # see `Course.starts`
 STATES_OF_AN_EPISODE = 4, 6
 STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step
-MIN_LIKELY = 1.0, 0.3  # state to be drawn, where driving at the limit on the way to the lane counts 1
+MIN_LIKELY = 1.0, 0.3  # least weight with which a state is drawn; at the speed limit outside the target lane, it is 1
 
 
 class Rollouts(NamedTuple):
-    """What was gained from states by the rungs.
+    """Gains of the rungs in visited states, with an example for each of the nearest humans.
 
     Attributes:
-        descriptions: of the situations [examples, numbers], see `ms_highway.choice.situation`.
-        gains: over the first rung, where nearer humans have the same rung in both cases, per step that it was held
-            [examples, rungs - 1]; -inf where a rung is not on the course's ladder.
+        descriptions: descriptions of the situations [examples, numbers], see `ms_highway.choice.situation`.
+        gains: gain per step if a rung, instead of the first one, predicts a human, while this rung predicts all nearer
+            humans [examples, rungs - 1]; -inf if the rung is not on the course's ladder.
     """
 
     descriptions: Any
@@ -52,7 +52,7 @@ class Course:
 
     Attributes:
         batch: draws and simulates its episodes.
-        rungs: places of its own ladder in the ladder that is learned.
+        rungs: places of the models of its own ladder in the ladder that is learned.
     """
 
     batch: Batch
@@ -81,8 +81,8 @@ class Course:
     def starts(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
 
-        With one human, a start is ``a + c (b - a)`` with two draws a and b, which has their mean and
-        ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation; c is drawn from 1 to `MAX_NOISE`.
+        With one human, a start is ``a + c (b - a)`` with two draws a and b, and with c drawn from 1 to `MAX_NOISE`. It
+        has the mean of the draws, and ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation.
         """
         drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
         starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
@@ -92,8 +92,8 @@ class Course:
     def orders(self, random: Random, count: int) -> Array:
         """Draw orders of models that keep their rungs for some steps, [count, steps, humans].
 
-        Frequencies of rungs differ from order to order. Among several humans, all change at once, each to a rung of its
-        own.
+        Each order has frequencies of rungs of its own. Several humans change their rungs in the same steps, each to a
+        rung of its own.
         """
         rungs, shape = len(self.rungs), (self.steps, self.batch.humans)
         orders = np.zeros((count, *shape), np.int32)
@@ -106,17 +106,17 @@ class Course:
 
 @dataclass(frozen=True)
 class Learning:
-    """How values are learned.
+    """Settings of learning.
 
     Attributes:
-        costs: T(M) by model, cheapest first [s]: the ladder.
-        prices: the least and the largest lambda at which the rule is followed to the states that rollouts start from.
-        rounds: of rollouts and fits.
-        states: that rollouts start from, on each course, in the first round and in the others.
-        horizon: steps of a rollout.
-        held: of them, with the rung whose gain is learned.
-        seed: of all random numbers, which have nothing to do with the numbered starts of environments.
-        settings: what the file of values tells beside this.
+        costs: T(M) of the models of the ladder, cheapest first [s].
+        prices: least and largest lambda at which the rule drives to the states from which rollouts start.
+        rounds: number of rounds of rollouts and fits.
+        states: number of states from which rollouts start, on each course, in the first round and in each later one.
+        horizon: number of steps of a rollout.
+        held: number of these steps with the rung whose gain is learned.
+        seed: seed of all random numbers, which are independent of the seeds of environments.
+        settings: further entries of the provenance of the values.
     """
 
     costs: Mapping[str, float]
@@ -131,13 +131,13 @@ class Learning:
 
 @dataclass(frozen=True)
 class Driving:
-    """How a course is driven.
+    """A course, and what drives on it.
 
     Attributes:
-        course: where.
-        how: values are learned.
-        rule: that was learned last, on the course's ladder.
-        learned: whether it was; otherwise it is not used.
+        course: the course.
+        how: settings of learning.
+        rule: rule of the last fit, on the course's ladder.
+        learned: whether there was a fit; otherwise, the rule is not used.
         mesh: devices.
     """
 
@@ -148,16 +148,16 @@ class Driving:
     mesh: Mesh
 
     def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> Records:
-        """Simulate episodes, with models by schedule or by the rule.
+        """Simulate episodes with models from schedules or from the rule.
 
-        Whatever their length, they are simulated as many steps at a time as a rollout has, so that a course is compiled
-        once; every such segment starts cold.
+        Episodes of any length are simulated in segments as long as a rollout, so that a course is compiled once. Every
+        segment starts without a last plan.
 
         Args:
-            starts: of all cars [episodes, cars, 4].
-            weights: of the humans' rewards [episodes, humans, features].
-            schedules: the rung of every human [episodes, steps, humans].
-            prices: lambdas [episodes], or the same for all.
+            starts: starts of all cars [episodes, cars, 4].
+            weights: weights of the humans' rewards [episodes, humans, features].
+            schedules: rung of every human [episodes, steps, humans], or `DECIDES` for the rule's choice.
+            prices: lambdas [episodes], or one for all.
         """
         loop, horizon = replace(self.course.batch.loop, rule=self.rule), self.how.horizon
         count, steps, humans = schedules.shape
@@ -171,11 +171,11 @@ class Driving:
         return jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
 
     def roll_out(self, random: Random, count: int) -> Rollouts:
-        """Visit so many states and roll out from them.
+        """Visit ``count`` states and roll out from each of them.
 
-        From each state, one, two and up to `TOGETHER` of the nearest humans are predicted by every rung for some steps,
-        and all others naively; then all by the learned rule or, before there is one, naively. The rule is followed at
-        the geometric mean of the prices.
+        There is a rollout for every rung and for one, two and up to `TOGETHER` of the nearest humans. The rung predicts
+        these humans for some steps, and naive the others. Then the rule chooses for all, at the geometric mean of the
+        prices; before the first fit, naive predicts all.
         """
         states, weights = self._visited(random, count)
         own, humans, how = self.course.rungs, self.course.batch.humans, self.how
@@ -201,10 +201,11 @@ class Driving:
         return Rollouts(described.reshape(len(gains), -1), gains)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
-        """Draw states that episodes come through, planned by random orders and by the rule, and the humans' weights.
+        """Draw states from episodes that random orders and the rule have planned; return them and the humans' weights.
 
-        A learned rule plans half of the episodes; with one human, it takes over in the others. Among several, states
-        of robots that drive and have not reached their lane are drawn more often: predictions hardly matter in others.
+        After a fit, the rule chooses in half of the episodes and, with one human, in the later part of the others. With
+        several humans, states in which the robot drives and is not in its lane yet are drawn more often, as predictions
+        hardly matter in the others.
         """
         course, steps, game = self.course, self.course.steps, self.course.game
         each = STATES_OF_AN_EPISODE[course.several]

@@ -1,8 +1,9 @@
-"""Run comparisons, live in the environments or many episodes at a time, and read their records.
+"""Run comparisons, live in the environments or in batches, and read their records.
 
-Either way, a directory holds pieces of the results in files that are whole or not there: live, a CSV file per episode,
-with a row per step, and ``steps.csv`` of all of them at the end; simulated, Parquet files of many episodes, with a row
-per episode, which need not fit in memory together. A run that was stopped goes on with the episodes that are in none.
+A directory holds the results in pieces, each in a file that is either complete or absent. A live run writes a CSV file
+per episode, with a row per step, and joins them in ``steps.csv`` at the end. A simulation writes Parquet files of many
+episodes, with a row per episode; together, they need not fit in memory. A run that was stopped resumes with the
+episodes that are in no file.
 """
 
 import json
@@ -35,7 +36,7 @@ from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_proc
 STEPS_FILE, PARTS = "steps.csv", "parts"
 LIVE_FILES, BATCHED_FILES = (STEPS_FILE, f"{PARTS}/[!.]*.csv"), ("episodes/part-*.parquet",)
 REMEDY = "remove it, to have it computed again"
-MIN_EPISODES = 60  # episodes that are worth the seconds in which further processes start
+MIN_EPISODES = 60  # with fewer, further processes take more time to start than they save
 
 Compute: TypeAlias = Callable[[Comparison, Mapping[int, Sequence[EpisodeKey]]], Iterator[tuple[int, Tables]]]
 """Computes the episodes of numbered parts; yields the number of each with its tables, in any order."""
@@ -48,13 +49,13 @@ def run(
 
     Args:
         comparison: what to drive.
-        directory: of the results.
-        processes: how many drive at once, each on a core of its own, if there are so many cores and at least
-            `MIN_EPISODES` episodes to drive; otherwise, this process alone does.
-        modules: to import in other processes, for scenarios and models that they add.
+        directory: directory of the results.
+        processes: number of processes that drive at once, each on a core of its own, but no more than there are cores.
+            If fewer than `MIN_EPISODES` episodes are missing, this process alone drives them.
+        modules: modules that other processes import, for scenarios and models that they add.
 
     Yields:
-        The number of episodes there: first of those that earlier runs have left, then after every episode.
+        The number of finished episodes: first those of earlier runs, then after every episode.
 
     Raises:
         ValueError: if the directory holds results of other settings, or records that cannot be read.
@@ -93,16 +94,17 @@ def run_batched(
 
     Args:
         comparison: what to simulate.
-        directory: of the results.
-        part: number of episodes in a part, of which one is in memory at a time.
+        directory: directory of the results.
+        part: number of episodes in a part; one part at a time is in memory.
         steps: whether a row per step is kept as well, in ``steps``.
-        compute: computes parts, here or elsewhere.
+        compute: function that computes parts, here or elsewhere.
 
     Yields:
-        The number of episodes there: first of those that earlier runs have left, then after every part.
+        The number of finished episodes: first those of earlier runs, then after every part.
 
     Raises:
-        ValueError: if it cannot be simulated, or the directory holds results of other settings, or other things.
+        ValueError: if the comparison cannot be simulated, or the directory holds results of other settings or other
+            files.
     """
     if len(comparison.controllers) != 1:
         raise ValueError(f"there are {len(comparison.controllers)} scenarios; a sweep is of one")
@@ -119,7 +121,7 @@ def run_batched(
 
     episodes = _read(directory, BATCHED_FILES, [], expected)
     results.write_settings(settings)
-    kinds = ("steps", "episodes") if steps else ("episodes",)  # these last: when they are there, the part is done
+    kinds = ("steps", "episodes") if steps else ("episodes",)  # episodes last: with them, the part is done
 
     def in_parts(keys: Sequence[EpisodeKey]) -> Iterator[Tables]:
         parts = {number: list(some) for number, some in groupby(keys, lambda key: places[key] // part)}
@@ -135,13 +137,13 @@ def _resume(
     compute: Callable[[Sequence[EpisodeKey]], Iterator[Tables]],
     directory: Path,
 ) -> Iterator[int]:
-    """Compute the episodes that are not there, and keep each piece as soon as it is done; yield how many are there.
+    """Compute the missing episodes, and write each piece as soon as it is done; yield how many are finished.
 
     Args:
-        comparison: what is wanted.
-        there: rows of those that are there.
+        comparison: the wanted episodes.
+        there: rows of the finished episodes.
         compute: yields the tables of a piece by the names of their files, the last one with all its episodes.
-        directory: of the results.
+        directory: directory of the results.
     """
     known, wanted = {*there[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
     missing = [key for key in wanted if key not in known]
@@ -157,9 +159,9 @@ def _resume(
 def _in_processes(
     drive: Callable[[EpisodeKey], pd.DataFrame], keys: Sequence[EpisodeKey], number: int, modules: Sequence[str]
 ) -> Iterator[pd.DataFrame]:
-    """Drive episodes in this process, or many in several, each on a core; yield their records in any order.
+    """Drive episodes in this process or, if they are many, in several; yield their records in any order.
 
-    Each process has a share of neighbours, so that two rarely compile the same functions.
+    Each process drives neighbouring episodes, so that two processes rarely compile the same functions.
     """
     _environment.cache_clear()
     if number == 1 or len(keys) < MIN_EPISODES:
@@ -172,7 +174,7 @@ def _in_processes(
         for done in as_completed(driven):
             yield done.result()
     except BrokenProcessPool as error:
-        remedy = "start the same comparison again, which resumes"
+        remedy = "start the same comparison again, and it resumes"
         raise OSError(f"a process that drove episodes has ended; {remedy}") from error
     finally:
         for pool in pools:
@@ -190,11 +192,11 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
 
 
 def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
-    """Return the records of a directory, also of episodes that are not in ``steps.csv`` yet; check them.
+    """Read and check the records of a directory, including episodes that are not in ``steps.csv`` yet.
 
     Args:
-        directory: of a comparison.
-        settings: of its results. Rows are sorted by the controllers in ``asked``, others last, then by seed.
+        directory: directory of the results.
+        settings: settings of the results. Rows are in the order of the controllers in ``asked``, then of the seeds.
 
     Raises:
         ValueError: for a file that cannot be read.
@@ -209,7 +211,7 @@ def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
 
 
 def read_episodes(directory: Path) -> pd.DataFrame:
-    """Return a row per simulated episode of a directory, in the order of the parts; check them.
+    """Read and check the simulated episodes of a directory, a row for each, in the order of the parts.
 
     Raises:
         ValueError: for a part that cannot be read.
@@ -223,7 +225,7 @@ def _read(
     needed: Sequence[str],
     expected: Callable[[Path], list[EpisodeKey]] | None = None,
 ) -> pd.DataFrame:
-    """Return the rows of all files; check their columns and, where they are expected, their episodes."""
+    """Return the rows of all files. Check their columns and, if ``expected`` is given, their episodes."""
     tables = [pd.DataFrame(columns=KEYS)]
     for file in (file for pattern in patterns for file in sorted(directory.glob(pattern))):
         with reading(file, "choose another directory" if file.parent == directory else REMEDY):
@@ -240,7 +242,7 @@ def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> pd.Da
     """Drive one episode and return its records."""
     scenario, controller, seed = key
     config = dict(comparison.config)
-    if scenario in measured and controller_config(controller)["type"] != "budget":  # which needs a high quantile
+    if scenario in measured and controller_config(controller)["type"] != "budget":  # budgets need a high quantile
         config["costs"] = measured[scenario]
     env = _environment(scenario, controller, json.dumps(config))
     records = pd.DataFrame(episode(env, seed)).assign(scenario=scenario, controller=controller, seed=seed)
@@ -249,7 +251,7 @@ def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> pd.Da
 
 @lru_cache(maxsize=1)
 def _environment(scenario: str, controller: str, config: str) -> gym.Env:
-    """Make an environment, or use that of the episode before again."""
+    """Make an environment, or reuse that of the last episode."""
     return make_environment(scenario, controller, **json.loads(config))
 
 
@@ -257,7 +259,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
     """Make the environment of a scenario with the robot driven by a controller.
 
     Args:
-        scenario: its name.
+        scenario: name of the scenario.
         controller: short name of a controller or an agent, see `ms_highway.envs.registry.controller_config`.
         render: whether to render ``rgb_array`` frames.
         config: further configuration of the environment.
@@ -273,7 +275,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     """Run one episode with the robot's own controller; yield a record per step.
 
-    It has the columns from ``step`` on, see `ms_highway.experiments.records.columns`, and all of ``info``.
+    A record has the columns from ``step`` on, see `ms_highway.experiments.records.columns`, and all of ``info``.
     """
     env.reset(seed=seed)
     inner = env.unwrapped

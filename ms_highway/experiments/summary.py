@@ -14,19 +14,23 @@ MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_second
 def summary(records: pd.DataFrame) -> pd.DataFrame:
     """Return one row per scenario and controller, in the order of the records.
 
-    Columns: ``kind``, the type of the controller, and ``price``, its lambda; ``episodes``; ``reward`` per step with
-    ``reward_low`` and ``reward_high``, the 90 % interval of the mean over episodes (Student's t), and ``reward_std``
-    over episodes; ``planning_ms`` and ``decision_ms`` per step as measured; ``counted_ms`` per step, planning at the
-    seconds T(M) that decisions count, empty where one is not known; ``share_MODEL`` of steps; ``collision_episodes``,
-    in which the robot collided at least once; ``fallbacks``, steps whose plan failed, of all episodes together;
-    ``cycle_ms_p50`` and ``cycle_ms_p99``, quantiles of planning and deciding together; ``late`` and ``way_out``, shares
-    of the steps that the robot drove with an old plan because the new one was late, and to keep a way out. Where
-    scenarios have several humans: ``success``, the share of the episodes in which the robot succeeded, and
-    ``humans_MODEL``, how many each rung above the first predicts in a step.
+    Columns are ``kind``, the type of the controller, ``price``, its lambda, ``episodes``, their number, and:
+
+    * per step: ``reward``, with ``reward_low`` and ``reward_high``, the 90 % interval of its mean over episodes
+      (Student's t), and ``reward_std``, its standard deviation over episodes;
+    * times per step: ``planning_ms`` and ``decision_ms`` as measured; ``counted_ms``, planning at the seconds T(M) that
+      decisions count, empty if one is unknown; ``cycle_ms_p50`` and ``cycle_ms_p99``, quantiles of planning and
+      deciding together;
+    * shares of the steps: ``share_MODEL``, planned with a model; ``late``, driven with an old plan because the new one
+      was late; ``way_out``, driven to keep a way out;
+    * counts: ``collision_episodes``, in which the robot collided at least once; ``fallbacks``, steps of all episodes
+      whose plan failed;
+    * with several humans: ``success``, the share of the episodes in which the robot succeeded; ``humans_MODEL``, the
+      mean number of humans that each rung above the first predicts.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.records.columns`; or per simulated episode, see
-            `ms_highway.experiments.records.per_episode`, of which nothing was measured.
+        records: a row per step, see `ms_highway.experiments.records.columns`; or a row per simulated episode, see
+            `ms_highway.experiments.records.per_episode`, without measured times.
 
     Raises:
         ValueError: for an unknown controller.
@@ -53,13 +57,13 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
 
 
 def interval(values: pd.Series) -> tuple[float, float]:
-    """Return the 90 % interval of the mean, by Student's t; NaN of less than two values."""
+    """Return the 90 % interval of the mean, by Student's t; NaN for fewer than two values."""
     half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * values.sem()
     return values.mean() - half, values.mean() + half
 
 
 def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
-    """Return a controller of each kind that chooses online, the one at the smallest lambda, in the table's order."""
+    """Return one controller of each kind that chooses online, with the smallest lambda, in the table's order."""
     rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(priced_types())]
     return rows.loc[rows.groupby("kind", sort=False)["price"].idxmin(), "controller"].to_list()
 
@@ -67,8 +71,8 @@ def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
 def most_informative_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
     """Return the two controllers of a scenario that are most informative side by side.
 
-    These are the fixed model of the highest mean reward, and the first of `choosing_controllers`; where either is
-    missing, the first of the others; the only one where there is one.
+    These are the fixed model with the highest mean reward, and the first of `choosing_controllers`. If either is
+    missing, the first of the other controllers replaces it, if there is another.
     """
     rows = summaries.query("scenario == @scenario")
     best = rows.query("kind == 'fixed'").nlargest(1, "reward")["controller"]
@@ -76,15 +80,15 @@ def most_informative_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
-    """Say what the best fixed model gains over the cheapest, how much of it choosing keeps, and what collides.
+    """Say what the best fixed model gains over the cheapest one, how much of that choosing keeps, and who collides.
 
-    Where no fixed model was driven, the best and the cheapest are those of all controllers.
-    A gain counts as more than chance by its 90 % interval over the starts that both drove from.
+    If no fixed model was driven, the best and the cheapest are those of all controllers. A gain is more than chance if
+    its 90 % interval, over the starts from which both drove, is above 0.
 
     Args:
         records: a row per step, see `ms_highway.experiments.records.columns`.
-        summaries: of `summary`.
-        scenario: its name.
+        summaries: result of `summary`.
+        scenario: name of the scenario.
     """
     rows = summaries.query("scenario == @scenario").set_index("controller")
     reward, counted = rows["reward"], rows["counted_ms"].fillna(float("inf"))

@@ -1,9 +1,9 @@
-"""Replay of the reference episodes: does this implementation do what the paper's released code did?
+"""Replay the reference episodes, to check that this implementation does what the paper's released code did.
 
 A reference file SCENARIO__KIND.npz holds the logged run of one controller in paper units, with released semantics:
 ``states`` [episode, step, car, 4] before each step, ``robot_controls`` [episode, step, 2], ``human_controls`` [episode,
 step - 1, 2], ``rewards`` [episode, step] after each step, ``models`` [episode, step] as indices into naive, turn, tom,
-and ``ladder`` [rungs].
+and ``ladder`` [rungs], indices likewise.
 """
 
 from pathlib import Path
@@ -31,12 +31,12 @@ SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WA
 ARRAYS = "states", "robot_controls", "human_controls", "rewards", "models", "ladder"
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
 SWITCHING = "switching_lambda_"
-MAX_BYTES = 2**27  # of a file, unpacked
-LARGEST = 1e38  # number, in single precision
+MAX_BYTES = 2**27  # of an unpacked file
+LARGEST = 1e38  # bound of numbers in single precision
 
 
 def validate(directory: Path) -> dict:
-    """Check every reference file of a directory: ``{"files": {NAME: ...}}``, see `validate_file`.
+    """Return the errors of all reference files of a directory: ``{"files": {NAME: ...}}``, see `validate_file`.
 
     Raises:
         FileNotFoundError: if there is no ``*.npz`` there.
@@ -51,9 +51,9 @@ def validate(directory: Path) -> dict:
 def validate_file(file: Path) -> dict:
     """Return the errors of one file, in the units of the logs, each as quantiles over all steps of all episodes.
 
-    ``action_error``: largest component of planned minus logged robot control, planning from each logged state with the
-    logged model; ``human_error``: the same of the human; ``reward_error``; and where the run was switching,
-    ``decisions``: how many choices of the model agree, out of how many.
+    ``action_error`` is the largest component of the planned robot control, less the logged one, in a plan from the
+    logged state with the logged model; ``human_error`` is the same for the human, and ``reward_error`` for the reward.
+    Runs with switching also have ``decisions``: how many choices of the model agree, and how many there are.
 
     Raises:
         ValueError: if the file is no reference file.
@@ -84,10 +84,10 @@ def validate_file(file: Path) -> dict:
 
 
 def read_episodes(file: Path) -> tuple[Scenario, dict[str, Array]]:
-    """Return scenario and arrays of a reference file, checked.
+    """Read and check a reference file; return its scenario and its arrays.
 
     Raises:
-        ValueError: if it cannot be read, or its name or its numbers are not those of a reference file.
+        ValueError: if the file cannot be read, or its name or numbers are not those of a reference file.
     """
     with reading(file, "name the logs that were released, SCENARIO__KIND.npz", " as a reference file"):
         arrays = read_arrays(file, MAX_BYTES)
@@ -96,9 +96,9 @@ def read_episodes(file: Path) -> tuple[Scenario, dict[str, Array]]:
             if not (np.abs(array) < LARGEST).all():
                 raise ValueError(f"{name} holds numbers that are not finite")
         if len({episodes[name].shape[:2] for name in ("states", "robot_controls", "rewards", "models")}) > 1:
-            raise ValueError("its arrays are of different numbers of episodes or steps")
+            raise ValueError("its arrays have different numbers of episodes or steps")
         if not np.isin(episodes["models"], episodes["ladder"]).all() or max(episodes["ladder"]) >= len(PAPER_MODELS):
-            raise ValueError(f"its models are no places in {', '.join(PAPER_MODELS)}")
+            raise ValueError(f"its models are not indices into {', '.join(PAPER_MODELS)}")
         return SCENARIOS[file.stem.partition("__")[0]], episodes
 
 
@@ -111,7 +111,7 @@ def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
 
 
 def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str, int]:
-    """Count the choices that agree with the logged ones, each taken from the logged step before it."""
+    """Count the choices that agree with the logged ones; each is made after the logged step before it."""
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
     costs = Costs.of([PUBLISHED_COSTS[name] for name in names], 1)
     switching = Switching(costs, price, ladder(names), trust_tolerance=RELEASED_TRUST_TOLERANCE)
@@ -124,11 +124,11 @@ def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str
 
 @jit_quickly
 def _choices(switching: Switching, game: Game, rungs: Any, *happened: Any) -> Array:
-    """Return the rung that is chosen after each step, each of which was driven with the logged one."""
+    """Return the rung that is chosen after each step; each step was driven with the logged rung."""
 
     def choose(memory: Memory, step: tuple) -> tuple[Memory, Array]:
         rung, state, robot, human, earned = step
-        plan = Plan(robot[None], human[None, None])  # not looked at
+        plan = Plan(robot[None], human[None, None])  # not used
         outcome = Outcome(state, state, robot, human[None], earned, plan)
         memory = decide(switching, game, memory._replace(rungs=rung[None]), outcome).memory
         return memory._replace(step=memory.step + 1), memory.rungs[0]

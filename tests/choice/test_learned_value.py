@@ -1,4 +1,4 @@
-"""Learned values of computation: what they look at, choose, and their files."""
+"""Learned values of computation: their inputs, their choices and their files."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ INPUTS = len(description_names())
 
 
 @pytest.mark.parametrize("name", ["stay_back", "dense_merge"])
-def test_a_description_does_not_know_units_or_places_and_follows_the_humans(name):
+def test_a_description_depends_neither_on_units_nor_on_places_and_keeps_the_order_of_the_humans(name):
     scenario = SCENARIOS[name]
     game, small = build_game(scenario), build_game(scenario, unit=1.0)
     start, _ = draw_episode(scenario, np.random.default_rng(1), small.humans)
@@ -44,13 +44,13 @@ def test_a_description_does_not_know_units_or_places_and_follows_the_humans(name
     np.testing.assert_allclose(describe_quickly(game, turned)[::-1], described, rtol=1e-4, atol=1e-4)
 
 
-def test_the_highest_gain_that_is_told_is_the_model_that_plans_and_thinking_is_where_it_pays():
-    models = ["naive"]  # the rung to begin with
+def test_the_model_with_the_highest_gain_plans_and_theory_of_mind_is_used_at_the_start_only():
+    models = ["naive"]  # the first rung, to which the first gains are compared
     for info in drive(make("merger", "learned:1")).infos:
         gains = {models[-1]: 0.0} | info["gains"]
         models.append(info["model"])
         assert max(gains, key=gains.get) == models[-1]
-    assert (models[1], models[-1]) == ("tom", "naive")  # where Algorithm 1 starts with naive
+    assert (models[1], models[-1]) == ("tom", "naive")  # Algorithm 1 starts with naive
     assert 2 <= models.count("tom") <= 20
 
 
@@ -67,7 +67,7 @@ def test_a_file_is_read_as_it_was_written(file):
 
 
 def about(**changes):
-    return lambda told: np.array(json.dumps(json.loads(str(told)) | changes))
+    return lambda written: np.array(json.dumps(json.loads(str(written)) | changes))
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,9 @@ def about(**changes):
         ("biases_1", lambda biases: biases[:1], "shapes"),
     ],
 )
-def test_a_file_of_values_that_says_or_holds_wrong_things_is_refused_by_them(file, name, change, problem):
+def test_the_refusal_of_a_damaged_file_names_the_damage_and_the_command_that_writes_another(
+    file, name, change, problem
+):
     with np.load(file) as archive:
         arrays = dict(archive)
     np.savez(file, **arrays | {name: change(arrays[name])})
@@ -89,18 +91,18 @@ def test_a_file_of_values_that_says_or_holds_wrong_things_is_refused_by_them(fil
 
 @pytest.fixture(scope="module")
 def decided(played):
-    """What a rule decides about two humans before the first step, in a state that is ``off``."""
+    """Return a function that decides for two humans before the first step, with an error added to the state."""
     game, start = played("dense_merge")
     still = np.zeros((5, 2), np.float32)
 
-    def decision(rule, off=0.0):
-        outcome = Outcome(start, start + off, still[0], still[:2], 0.0, Plan(still, np.stack([still] * 2)))
+    def decision(rule, error=0.0):
+        outcome = Outcome(start, start + error, still[0], still[:2], 0.0, Plan(still, np.stack([still] * 2)))
         return decide_quickly(rule, game, first_memory(rule, 2), outcome)
 
     return decision
 
 
-def test_a_part_of_the_ladder_weighs_rewards_as_the_whole_ladder_does(decided):
+def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder(decided):
     rules = (SHIPPED.rule(LADDER[:size], Costs(0.0, SECONDS[:size]), 10.0) for size in (3, 2))
     whole, part = (decided(replace(rule, cautious=False)).gains for rule in rules)
     np.testing.assert_allclose(whole[:, :2], part, rtol=1e-4)
@@ -115,11 +117,11 @@ def over_naive(gains, price=0.0, doubt=0.0):
     return LearnedValue(Costs(0.003, SECONDS), price, network, *standard, LADDER)
 
 
-@pytest.mark.parametrize(("price", "rung"), [(0.0, 2), (500.0, 1), (5000.0, 0)])
-def test_dearer_planning_chooses_cheaper_models(decided, price, rung):
-    decision = decided(over_naive((0.5, 1.0), price))
-    np.testing.assert_allclose(decision.gains, [np.array([0.0, 0.5, 1.0]) - price * SECONDS] * 2, atol=1e-6)
-    assert decision.memory.rungs.tolist() == [rung] * 2
+def test_higher_prices_of_planning_choose_cheaper_models(decided):
+    for price, rung in ((0.0, 2), (500.0, 1), (5000.0, 0)):
+        decision = decided(over_naive((0.5, 1.0), price))
+        np.testing.assert_allclose(decision.gains, [np.array([0.0, 0.5, 1.0]) - price * SECONDS] * 2, atol=1e-6)
+        assert decision.memory.rungs.tolist() == [rung] * 2
 
 
 def test_a_ladder_of_one_rung_leaves_nothing_to_choose(decided):
@@ -135,10 +137,9 @@ def test_shipped_values_among_several_humans_are_those_that_know_the_ladder():
         assert settings.controller.learned(start._replace(ladder=ladder(names))).ladder == names
 
 
-def test_doubts_and_failed_estimates_choose_the_cheapest_rung(decided):
+def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(decided):
     certain, doubtful = over_naive((0.0, 0.1)), over_naive((0.0, 0.1), doubt=1.0)
     assert decided(certain).memory.rungs.tolist() == [2, 2]
-    assert decided(doubtful).memory.rungs.tolist() == [0, 0]
-    failed = decided(certain, off=np.nan)
-    assert failed.failed
-    assert failed.memory.rungs.tolist() == [0, 0]
+    for decision, failed in ((decided(doubtful), False), (decided(certain, error=np.nan), True)):
+        assert decision.failed == failed
+        assert decision.memory.rungs.tolist() == [0, 0]

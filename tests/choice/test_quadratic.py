@@ -22,65 +22,53 @@ COSTS = Costs(0.0, np.array([0.09, 0.17, 0.37]))
 decide_quickly = jit_quickly(decide)
 
 
+ROBOT, HUMAN = PLAN = jnp.float32(np.random.default_rng(0).normal(0, 0.2, (2, 5, 2)))
+
+
 def made(price, kind=Switching):
     return jax.tree.map(jnp.asarray, kind(COSTS, price, ladder(("naive", "turn", "tom"))))
 
 
-def on(rule, rung):
-    memory = first_memory(rule, 1)
+def on(rung):
+    memory = first_memory(made(0.0), 1)
     return memory._replace(rungs=memory.rungs + rung, step=np.ones((), np.int32))
 
 
-def any_plan(steps, seed=0):
-    robot, human = jnp.float32(np.random.default_rng(seed).normal(0, 0.2, (2, steps, 2)))
-    return Plan(robot, human[None])
-
-
-def decided(rule, played, memory=None, reward=1.5, steps=5, seed=0, unit=PAPER_UNIT):
-    """The decision after a step in which both followed a plan."""
-    game, state = played("merger", planning=PlanningSettings(horizon=steps), unit=unit)
-    plan = any_plan(steps, seed)
-    outcome = Outcome(state, state, plan.robot[0], plan.humans[:, 0], jnp.float32(reward), plan)
-    return decide_quickly(rule, game, on(rule, 0) if memory is None else memory, outcome)
+def decided(rule, played, memory, reward=1.5, unit=PAPER_UNIT):
+    """Return the decision after a step in which both followed a plan."""
+    game, state = played("merger", planning=PlanningSettings(horizon=5), unit=unit)
+    plan = Plan(ROBOT, HUMAN[None])
+    outcome = Outcome(state, state, ROBOT[0], HUMAN[:1], jnp.float32(reward), plan)
+    return decide_quickly(rule, game, memory, outcome)
 
 
 @pytest.mark.parametrize(("kind", "steps"), [(Switching, 1), (WholeHorizon, 5)])
-def test_a_gain_pays_for_a_plan_at_every_step_that_it_looks_ahead(played, kind, steps):
-    free, priced = (decided(made(price, kind), played) for price in (0.0, 2.0))
-    assert free.gains[0, 2] - priced.gains[0, 2] == pytest.approx(steps * 2.0 * (0.37 - 0.09), rel=1e-3)
-
-
-def test_the_top_rung_goes_down_one_rung_at_a_time_and_never_up(played):
-    rule = made(1e6)
-    decision = decided(rule, played, on(rule, 2))
-    assert decision.gains[0, 2] == NOT_ESTIMATED
-    assert decision.gains[0, 1] > 0
-    assert decision.memory.rungs == 1
+def test_a_gain_pays_for_one_plan_in_each_step_that_it_covers(played, kind, steps):
+    free, priced = (decided(made(price, kind), played, on(0)).gains[0, 2] for price in (0.0, 2.0))
+    assert free - priced == pytest.approx(steps * 2.0 * (0.37 - 0.09), rel=1e-3)
 
 
 @pytest.mark.parametrize("rung", [0, 1, 2])
 def test_gains_do_not_depend_on_the_unit_of_length(played, rung):
-    """What the rung below predicts in SI units is scaled as plans are."""
-    rule = made(0.1)
-    metres, units = (decided(rule, played, on(rule, rung), unit=unit) for unit in (PAPER_UNIT, 1.0))
-    assert np.isfinite(metres.gains).any()
-    np.testing.assert_allclose(metres.gains, units.gains, rtol=1e-2, atol=1e-3)
+    metres, units = (decided(made(0.1), played, on(rung), unit=unit).gains for unit in (PAPER_UNIT, 1.0))
+    assert np.isfinite(metres).any()
+    np.testing.assert_allclose(metres, units, rtol=1e-2, atol=1e-3)
 
 
-def test_downward_checks_of_a_rung_wait_for_the_cooldown(played):
-    rule, checked = made(0.0), []
-    memory = on(rule, 2)
+def test_the_top_rung_checks_only_the_rung_below_after_each_cooldown_and_switches_to_it_for_a_gain(played):
+    memory, checked = on(2), []
     for _ in range(8):
-        decision = decided(rule, played, memory, reward=100.0)  # better than any alternative: stay
-        checked.append(bool(decision.gains[0, 1] != NOT_ESTIMATED))
+        decision = decided(made(0.0), played, memory, reward=100.0)  # more than any alternative earns
+        checked.append(np.flatnonzero(decision.gains[0] != NOT_ESTIMATED).tolist())
         memory = decision.memory._replace(step=memory.step + 1)
         assert memory.rungs == 2
-    assert checked == [True, False, False, True, False, False, True, False]
+    assert checked == [[1], [], [], [1], [], [], [1], []]
+    assert decided(made(1e6), played, on(2)).memory.rungs == 1
 
 
-def test_the_expansion_is_that_of_both_rewards_over_the_whole_plan(played):
+def test_the_expansion_has_the_derivatives_of_both_rewards_over_the_whole_plan(played):
     game, state = played("merger", seed=2)
-    both = jnp.concatenate([part.ravel() for part in any_plan(5)])
+    both = PLAN.ravel()
 
     def rewards(both):
         robot, human = both.reshape(2, 5, 2)

@@ -1,4 +1,4 @@
-"""The answer of a comparison, and the cells of its tables."""
+"""The answer of a comparison in sentences, and its printed tables."""
 
 import pandas as pd
 import pytest
@@ -11,7 +11,7 @@ COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "le
 
 
 def records(**rewards):
-    """An episode of one step for every reward of a controller, ``_`` standing for ``:0.`` in its name."""
+    """Return an episode of one step for every reward of a controller; ``_`` in its name stands for ``:0.``."""
     rows = [(name.replace("_", ":0."), *each) for name, values in rewards.items() for each in enumerate(values)]
     table = pd.DataFrame(rows, columns=["controller", "seed", "reward"]).astype({"reward": float})
     table = table.assign(scenario="merger", step=0, model="naive", status="planned", collision=False)
@@ -22,7 +22,7 @@ def said(table):
     return answer(table, summary(table), "merger")
 
 
-def test_a_gain_and_what_each_kind_keeps_of_it_are_said():
+def test_the_answer_tells_the_gain_and_how_much_of_it_each_kind_of_controller_keeps():
     message = said(records(naive=[1, 1.1], tom=[5, 5.1], learned_1=[5, 5.1], switching_1=[4, 4.1]))
     assert message == (
         "tom earns a reward of 5.05 per step. "
@@ -32,14 +32,14 @@ def test_a_gain_and_what_each_kind_keeps_of_it_are_said():
     )
 
 
-def test_a_gain_that_may_be_chance_is_called_so():
+def test_the_answer_says_that_a_gain_may_be_chance():
     message = said(records(naive=[1, 4, 2], tom=[3, 1, 4], switching_1=[4, 4, 4]))
     assert "(90 % interval -4.53 to 5.20, starts: 3), which may be chance." in message
     assert "keeps" not in message
 
 
 @pytest.mark.parametrize("width", [60, 120])
-def test_a_printed_table_is_no_wider_than_the_terminal_and_shows_every_cell(width, monkeypatch, capsys):
+def test_a_printed_table_fits_the_terminal_and_shows_every_cell(width, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(width))
     row = {f"column {place}": "-1.89, 2.33" for place in range(12)}
     names = [f"schedule:tom={steps},{'turn=1,' * 9}naive" for steps in (4, 30)]

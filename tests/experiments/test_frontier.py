@@ -1,4 +1,4 @@
-"""The search for the best orders of models, and regrets: `ms-highway frontier`."""
+"""The search for the best orders of models, and regrets, by `ms-highway frontier`."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ def searched(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("price", PRICES)
-def test_regrets_are_to_the_best_that_was_tried_from_each_start_and_that_is_earned_in_the_environment(searched, price):
+def test_regrets_compare_to_the_best_tried_order_of_each_start_which_earns_the_same_in_the_environment(searched, price):
     tried = pd.read_csv(searched / "merger_episodes.csv")
     tried["net"] = tried["reward"] - price * tried["counted_seconds"]
     found = pd.read_csv(searched / "orders.csv").query("price == @price").set_index("seed")
@@ -46,7 +46,7 @@ def test_regrets_are_to_the_best_that_was_tried_from_each_start_and_that_is_earn
 
 
 @pytest.mark.slow
-def test_a_search_that_was_killed_goes_on_to_the_same_results(searched, tmp_path, capsys, monkeypatch):
+def test_a_killed_search_resumes_and_gives_the_same_results(searched, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     directory, file = tmp_path / "out", "merger_episodes.csv"
     directory.mkdir()

@@ -1,12 +1,12 @@
-"""Planners and agents of one's own are controllers, in the same tables as the package's."""
+"""Planners and agents of one's own are compared like the package's controllers."""
 
 import numpy as np
 import pytest
+from episodes import drive
 from gymnasium import spaces
 
 import ms_highway
 from ms_highway.envs.agents import AGENTS
-from ms_highway.envs.registry import controller_config
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment, read, run
@@ -24,7 +24,7 @@ def stays(game, state):
 
 
 class Trained:
-    """What stable-baselines3 loads has the same method and spaces."""
+    """An agent with the method and the spaces of those that stable-baselines3 loads."""
 
     action_space, observation_space = spaces.Discrete(3), None
 
@@ -44,7 +44,7 @@ def added():
     AGENTS.clear()
 
 
-def test_they_are_compared_beside_controllers_in_one_table(tmp_path):
+def test_planners_agents_and_controllers_are_compared_in_one_table(tmp_path):
     controllers = ["stays", "coasts", "trained", "tom"]
     comparison = Comparison({"merger-v1": controllers}, seeds=1, config={"duration": 1.0})
     assert [*run(comparison, tmp_path)][-1] == 4
@@ -65,13 +65,10 @@ def test_they_are_compared_beside_controllers_in_one_table(tmp_path):
     assert "T(M)" not in shown.attrs["title"]
 
 
-def test_a_planner_is_told_the_state_in_si_units_and_its_control_is_executed():
-    env = make_environment("merger-v1", "stays")
-    env.reset(seed=0)
-    before = env.unwrapped.car_states[0]
-    *_, info = env.step(0)
-    after = env.unwrapped.car_states[0]
-    np.testing.assert_allclose(after[1:], before[1:], atol=5e-3)
+def test_a_planner_sees_the_state_in_si_units_and_its_control_is_executed():
+    _, states, _, (info,) = drive(make_environment("merger-v1", "stays"), steps=1)
+    before, after = states[:, 0, 1:]
+    np.testing.assert_allclose(after, before, atol=5e-3)
     assert info["model"] == "stays"
     assert info["timing"].planning_seconds > 0
 
@@ -79,20 +76,13 @@ def test_a_planner_is_told_the_state_in_si_units_and_its_control_is_executed():
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        (lambda: step_once("wrong"), "'wrong' chose 7"),
+        (lambda: drive(make_environment("merger-v1", "wrong")), "'wrong' chose 7"),
         (lambda: simulated(Comparison({"merger-v1": ["coasts"]})), "'coasts' is not simulated; use `compare`"),
         (lambda: simulated(Comparison({"merger-v1": ["stays"]})), "not simulated; use `compare`"),
         (lambda: make_environment("merger-v1", "missing.zip"), "there is no agent missing.zip"),
         (lambda: ms_highway.add_agent("mine", Trained(), {"horizon": 3}), "unknown key 'horizon'"),
-        (lambda: controller_config("nobody"), "unknown controller 'nobody'.*--import"),
     ],
 )
-def test_what_cannot_be_is_refused_with_value_and_remedy(what, message):
+def test_impossible_agents_are_refused_with_the_reason_and_a_remedy(what, message):
     with pytest.raises(ValueError, match=message):
         what()
-
-
-def step_once(name):
-    env = make_environment("merger-v1", name)
-    env.reset(seed=0)
-    env.step(0)

@@ -1,4 +1,4 @@
-"""Learning values of computation, with one human and among several: `ms-highway values`."""
+"""Learning values of computation with one human and several, by `ms-highway values learn`."""
 
 from dataclasses import replace
 from itertools import islice
@@ -29,7 +29,7 @@ def course():
 
 
 @pytest.mark.slow
-def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_devices(course, tmp_path):
+def test_killed_learning_resumes_and_gives_the_same_values_on_any_devices(course, tmp_path):
     done = list(learn(LEARNING, [course], tmp_path / "whole", device_mesh(jax.local_devices()[:1])))
     assert [said for said, _ in done][1:3] == ["round 1 of 2: fitted", "round 2 of 2: merger"]
     assert [values.provenance["examples"] for _, values in done[1::2]] == [8, 13]
@@ -47,7 +47,7 @@ def test_learning_goes_on_where_it_was_killed_and_gives_the_same_values_on_any_d
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scenario", "examples"), [("merger", 13), ("dense_merge", 24)])  # of two humans in each state
+@pytest.mark.parametrize(("scenario", "examples"), [("merger", 13), ("dense_merge", 24)])  # 2 examples per state
 def test_the_command_learns_values_that_drive(scenario, examples, tmp_path):
     file, (config, quick) = tmp_path / "values.npz", QUICK[scenario]
     run(f"values learn {scenario} {config} {quick} --out {file}")

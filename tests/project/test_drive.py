@@ -1,4 +1,4 @@
-"""Import, drive, plan and simulate: what has to work with the oldest and the newest versions, and in the wheel."""
+"""Importing, driving, planning and simulating work with the oldest and newest versions, and from the wheel."""
 
 import gymnasium as gym
 import numpy as np
@@ -24,7 +24,7 @@ def test_every_environment_is_reset_stepped_and_drawn(name):
     assert config is None or info["status"] == "planned"
 
 
-def test_the_learned_choice_decides_and_one_plan_is_made():
+def test_learned_values_decide_and_a_single_plan_can_be_made():
     env = gym.make("ms-highway/merger-v1")
     env.reset(seed=0)
     for _ in range(2):

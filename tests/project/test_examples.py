@@ -1,4 +1,4 @@
-"""The examples run, and print what their texts say."""
+"""The examples run and print what their texts say."""
 
 import json
 import re
@@ -24,9 +24,15 @@ for example in sys.argv[1:]:
 """
 
 
+def output(example, words):
+    """Run an example with these words on its command line; return what it prints."""
+    command = [sys.executable, str(DIRECTORY / f"{example}.py"), *words.split(" ")]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory):
-    """What each example prints, by name; all run in one process, as they change what this one knows."""
+    """Return what each example prints, by name. All run in another process, as they add to the package's registries."""
     names = [name for name in EXAMPLES if name not in (*AGENTS, LONG)]
     command = [sys.executable, "-c", PROGRAM, *(str(DIRECTORY / f"{name}.py") for name in names)]
     run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path_factory.mktemp("examples"))
@@ -46,28 +52,25 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", [["merger-v1"], ["dense_merge", "--set", "humans=2", "--set", "duration=1"]])
-def test_an_agent_learns_in_jax_and_is_set_beside_random_choice_naive_and_learned_values(scenario):
-    command = [sys.executable, str(DIRECTORY / f"{LONG}.py"), *scenario, "--updates", "1", "--environments", "8"]
-    run = subprocess.run(command, check=True, capture_output=True, text=True)
-    assert [line.split()[0] for line in run.stdout.splitlines()[1:]] == ["agent", "random", "learned:1", "naive"]
+@pytest.mark.parametrize("scenario", ["merger-v1", "dense_merge --set humans=2 --set duration=1"])
+def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_values_and_naive(scenario):
+    lines = output(LONG, f"{scenario} --updates 1 --environments 8").splitlines()[1:]
+    assert [line.split()[0] for line in lines] == ["agent", "random", "learned:1", "naive"]
 
 
 @pytest.mark.slow
-def test_an_agent_learns_to_choose_and_is_set_beside_random_choice_naive_and_learned_values(tmp_path):
+def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_naive_and_learned_values(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
-    program, agent = str(DIRECTORY / f"{LEARNING}.py"), str(tmp_path / "agent.zip")
-    command = [sys.executable, program, "merger-v1", "--steps", "800", "--episodes", "1", "--out", agent]
-    run = subprocess.run(command, check=True, capture_output=True, text=True)
-    found = [line.split()[0] for line in run.stdout.partition("reward per step less that")[2].splitlines()[1:]]
-    assert found == [agent, "random", "naive", "learned"]
+    agent = str(tmp_path / "agent.zip")
+    table = output(LEARNING, f"merger-v1 --steps 800 --episodes 1 --out {agent}")
+    lines = table.partition("reward per step less that")[2].splitlines()[1:]
+    assert [line.split()[0] for line in lines] == [agent, "random", "naive", "learned"]
 
 
 @pytest.mark.slow
-def test_trained_peers_drive_in_the_scene_that_they_know_and_are_refused_in_others(tmp_path):
+def test_trained_peers_drive_in_their_own_scene_and_are_refused_in_others(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
-    command = [sys.executable, str(DIRECTORY / f"{TRAINING}.py"), "merge-v0", "--steps", "300", "--to", str(tmp_path)]
-    subprocess.run(command, check=True, capture_output=True)
+    output(TRAINING, f"merge-v0 --steps 300 --to {tmp_path}")
     agents = [str(tmp_path / f"{algorithm}-merge-v0-0.zip") for algorithm in ("dqn", "ppo")]
     bench = [sys.executable, "-m", "ms_highway", "bench", "road"]
     figures = tmp_path / "road.json"

@@ -1,4 +1,4 @@
-"""Notebooks run from top to bottom, and are committed as they come out."""
+"""Notebooks run from top to bottom, and are committed with their outputs."""
 
 import ast
 import os
@@ -26,7 +26,7 @@ QUICK = {
     "STEPS": 2,
     "TOM_STEPS": [6],
 }
-"""What takes the place of constants in cells that are tagged ``parameters``, so that a notebook takes seconds."""
+"""Values that replace the constants of cells that are tagged ``parameters``, so that a notebook takes seconds."""
 
 LARGEST = 3e6  # bytes
 MACHINE = r"(?<![\w.])(/home/|/Users/|/root/|/tmp/|/work/|[A-Z]:\\\\)"
@@ -34,19 +34,19 @@ SKIPPED = "skipped: no data"
 
 
 def texts(cell):
-    """What a cell prints and shows, but for pictures."""
+    """Return the text that a cell prints and shows."""
     return "".join(output.get("text", "") + output.get("data", {}).get("text/plain", "") for output in cell.outputs)
 
 
 def kinds(cell):
-    """What a cell shows besides text."""
+    """Return the kinds of outputs that a cell shows besides text."""
     shown = [output.get("data", {}) for output in cell.outputs]
     return [kind for data in shown for kind in ("image/png", "text/html") if kind in data]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_with_quick_constants_and_shows_what_the_committed_one_shows(path, tmp_path):
+def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_the_committed_one(path, tmp_path):
     notebook, committed = (nbformat.read(path, as_version=4) for _ in range(2))
     (cell,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", []))
     own = {target.id for statement in ast.parse(cell.source).body for target in statement.targets}
@@ -62,7 +62,7 @@ def test_a_notebook_runs_with_quick_constants_and_shows_what_the_committed_one_s
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_committed_executed_and_small_and_says_nothing_of_the_machine(path):
+def test_a_committed_notebook_is_executed_and_small_and_names_no_place_on_the_machine(path):
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]

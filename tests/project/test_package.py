@@ -24,13 +24,13 @@ assert "jax" in sys.modules and HumanVehicle is vehicle.HumanVehicle
 """
 
 
-def test_an_import_registers_all_environments_and_loads_public_names_when_they_are_used():
+def test_an_import_registers_all_environments_but_loads_public_names_only_when_they_are_used():
     subprocess.run([sys.executable, "-W", "error::ImportWarning", "-c", IMPORTED], check=True)
 
 
 @pytest.fixture
 def checkout_without_links(tmp_path):
-    """Copy the project as Git checks it out where it cannot make symbolic links: a text file stands for the link."""
+    """Copy the project as Git checks it out on systems without symbolic links, which get a text file instead."""
     source = tmp_path / "source"
     shutil.copytree(ROOT / "ms_highway", source / "ms_highway", ignore=lambda folder, names: {"envs", "__pycache__"})
     shutil.copytree(ROOT / "envs", source / "envs")
@@ -67,7 +67,7 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout
 
 
 @pytest.mark.slow
-def test_an_editable_installation_finds_the_environments_where_there_are_no_links(checkout_without_links, tmp_path):
+def test_an_editable_installation_finds_the_environments_without_symbolic_links(checkout_without_links, tmp_path):
     source, installed = checkout_without_links, tmp_path / "installed"
     subprocess.run([*PIP, str(installed), "-e", str(source)], check=True)
     program = (
@@ -78,5 +78,5 @@ def test_an_editable_installation_finds_the_environments_where_there_are_no_link
         "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
     )
     alone = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    without_site = [sys.executable, "-S"]  # which would find this checkout, where that is installed as editable
+    without_site = [sys.executable, "-S"]  # `site` would find an editable installation of this checkout
     subprocess.run([*without_site, "-c", program], cwd=tmp_path, env=alone, check=True)

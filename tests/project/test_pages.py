@@ -1,4 +1,4 @@
-"""README, map, page of results, notebooks, examples and docstrings: commands parse, links and names lead somewhere."""
+"""In README, guide, results, notebooks, examples and docstrings, commands parse, and links and names have a target."""
 
 import ast
 import inspect
@@ -24,7 +24,7 @@ EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
 
 
 def prose(page: Path) -> str:
-    """The text of a page, or of what is not code in a notebook; all of an example."""
+    """Return the text of a page, the text cells of a notebook, or all of an example."""
     if page.suffix != ".ipynb":
         return page.read_text()
     cells = nbformat.read(page, as_version=4).cells
@@ -35,13 +35,13 @@ TEXTS = {page: prose(page) for page in (README, RESULTS, MAP, REFERENCE, *NOTEBO
 
 
 def fences(page: Path, language: str) -> list[str]:
-    """The blocks of code in a language."""
+    """Return a page's blocks of code in a language."""
     tokens = MarkdownIt().parse(TEXTS[page])
     return [token.content for token in tokens if token.type == "fence" and token.info == language]
 
 
 def commands() -> list[str]:
-    """The lines of shell code that call ``ms-highway``, without what only a shell's loop knows."""
+    """Return the lines of shell code that call ``ms-highway``, except those with variables of the shell."""
     texts = [*fences(README, "sh"), *fences(RESULTS, "sh")]
     texts += [ast.get_docstring(ast.parse(TEXTS[path])) for path in EXAMPLES]
     lines = [line.strip() for text in texts for line in text.replace("\\\n", " ").splitlines()]
@@ -57,13 +57,13 @@ def test_every_command_parses(command):
     assert all((ROOT / f"{module.replace('.', '/')}.py").is_file() for module in options.modules)
 
 
-def test_the_first_example_is_the_file_that_the_tests_run():
+def test_the_readme_begins_with_an_example_that_the_tests_run():
     (example,) = fences(README, "python")
     _, *statements = ast.parse(TEXTS[ROOT / "notebooks" / "examples" / "drive.py"]).body
     assert list(map(ast.dump, ast.parse(example).body)) == list(map(ast.dump, statements))
 
 
-def test_every_link_leads_somewhere():
+def test_every_link_has_a_target():
     dead = []
     for page in (README, RESULTS, MAP, REFERENCE, *NOTEBOOKS):
         for link in re.findall(r"\]\((?!http)([^)]*)\)", TEXTS[page]):
@@ -89,8 +89,8 @@ def test_the_map_lists_all_packages_in_the_order_of_their_imports():
     assert re.findall(r"^\| `(\w+)`", TEXTS[MAP], re.MULTILINE) == contract["layers"][1:]
 
 
-def test_every_reference_in_a_docstring_leads_somewhere():
-    """One name in single backticks; code that is no name of this package is in double ones."""
+def test_every_name_in_a_docstring_exists():
+    """Names of this package are in single backticks, other code in double ones."""
     names = [found.name for found in walk_packages(ms_highway.__path__, "ms_highway.")]
     dead = []
     for module in [import_module(name) for name in names if not name.endswith("__main__")]:

@@ -1,4 +1,4 @@
-"""The tables and sentences of README and page of results are those of the files that are kept beside the page."""
+"""The tables and sentences of README and results page agree with the files that are kept beside the page."""
 
 import json
 import re
@@ -24,25 +24,25 @@ def summaries(run, scenario):
     return COLLECTED.comparison(run).summaries.query(f"scenario == '{scenario}'").set_index("controller")
 
 
-def test_every_table_with_a_name_is_that_of_the_files():
+def test_every_named_table_agrees_with_the_files():
     tables = COLLECTED.tables()
     for name, table in tables.items():
         assert f"<!-- table: {name} -->\n{table}\n\n" in TEXTS[README if name == "physical" else RESULTS]
     assert (TEXTS[README] + TEXTS[RESULTS]).count("<!-- table:") == len(tables)
 
 
-def test_every_run_has_its_settings_and_its_commands_and_is_kept_until_it_is_made_again(tmp_path):
+def test_every_run_has_settings_and_commands_and_is_kept_until_it_is_repeated(tmp_path):
     made = json.loads((KEPT / "settings.json").read_text())
     assert list(made) == list(COLLECTED.RUNS)
     for run in made.values():
         assert run["settings"]["semantics"] in ("paper", "physical", "released")
         assert all(one["command"].startswith("ms-highway ") for one in run["provenance"])
     before = {file: file.read_text() for file in KEPT.iterdir() if file.is_file()}
-    COLLECTED.collect(tmp_path)  # where there is no run
+    COLLECTED.collect(tmp_path)  # without any run
     assert {file: file.read_text() for file in KEPT.iterdir() if file.is_file()} == before
 
 
-def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from():
+def test_sentences_on_shares_of_reward_and_planning_agree_with_the_summaries():
     for scenario, names in {
         "merger": ["learned:1", "schedule:tom=7,naive", "switching:0.02", "switching:0.1", "switching:0.01"],
         "give_way": ["learned:1", "schedule:tom=10,naive", "switching:0.002", "switching:0.01"],
@@ -52,7 +52,7 @@ def test_shares_of_reward_and_planning_are_those_of_the_summary_they_come_from()
             assert f"{share['reward']:.0f} % at {share['counted_ms']:.0f} %" in FLOWING
 
 
-def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
+def test_sentences_on_switching_agree_with_the_summaries():
     merger = summaries("compare", "merger")
     gains = merger["reward"] - merger["reward"]["naive"]
     kept, effort = 100 * gains / gains["tom"], 100 * merger["counted_ms"] / merger["counted_ms"]["tom"]
@@ -62,7 +62,7 @@ def test_the_sentences_on_switching_are_those_of_the_summaries_they_come_from():
     assert f"`switching`, keeps {switching} for {effort['switching:0.1']:.0f} % in Merger" in FLOWING
 
 
-def test_learned_values_stay_behind_the_best_orders_by_as_little_as_the_text_says():
+def test_learned_values_have_the_small_regret_that_the_text_says():
     behind = COLLECTED.kept_table("regrets", "frontier").set_index(["scenario", "price", "controller"]).sort_index()
     for scenario in ("merger", "give_way"):
         for price, share in ((0.1, 0.01), (1.0, 0.01), (10.0, 0.042)):
@@ -73,7 +73,7 @@ def test_learned_values_stay_behind_the_best_orders_by_as_little_as_the_text_say
     assert "by at most 1 % of always-tom's reward at prices of 0.1 and 1, and 4.2 % at 10" in FLOWING
 
 
-def test_the_columns_of_all_csv_files_are_explained_and_no_others():
+def test_the_glossary_explains_exactly_the_columns_of_all_csv_files():
     glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
     rows = [line.split("|")[1] for line in glossary.splitlines() if line.startswith("| `")]
     kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]

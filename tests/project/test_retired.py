@@ -1,4 +1,4 @@
-"""What version 2.0.0 retired is refused in one sentence that says what to use instead, and no help text names it."""
+"""Names that version 2.0.0 retired are refused in one sentence that says what to use instead."""
 
 import gymnasium as gym
 import pytest
@@ -18,13 +18,12 @@ from ms_highway.runtime.retired import CONTROLLERS, DRIVERS, OPTIONS
         ("sweep dense_merge --controllers risk:1+belief --out out", "risk"),
     ],
 )
-def test_a_command_that_names_something_retired_says_what_to_use_instead(command, gone, refused):
-    assert (
-        refused(command) == f"ms-highway: {gone} is gone since 2.0.0: {({**OPTIONS, **CONTROLLERS, **DRIVERS})[gone]}"
-    )
+def test_a_command_with_a_retired_name_says_what_to_use_instead(command, gone, refused):
+    instead = {**OPTIONS, **CONTROLLERS, **DRIVERS}[gone]
+    assert refused(command) == f"ms-highway: {gone} is gone since 2.0.0: {instead}"
 
 
-def test_python_that_names_something_retired_says_what_to_use_instead():
+def test_python_with_a_retired_name_says_what_to_use_instead():
     with pytest.raises(AttributeError, match=r"RoadPolicy is gone since 2\.0\.0: use ms_highway\.drive"):
         _ = ms_highway.RoadPolicy
     with pytest.raises(ValueError, match=r"barrier is gone since 2\.0\.0: use nearest:K"):
