@@ -85,8 +85,9 @@ def scenario_name(name: str) -> str:
     Raises:
         ValueError: for an unknown scenario, and for an id without a version.
     """
+    bare = name.rpartition("/")[2]
     for known in ENVIRONMENTS:
-        if name == known or name.rpartition("/")[2] == _versioned(known):
+        if name == known or bare in (_versioned(known), f"{known}-v0"):
             return known
     raise ValueError(f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
 

@@ -105,7 +105,7 @@ class ConfiguredEnv(AbstractEnv):
             ValueError: for anything unknown or impossible.
         """
         changes = as_dictionary("the configuration", {} if changes is None else changes)
-        defaults = cls.default_config() if config is None else config
+        defaults = as_dictionary("the configuration", cls.default_config() if config is None else config)
         refuse_unknown("config", changes, defaults)
         whole: Config = {**defaults, **changes}
         for key, value in changes.items():
@@ -128,7 +128,7 @@ class ConfiguredEnv(AbstractEnv):
         for key, known in cls.types.items():
             check_type(f"config[{key!r}]", whole[key], known)
         if "speed_range" in cls.types["action"][whole["action"]["type"]]:
-            whole["action"] = {**USUAL_RANGES, **whole["action"]}
+            whole["action"] = {**as_json(USUAL_RANGES), **whole["action"]}  # a copy, which users may change
         return whole
 
     def configure(self, config: Config | None) -> None:

@@ -161,9 +161,9 @@ OURS, RESERVED = tuple(CONTROLLERS), (*HUMAN_DRIVERS, KEYBOARD, "usual", "mixed"
 def add_rule(settings: type[ControllerSettings]) -> None:
     """Add a decision rule of one's own by its name, for configurations and commands of this process.
 
-    The short name of a rule ``near`` is ``near:6`` if it has one field, a number or a text, and ``near`` if all fields
-    have defaults. A rule that needs more than one field has no short name. A first field ``price`` that is named
-    ``lambda`` makes it a rule that chooses at a lambda. A rule replaces an added rule of the same name.
+    The short name of a rule ``near`` is ``near:6`` with its first field, a number or a text, and ``near`` if all fields
+    have defaults. A rule with two fields or more that have no default has no short name. A first field ``price`` that
+    is named ``lambda`` makes it a rule that chooses at a lambda. A rule replaces an added rule of the same name.
 
     Args:
         settings: class of the rule's settings; its ``rule`` makes the rule, and its tag is the name.

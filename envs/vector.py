@@ -87,7 +87,8 @@ class InteractionVectorEnv(VectorEnv):
             options: ``"reset_mask"``: which environments to reset, an array of bools.
 
         Raises:
-            ValueError: for another number of seeds, unknown options, or a mask that is empty or has another shape.
+            ValueError: for another number of seeds, unknown options, or a mask that is empty, has another shape, or
+                leaves out environments that were never reset.
         """
         options = options or {}
         refuse_unknown("the reset options", options, ["reset_mask"])
@@ -95,6 +96,8 @@ class InteractionVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             what = f"options['reset_mask'] is {mask.tolist()}"
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
+        if (self._steps[~mask] == NEVER_RESET).any():
+            raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
         if isinstance(seed, (int, np.integer)):
             seed = [int(seed) + place for place in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else seed
@@ -119,14 +122,12 @@ class InteractionVectorEnv(VectorEnv):
         if waiting.any():
             places = np.flatnonzero(waiting).tolist()
             raise ValueError(f"environments must be reset before they can step: {places}")
-        given, space = np.asarray(actions), self.action_space
-        actions = given.astype(space.dtype)
-        if self._functions.agent_drives:  # actions beyond the ends of the space are clipped
-            possible = actions.shape == space.shape and np.isfinite(actions).all()
-        else:
-            possible = space.contains(actions) and (actions == given).all()
+        actions, space = np.asarray(actions), self.action_space
+        possible = actions.shape == space.shape and actions.dtype.kind in "biuf" and np.isfinite(actions).all()
+        if possible and not self._functions.agent_drives:  # an agent's controls beyond the ends are clipped
+            possible = space.contains(actions.astype(space.dtype)) and (actions == actions.astype(space.dtype)).all()
         if not possible:
-            raise ValueError(f"the actions {given!r} are impossible; give some of {space}")
+            raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
         stepped, records = ~self._ended, self._advance(actions)
         self._steps += 1
         self._collided |= records.collision

@@ -43,8 +43,6 @@ class LearnedValue(Rule):
             Otherwise, it tells the expected gains over the first rung, which budgets need. If the networks then expect
             a gain below `MIN_NOISE` from the top rung, a small gain replaces it, which is larger for nearer humans, so
             that spare time goes to them (static).
-        together: whether a value is what a human adds to nearer ones, so that some of the nearest are chosen together;
-            or else that of each human alone, as the values of Dense Merge and Crossing Crowd were learned (static).
     """
 
     costs: Costs
@@ -54,7 +52,6 @@ class LearnedValue(Rule):
     spread: Float[Array, "inputs"]
     ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
     cautious: bool = field(default=True, metadata={"static": True})
-    together: bool = field(default=True, metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
         """Choose by the state after the last step. A value that is not known counts as 0, that of the first rung."""
@@ -64,8 +61,7 @@ class LearnedValue(Rule):
         rank = nearness(game, outcome.after)
         worth = values[:, 1:].max(axis=1) - values[:, 0]
         count = jnp.argmax(jnp.concatenate([jnp.zeros(1), jnp.cumsum(worth[jnp.argsort(rank)][:TOGETHER])]))
-        thinks = rank < count if self.together else worth > 0
-        rungs = jnp.where(thinks, 1 + values[:, 1:].argmax(axis=1), 0)
+        rungs = jnp.where(rank < count, 1 + values[:, 1:].argmax(axis=1), 0)
         if not self.cautious:
             top, little = gains[:, -1], MIN_NOISE * (1 - rank / game.number)
             gains = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))

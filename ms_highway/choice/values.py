@@ -105,8 +105,7 @@ class Values:
         places += [gains + place for place in places]
         *hidden, (weights, biases) = self.network
         network = (*hidden, (weights[..., places], biases[..., places]))
-        together = bool(self.provenance.get("together"))
-        return LearnedValue(costs, price, network, self.centre, self.spread, models, together=together)
+        return LearnedValue(costs, price, network, self.centre, self.spread, models)
 
 
 class _About(Structure):

@@ -43,7 +43,7 @@ def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
 
 
 def number(name: str, default: Any, text: str, least: float = 1, most: float = MOST, **more: Any) -> Option:
-    """Return an option that is a number in a range, a whole number if the least is one."""
+    """Return an option that is a number in a range, a whole number unless ``least`` is a float."""
     kind = type(least)
 
     def read(word: str) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from jax import numpy as jnp
 from jax.sharding import Mesh
 
-from ms_highway.choice.learned_value import TOGETHER, Network, noise, outputs
+from ms_highway.choice.learned_value import Network, noise, outputs
 from ms_highway.choice.situation import description_names
 from ms_highway.choice.values import Values
 from ms_highway.experiments.batch import make_batch
@@ -104,7 +104,6 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
         network = fit(network, rollouts, centre, spread, random)
     examples = sum(len(part.descriptions) for part in done)
     settings = {"examples": examples, "rounds": number, "horizon": how.horizon, "held": how.held}
-    settings["together"] = TOGETHER
     return Values(network, centre, spread, tuple(how.costs), names, {**how.settings, **settings})
 
 

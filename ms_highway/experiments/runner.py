@@ -196,7 +196,8 @@ def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
 
     Args:
         directory: directory of the results.
-        settings: settings of the results. Rows are in the order of the controllers in ``asked``, then of the seeds.
+        settings: settings of the results. Rows are in the order of the controllers in ``asked``, the others last, then
+            of the seeds.
 
     Raises:
         ValueError: for a file that cannot be read.

@@ -52,15 +52,17 @@ def record(
         temperature: of the driver ``maxent``, in units of the reward.
 
     Raises:
-        ValueError: for an unknown driver, unknown or no densities, an impossible temperature, or a data set that was
-            recorded with other settings.
+        ValueError: for an unknown driver, unknown or no densities, impossible numbers, or a data set that was recorded
+            with other settings.
         ImportError: without the packages of the extra ``demonstrations``.
         OSError: if the driver is ``keyboard`` and there is no display.
         KeyboardInterrupt: if the person closes the window; the current episode is discarded.
     """
-    if driver not in DRIVERS or not 0 < temperature < np.inf:
-        remedy = f"give one of the drivers {', '.join(DRIVERS)}, and a positive finite temperature"
-        raise ValueError(f"the driver is {driver!r} and the temperature is {temperature}; {remedy}")
+    if driver not in DRIVERS:
+        raise ValueError(f"the driver is {driver!r}; give one of {', '.join(DRIVERS)}")
+    if episodes < 1 or seed < 0 or not 0 < temperature < np.inf:
+        asked = f"{episodes} episodes from the seed {seed}, with the temperature {temperature}"
+        raise ValueError(f"{asked}; give one episode at least, no negative seed, and a positive finite temperature")
     if not densities or not {*densities} <= {*DENSITIES}:
         raise ValueError(f"the densities are {list(densities)}; give at least one of {', '.join(DENSITIES)}")
     settings: dict[str, Any] = {"driver": driver, "densities": list(densities), "first_seed": seed}

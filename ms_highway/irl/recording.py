@@ -72,11 +72,13 @@ class Recording:
     measured: bool = True
 
     def __post_init__(self) -> None:
-        """Check that every driver was seen without a gap, at two times or more.
+        """Check that states have three axes, and that every driver was seen without a gap, at two times or more.
 
         Raises:
-            ValueError: naming the recording and the car.
+            ValueError: naming the recording, and the shape or the car.
         """
+        if np.ndim(self.states) != 3 or np.shape(self.states)[2] != 4:
+            raise ValueError(f"{self.name}: states have shape {np.shape(self.states)}; they must be [times, cars, 4]")
         for car in self.drivers:
             times = np.flatnonzero(self.seen[:, car])
             if len(times) < 2 or np.ptp(times) >= len(times):

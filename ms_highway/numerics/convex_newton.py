@@ -36,8 +36,8 @@ at 2, 6.63 and none at 5, 6.33 and 1 at 10."""
 DAMPING = 2.0
 """Reward per squared scaled control: a step is short where nothing else bends the reward.
 
-Measured as above, with four steps and an earlier cost of room to stop: starts are within 1.1 mm of each other two
-seconds later with a damping of 1.5, and within 1.5 mm with 1."""
+Measured like the number of steps to which others respond, with four of them and an earlier cost of room to stop: starts
+are within 1.1 mm of each other two seconds later with a damping of 1.5, and within 1.5 mm with 1."""
 
 MAX_STEP = 1.0  # norm of a step [scaled controls]: full braking for two seconds
 STEP_TOLERANCE = 1e-3  # norm of a step that is not worth taking [scaled controls]

@@ -39,7 +39,7 @@ class HumanModel:
     With a number of steps, a model takes gradient steps, whatever the planner's solver and step size. They are as long
     as is safe: 0.1 or, if that is shorter, `ms_highway.game.planning_settings.STEP_SHARE` of the longest step, as from
     K = 6 on at 0.1 s. The reward of a plan depends on the summed length of its steps: 6 of them earn as much as the
-    paper's 20 of 0.03, and more of them earn more. Under the solver ``convex_newton``, the number is of its steps.
+    paper's 20 of 0.03, and more of them earn more. The solver ``convex_newton`` takes so many of its own steps.
     Among several humans, see `ms_highway.planning.several.most_steps`.
 
     Attributes:

@@ -26,6 +26,7 @@ def plan_for(
         plan = Plan(*ladder[0].plan(ladder[0].within(game), state, start))
         if is_of_package(ladder[0]):  # keeps to the limits by itself
             return plan
+        plan = Plan(jnp.asarray(plan.robot), jnp.asarray(plan.humans))
         held = within_limits(game, state, plan)
         return jax.tree.map(lambda given, limited: jnp.where(jnp.isfinite(given), limited, given), plan, held)
     begin = jax.tree.map(jnp.asarray, cold_start(game, state) if start is None else start)

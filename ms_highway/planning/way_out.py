@@ -63,7 +63,7 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
 
 
 def _within_road(game: Game, others: Motion) -> Motion:
-    """Stop the sideways motion of cars at the edge of the road, unless they are beyond it already."""
+    """Stop motion off the road: at its edge, or where a car beyond the edge is after a step."""
     scene, first = game.scene, others.y[..., :1]
     lanes, room = jnp.asarray(scene.lanes), (scene.lane_width - jnp.asarray(scene.car_size)[1]) / 2
     low, high = jnp.minimum(lanes.min() - room, first), jnp.maximum(lanes.max() + room, first)

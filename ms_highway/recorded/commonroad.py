@@ -225,7 +225,7 @@ def _sample(state: Element) -> list[float]:
     """Return the time step, x, y, orientation and speed of a state."""
     time = _number(state, "time/exact", MAX_STEPS)
     if time < 0:
-        raise ValueError(f"<time> is {time}; it must not be negative")
+        raise ValueError(f"<time> of <{state.tag}> is {time}; it must not be negative")
     return [round(time), *_pose(state), _number(state, "velocity/exact", MAX_SPEED)]
 
 

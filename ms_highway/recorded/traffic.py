@@ -18,7 +18,7 @@ EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
 ENTRY_GAP = 2.0  # m that must be free ahead of and behind a vehicle that enters or changes lanes
 LANE_TOLERANCE = 0.3  # m beyond the edge of a lane, within which the middle of a vehicle still counts as in the lane
 GAP_TIME = 1.0  # s, for which a gap in the lane beside must stay long enough at the present speeds
-LOOK_AHEAD = 2.0  # s, which a lane change takes: a car changes so long before the place where it was recorded to
+LOOK_AHEAD = 2.0  # s, of a lane change: it begins this long before the recorded vehicle was in the other lane
 SPEED_TIME = 1.0  # s, in which a car without a leader reaches the speed that was recorded at its place
 
 

@@ -120,7 +120,7 @@ def _others_after(now: Situation, driven: DrivenPlans, centres: Plans) -> tuple[
 
 
 def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
-    """Return minus the loss of speed from each lane, place and speed on after a plan [steps of speed].
+    """Return minus the loss of speed still to come, for each lane, place and speed after a plan [steps of speed].
 
     Places are as far apart as a step of speed leads in a second, so that the robot moves from place to place.
     """

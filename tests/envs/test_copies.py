@@ -13,7 +13,7 @@ import ms_highway
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
 PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
-DRIVEN = ("merge-v0", "intersection-v0")
+DRIVEN = ("merge-v0", "exit-v0", "intersection-v0")
 OWN = ("merger", "ms-highway/demonstration-v0", "ms-highway/recorded-v0")
 
 

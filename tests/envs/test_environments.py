@@ -260,7 +260,12 @@ def test_each_key_of_info_has_one_type_and_shape_in_all_steps_that_have_it(made)
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("demonstration", "ContinuousAction"), ("merger", "DiscreteAction"), ("recorded", "ContinuousAction")],
+    [
+        ("demonstration", "ContinuousAction"),
+        ("merger", "ContinuousAction"),
+        ("merger", "DiscreteAction"),
+        ("recorded", "ContinuousAction"),
+    ],
 )
 def test_full_braking_stops_a_car_and_reverses_it_only_within_a_range_of_speeds(name, kind):
     brakes = np.array([-1.0, 0.0], np.float32) if kind == "ContinuousAction" else 1

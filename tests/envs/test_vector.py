@@ -124,6 +124,7 @@ def test_pure_functions_can_be_jitted_and_vmapped_and_equal_the_environment():
 def test_a_scenario_is_known_by_its_name_and_by_its_id():
     for name in ("merger", "merger-v0", "ms-highway/merger-v0", NAME + "merger-v0"):
         assert scenario_name(name) == "merger"
+    assert scenario_name("stay_back-v0") == scenario_name("stay-back-v0") == "stay_back"
     with pytest.raises(ValueError, match="unknown scenario 'ms-highway/merger'"):
         scenario_name("ms-highway/merger")
 
@@ -158,12 +159,15 @@ def test_wrong_actions_seeds_and_masks_are_refused():
     env = gym.make_vec(NAME + "merger-v1", num_envs=2, config=CHOOSING)
     with pytest.raises(ValueError, match="3 seeds for 2 environments"):
         env.reset(seed=[0, 1, 2])
-    env.reset(options={"reset_mask": np.array([False, True])})
-    with pytest.raises(ValueError, match=r"reset before they can step: \[0\]"):
+    with pytest.raises(ValueError, match="never reset; reset all of them"):
+        env.reset(options={"reset_mask": np.array([False, True])})
+    with pytest.raises(ValueError, match=r"reset before they can step: \[0, 1\]"):
         env.step([0, 0])
     env.reset(seed=0)
     with pytest.raises(ValueError, match=r"actions array\(\[0, 3\]\) are impossible"):
         env.step([0, 3])
+    with pytest.raises(ValueError, match=r"actions array.* are impossible"):
+        env.step("left")
     with pytest.raises(ValueError, match="impossible"):
         env.step(np.array([0.9, 2.0]))
     with pytest.raises(ValueError, match="reset_mask"):

@@ -35,6 +35,7 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
         ("demonstrations", ("version",), 2, "of version 2, not 3"),
         ("demonstrations", ("weights", "speed"), float("nan"), "the weight of speed is nan"),
         ("demonstrations", ("covariance",), (-np.eye(4)).tolist(), "covariance"),
+        ("demonstrations", ("surprise",), 1, "unknown field `surprise`"),
         ("us101", ("drivers", "weights", "headway"), None, "weights of drivers lack .* headway"),
         ("us101", ("drivers", "spread", "tails"), [-1.0, 1.0], r"spread.tails\[0\] is -1.0"),
     ],
@@ -53,7 +54,9 @@ def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(name,
         load(path)
 
 
-def test_an_unknown_reward_of_the_package_is_refused():
+def test_missing_and_unknown_rewards_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"nowhere\.json cannot be read"):
+        load(tmp_path / "nowhere.json")
     with pytest.raises(ValueError, match="no learned reward 'us102' comes with ms_highway"):
         shipped("us102")
 

@@ -4,10 +4,15 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from ms_highway.experiments.batch import simulated
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.loop.driver import fixed
 from ms_highway.planning.human_models import Naive
+from ms_highway.planning.ladders import MODELS, register
 from ms_highway.planning.plans import Plan
 
 GRIP = 8.0  # m/s^2
@@ -38,3 +43,25 @@ def test_a_plan_of_a_user_defined_model_is_executed_within_the_limits(played, gr
 def held_by(control, speed):
     """The total acceleration under a control, with the paper's friction."""
     return np.hypot(speed**2 * control[0], control[1] - 0.2 * speed)
+
+
+STATES = [f"{car}_{number}" for car in ("robot", "human") for number in ("x", "y", "heading", "speed")]
+
+
+@pytest.fixture
+def reckless():
+    register(Reckless())
+    yield "reckless"
+    del MODELS["reckless"]
+
+
+@pytest.mark.slow
+def test_batches_keep_to_the_limits_as_environments_do(reckless):
+    costs, controllers = {"naive": 0.1, "reckless": 0.1}, ["naive", "reckless"]
+    config = {"costs": costs, "ladder": ["naive"], "control_limit": [0.05, 6.0], "grip": GRIP}
+    comparison = Comparison({"merger": controllers}, seeds=2, config=config)
+    envs = [make_environment("merger", name, **comparison.config) for name in controllers]
+    expected = pd.DataFrame([record for env in envs for seed in range(2) for record in episode(env, seed)])
+    found = simulated(comparison)
+    np.testing.assert_allclose(found[STATES], expected[STATES], atol=0.05, rtol=0)
+    assert (found["status"].to_numpy() == expected["status"].to_numpy()).all()

@@ -19,7 +19,7 @@ from ms_highway.choice.values import load_values
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_roles
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.loop.fallback import STATUSES, WAY_OUT
+from ms_highway.loop.fallback import BRAKING, STATUSES, WAY_OUT
 from ms_highway.loop.human_drivers import FunctionDriver, always_yields, never_yields
 from ms_highway.loop.records import Loop
 from ms_highway.planning.compiled_plans import Costs
@@ -167,13 +167,15 @@ def test_user_defined_rules_and_models(scene):
 
 
 @pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
-def test_plans_that_fail_in_one_of_two_episodes(played):
+def test_plans_that_fail_beside_plans_that_do_not(played):
     game, start = played("merger")
     schedule, models = np.array([[0], *[[1]] * 6, [0], [1]]), (Naive(), Failing())
-    records = simulated(Loop(game, Order(schedule, models)), [start] * 2, 9, schedule=[schedule, 0 * schedule])
+    schedules = [schedule, 0 * schedule, np.ones_like(schedule)]
+    records = simulated(Loop(game, Order(schedule, models)), [start] * 3, 9, schedule=schedules)
     live = drive(Driver(game, Order(schedule, models)), start, 9)
     agree(records, 0, live, models)
     agree(records, 1, drive(fixed(game), start, 9), models)  # which the other episode leaves alone
+    assert (records.status[2] == BRAKING).all()
     followed = [(step.status, *step.models) for step in live[1]]
     again, brakes = ("previous plan", "naive"), ("braking", "failing")
     assert followed == [("planned", "naive"), *[again] * 4, *[brakes] * 2, ("planned", "naive"), again]

@@ -119,7 +119,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     Returns:
         * ``seed``; ``success``; ``crashed``; ``at_fault``, whether the ego crashed by its own fault; ``off_road``,
           whether it left the road;
-        * ``steps`` of the environment; ``reward``, their sum;
+        * ``steps``, the number of the environment's steps; ``reward``, its sum over them;
         * figures of the motion until the end or a crash, see `ms_highway.benchmarks.road.measures.measured`;
         * ``late``, the number of plans that were not ready within their budget;
         * ``decisions``, the duration of each decision, without compilation [s]; ``sources``, the number of decisions by
