@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(given: Sequence[str]) -> Any:
-    """Return the options of a command line, with the `Command` in ``command`` and the whole line in ``command_line``.
+    """Return the options of a command line, its command in ``command`` and the whole line in ``command_line``.
 
     Raises:
         ValueError: for what cannot be parsed; it names the replacement of a retired option.
