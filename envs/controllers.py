@@ -187,7 +187,7 @@ class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
 
 
 class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
-    """A model per step, of which the last is kept; ``tom/naive`` names one model for each human."""
+    """Take a given model in each step, and keep the last one; ``tom/naive`` gives each human its own model."""
 
     models: Models
 

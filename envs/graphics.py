@@ -114,7 +114,7 @@ class InteractionViewer(Viewer):
             self._write(line, MEDIUM, topleft=(MARGIN, top + 46 + 24 * place))
 
     def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
-        """Name the only human's model and what it means, or the number of humans that each model predicts."""
+        """Write the model of a single human and its meaning; for several humans, write how many each model predicts."""
         alone = len(step.models) == 1
         for name in step.models if alone else dict.fromkeys((*step.ladder, *step.models)):
             count = "" if alone else f"{step.models.count(name)} "
@@ -123,7 +123,7 @@ class InteractionViewer(Viewer):
             self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
     def _thoughts(self, step: ControlStep) -> tuple[str, str]:
-        """Return two lines: times; the reason for the only human's model, the way to the cones, the plan's status."""
+        """Return two lines: times; the reason for a single human's model, the distance to cones, the plan's status."""
         controller, cones, remarks = self.env.settings.controller, self.env.distance_to_cones, []
         times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": controller.budget}
         if len(step.models) == 1 and controller.chooses and not isinstance(self.env.action_type, HumanModelAction):

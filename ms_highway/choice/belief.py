@@ -25,10 +25,10 @@ CONTROL_NOISE = (0.005, 1.0)
 """Standard deviations of a human's controls from those of its model: curvature [1/m], acceleration [m/s^2]."""
 
 MIN_PROBABILITY = 1e-3
-"""Least probability of each model, so that the filter soon notices a human who changes."""
+"""Lower bound on the probability of each model. With it, the filter soon detects a change of model."""
 
 MIN_RESPONSE = 0.3  # least probability of `RESPONDING` at which plans count on a human's response
-RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # models of humans who plan for their reward
+RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # in both, the human plans for its reward
 
 
 def updated_belief(

@@ -118,7 +118,7 @@ class Rule:
         return replace(self, price=price) if "price" in {each.name for each in fields(self)} else self  # type: ignore
 
     def deciding_in(self, seconds: Callable[[], float]) -> "Rule":
-        """Return the rule, told the duration of its decisions; ``seconds`` measures it for the rules that need it."""
+        """Return the rule with the seconds that a decision takes, if it needs them; ``seconds`` measures them."""
         return self
 
     def for_unresponsive(self) -> "tuple[Rule, int]":

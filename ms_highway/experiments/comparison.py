@@ -1,4 +1,4 @@
-"""Define what is compared: scenarios, controllers, seeds and the common configuration of all environments."""
+"""Define a comparison by its scenarios, controllers, seeds and the common configuration of all environments."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

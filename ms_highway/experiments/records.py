@@ -46,7 +46,7 @@ def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> li
 
 
 def by_column(gains: Mapping, states: Any) -> dict:
-    """Return columns of records from gains by model, and from states [..., cars, 4], of which two cars are kept."""
+    """Return the columns of records for gains by model and for the first two cars of states [..., cars, 4]."""
     first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(len(STATES), *np.shape(states)[:-2])
     return {f"gain_{name}": gain for name, gain in gains.items()} | dict(zip(STATES, first, strict=True))
 

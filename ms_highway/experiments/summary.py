@@ -80,7 +80,7 @@ def most_informative_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
-    """Say what the best fixed model gains over the cheapest one, how much of that choosing keeps, and who collides.
+    """Summarise a scenario: the gain of the best fixed model, the share that choosing keeps of it, and collisions.
 
     If no fixed model was driven, the best and the cheapest are those of all controllers. A gain is more than chance if
     its 90 % interval, over the starts from which both drove, is above 0.

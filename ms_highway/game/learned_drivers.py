@@ -1,4 +1,4 @@
-"""Hold what is learned of drivers beside their reward: traits, lane changes, and errors of predictions."""
+"""Hold learned parameters of drivers other than the reward: traits, lane changes and prediction errors."""
 
 from typing import Any, NamedTuple
 

@@ -32,8 +32,8 @@ SIMULATED = RewardModel(
 )
 """The model for simulated demonstrations: it learns the weights that every driver in the paper has.
 
-The weight of leaving the road is given. Drivers on the road carry no information about it; drivers who slide along its
-edge carry none in the derivatives, see `ms_highway.irl.segments.regular`.
+The weight of leaving the road is given, as it cannot be learned: the feature is 0 on the road, and segments along the
+road's edge are left out, see `ms_highway.irl.segments.regular`.
 """
 
 REAL = RewardModel(REAL_WEIGHTS, {"comfort_acceleration": COMFORT_GIVEN}, tails=True)

@@ -107,8 +107,8 @@ def _drivers_of(logarithms: Parameters) -> Drivers:
 def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
     """Return which cars of a snapshot are learned from, and by how many lanes to the right each of these changes.
 
-    They are drivers to predict who are seen for 2 s and whose last position within 5 s is in their lane or one beside
-    it.
+    A driver to predict is learned from if it is seen for 2 s, and if its last position within 5 s is in its own lane or
+    in a lane beside it.
     """
     y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]
     seen = jnp.isfinite(y[1:]).sum(axis=0)
@@ -124,7 +124,7 @@ _labels = jax.jit(jax.vmap(_label))
 @jax.jit
 @jax.value_and_grad
 def _mean_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
-    """Return the mean of `robust_errors` of drivers who drive on together, each to the lane where it was recorded."""
+    """Return the mean of `robust_errors` in a joint simulation, in which each driver aims at its recorded lane."""
     return _shares(logarithms, snapshots).sum()
 
 
