@@ -86,9 +86,9 @@ def scenario_name(name: str) -> str:
         ValueError: for an unknown scenario, and for an id without a version.
     """
     bare = name.rpartition("/")[2]
-    for known in ENVIRONMENTS:
-        if name == known or bare in (_versioned(known), f"{known}-v0"):
-            return known
+    known = bare.removesuffix("-v0").replace("-", "_") if bare.endswith("-v0") else bare
+    if known in ENVIRONMENTS and (bare == name or VERSIONED.fullmatch(bare)):
+        return known
     raise ValueError(f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
 
 

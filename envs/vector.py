@@ -125,7 +125,8 @@ class InteractionVectorEnv(VectorEnv):
         actions, space = np.asarray(actions), self.action_space
         possible = actions.shape == space.shape and actions.dtype.kind in "biuf" and np.isfinite(actions).all()
         if possible and not self._functions.agent_drives:  # an agent's controls beyond the ends are clipped
-            possible = space.contains(actions.astype(space.dtype)) and (actions == actions.astype(space.dtype)).all()
+            numbers = actions.astype(space.dtype)
+            possible = space.contains(numbers) and (numbers == actions).all()
         if not possible:
             raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
         stepped, records = ~self._ended, self._advance(actions)

@@ -125,8 +125,9 @@ def test_a_scenario_is_known_by_its_name_and_by_its_id():
     for name in ("merger", "merger-v0", "ms-highway/merger-v0", NAME + "merger-v0"):
         assert scenario_name(name) == "merger"
     assert scenario_name("stay_back-v0") == scenario_name("stay-back-v0") == "stay_back"
-    with pytest.raises(ValueError, match="unknown scenario 'ms-highway/merger'"):
-        scenario_name("ms-highway/merger")
+    for name in ("ms-highway/merger", "merger-v1-v0"):
+        with pytest.raises(ValueError, match=f"unknown scenario '{name}'"):
+            scenario_name(name)
 
 
 class DrawingEnv(MergerV1Env):
