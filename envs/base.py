@@ -14,17 +14,16 @@ from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
-from ms_highway.envs.keyboard import keyboard_control
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
+from ms_highway.envs.viewer import keyboard_control
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
-from ms_highway.loop.controller import ControlStep
+from ms_highway.loop.controller import HUMAN_DRIVERS, ControlStep, FunctionDriver
 from ms_highway.loop.driver import fixed
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver
 from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
@@ -56,7 +55,7 @@ class InteractionEnv(GameEnv):
       ``"period"`` repeats them; ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}`` draws them when the
       episode starts. A short name stands for each, such as ``"tom"`` or ``"learned:1"``, see
       `ms_highway.envs.registry.controller_config`. With ``"belief": True``, any of them infers from each human's
-      behaviour which model predicts that human (`ms_highway.planning.hypotheses`), and counts on no response that the
+      behaviour which model predicts that human (`ms_highway.choice.belief`), and counts on no response that the
       human does not show.
     * ``ladder``: names of human models, cheapest first, or ``"best"`` (`ms_highway.planning.ladders`).
     * ``costs``: T(M), the seconds that count for a plan under model M: ``"published"``, the paper's (default with one
@@ -74,7 +73,7 @@ class InteractionEnv(GameEnv):
     * ``beliefs``: which rewards the robot assumes of several humans: ``"learned"``, for all the reward that theirs are
       drawn around; or ``"true"``, for each its own. A controller's ``"belief"`` is about models, not rewards.
     * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"``, keep their
-      velocity and never yield; ``"always"``, make room for the robot (`ms_highway.loop.human_drivers`); or
+      velocity and never yield; ``"always"``, make room for the robot (`ms_highway.loop.controller`); or
       ``"mixed"``, one of the last two, drawn for each human when the episode starts.
     * ``human_driver``: what drives the humans instead of plans for their reward: a name of `ms_highway.add_driver`, or
       ``"keyboard"``: the arrow keys drive the first human, in a window (``render_mode="human"``).
@@ -85,12 +84,12 @@ class InteractionEnv(GameEnv):
       `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without reversing; None sets no limit, as
       in the paper, but stands for ``GRIP`` in physical semantics. It does not apply where the agent drives.
     * ``solver``: how plans under models that do not respond are improved: ``"gradient"``, the paper's; ``"newton"``; or
-      ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop (`ms_highway.game.stopping`).
+      ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop (`ms_highway.game.payoff`).
     * ``horizon``: number of planned controls, of robot and humans.
     * ``time_step``: duration of a step of plans and of the environment [s].
     * ``iterations``: number of gradient steps of a plan; None for what suits the horizon.
     * ``step_size``: length of a gradient step per unit of gradient; None for what suits the horizon; a longer one gives
-      a warning. See `ms_highway.game.planning_settings.PlanningSettings`.
+      a warning. See `ms_highway.numerics.solvers.PlanningSettings`.
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an array [cars, 4] of x, y, heading and

@@ -10,14 +10,13 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct
 
+from ms_highway.choice.learned_value import Values
 from ms_highway.choice.rule import Order
-from ms_highway.choice.values import Values
 from ms_highway.envs.configuration import Config, NotNegative
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import Semantics
-from ms_highway.loop.controller import Controller
+from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, FunctionDriver, function_names
 from ms_highway.loop.driver import Driver, drivable
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, FunctionDriver, function_names
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import human_model, is_model, model_names

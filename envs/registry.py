@@ -9,10 +9,9 @@ from highway_env.vehicle.kinematics import Vehicle
 from msgspec import Meta, field, json
 
 from ms_highway.choice.budget import Budget, OneStepGains
-from ms_highway.choice.nearest import Nearest
+from ms_highway.choice.learned_value import SHIPPED_VALUES, Values, load_values
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
-from ms_highway.choice.rule import NEVER, shipped_kind
-from ms_highway.choice.values import SHIPPED_VALUES, Values, load_values
+from ms_highway.choice.rule import NEVER, Nearest, shipped_kind
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, NotNegative, Positive, check_name, read, refuse_unknown
 from ms_highway.envs.controllers import (
@@ -27,7 +26,7 @@ from ms_highway.envs.controllers import (
     ScheduleSettings,
     Start,
 )
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS, DriverFunction, function_names
+from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, function_names
 from ms_highway.planning.ladders import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
@@ -64,7 +63,7 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     """A learned value of computation chooses, at a price per second of planning.
 
     Attributes:
-        values: ``"shipped"`` or a file of `ms_highway.choice.values`; ``""`` and None mean ``"shipped"``.
+        values: ``"shipped"`` or a file of `ms_highway.choice.learned_value`; ``""`` and None mean ``"shipped"``.
     """
 
     price: NotNegative = field(name="lambda")

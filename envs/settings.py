@@ -14,12 +14,11 @@ from ms_highway.envs.controllers import KEYBOARD, ControllerSettings, Start
 from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
-from ms_highway.game.planning_settings import MAX_ITERATIONS, PlanningSettings, gradient_steps, longest_step
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS
+from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS
-from ms_highway.numerics.solvers import Solver
+from ms_highway.numerics.solvers import MAX_ITERATIONS, PlanningSettings, Solver, gradient_steps, longest_step
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder

@@ -18,13 +18,13 @@ from ms_highway.envs.controllers import ControllerSettings, OrderSettings
 from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls
 from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import Given, Now, begin_episodes, step_episodes
-from ms_highway.loop.devices import usual_chunk
-from ms_highway.loop.human_drivers import traceable
+from ms_highway.loop.controller import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive, warn_of_limits
 from ms_highway.planning.ladders import cheapest_first, human_model
 from ms_highway.runtime.arrays import Index, State
+from ms_highway.runtime.compilation import usual_chunk
 
 STEP = (
     *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),

@@ -18,8 +18,8 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.simulation import FunctionalEnv, stack_episodes
 from ms_highway.loop.batch import Given, Now, begin_episodes, choose_episodes, step_episodes
-from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
+from ms_highway.loop.step import STATUSES
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import cores
 

@@ -26,9 +26,9 @@ or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 The names in ``__init__.pyi`` are loaded when they are first used.
 """
 
-from ms_highway.runtime import forks, interrupt  # noqa: F401  # a hook is set when the first is imported
+from ms_highway.runtime import process
 
-interrupt.watch()  # first of all, as what follows takes seconds
+process.watch()  # first of all, as what follows takes seconds
 
 import warnings as _warnings  # noqa: E402
 from importlib.metadata import version  # noqa: E402
@@ -45,7 +45,7 @@ if getattr(_find_spec("pygame"), "origin", None) is None:
         "pygame is not whole: pygame and pygame-ce share a folder, and uninstalling one breaks the other; "
         "run `pip install --force-reinstall pygame-ce`"
     )
-if not interrupt.is_command():  # which loads it when it needs it
+if not process.is_command():  # which loads it when it needs it
     import highway_env  # noqa: F401  # whose own environments are expected beside ours
 
 __version__ = version("ms-highway")

@@ -113,7 +113,7 @@ rewards = jax.jit(jax.vmap(rollout))(jax.random.split(jax.random.key(0), 8))  # 
 ```
 
 `ms_highway.plan` compiles and times by itself, and returns NumPy; the function to trace is
-`ms_highway.planning.several.plan_for`, whose controls are scaled.
+`ms_highway.planning.compiled_plans.plan_for`, whose controls are scaled.
 
 ## Configuration
 

@@ -16,11 +16,11 @@ from jax import numpy as jnp
 
 from ms_highway.cli.main import main
 from ms_highway.game.game import Game
-from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
 from ms_highway.game.starts import draw_episode
-from ms_highway.runtime import timing
+from ms_highway.numerics.solvers import PlanningSettings
+from ms_highway.runtime import compilation
 from ms_highway.runtime.jax_settings import keep_compilations
 
 SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY, DENSE_MERGE, CROSSING_CROWD)}
@@ -89,7 +89,7 @@ def little_memory() -> Iterator[None]:
     yield
     if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MAX_MEMORY:
         jax.clear_caches()
-        timing._warm.clear()  # what was compiled has to be compiled before it is timed again
+        compilation._warm.clear()  # what was compiled has to be compiled before it is timed again
 
 
 def _shared(variable: str, folder: str, pattern: str) -> Path:

@@ -1,6 +1,6 @@
-"""Define the interface of rules, which choose the model of every human for the coming step, and fixed orders.
+"""Define the interface of rules, which choose the model of every human for the coming step, and two simple rules.
 
-All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on the rule's ladder.
+`Order` takes the models of a fixed order, `Nearest` predicts the nearest humans by the top of the ladder.
 """
 
 from collections.abc import Callable
@@ -12,6 +12,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
+from ms_highway.choice.situation import nearness
 from ms_highway.game.game import Game, pair
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
@@ -227,3 +228,22 @@ def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.n
     """Return the highest gain of each rung over all humans, NaN where none was estimated."""
     known = np.isfinite(gains)
     return np.where(known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Nearest(Rule):
+    """Predict the nearest humans by the top of the ladder, and all others by the first rung.
+
+    Attributes:
+        count: number of humans on the top rung.
+        ladder: human models (static).
+    """
+
+    count: Index
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+
+    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+        """Choose by the distances after the last step."""
+        rank = nearness(game, outcome.after)
+        return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))

@@ -6,8 +6,8 @@ from jaxtyping import Float
 
 from ms_highway.game.features import features, reward
 from ms_highway.game.game import Game, each_human, others_of, pair
-from ms_highway.game.neighbours import headways, neighbours
 from ms_highway.game.reward import PAPER_FEATURES, Reward
+from ms_highway.game.scene import headways, neighbours
 from ms_highway.runtime.arrays import Index, Rungs, State
 
 LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, during which all cars keep their velocity

@@ -12,8 +12,7 @@ from ms_highway.benchmarks.road import (
     TRAFFIC,
     known_scenes,
 )
-from ms_highway.cli.command import command, number, option, output
-from ms_highway.cli.console import print_tables, tell
+from ms_highway.cli.console import command, number, option, output, print_tables, tell
 from ms_highway.cli.options import DEVICES, MAX_SEEDS, SCENARIOS, SET, comparison, controllers
 
 STOCK = f"stock environments; all versions of a name without version (default: {' '.join(SCENES)})"
@@ -62,8 +61,7 @@ def bench(options: argparse.Namespace) -> None:
       ms-highway bench merger --batches 1 16 64 256 1024 8192
       ms-highway bench road merge --drivers priced idm
     """
-    from ms_highway.benchmarks.speed import speed
-    from ms_highway.benchmarks.steadiness import steadiness
+    from ms_highway.benchmarks.speed import speed, steadiness
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import speed_table, steadiness_table
 
@@ -139,7 +137,7 @@ def bench_road(options: argparse.Namespace) -> None:
     import pandas as pd
 
     from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, run_blocks, summary
-    from ms_highway.benchmarks.road.recorded import starts_of
+    from ms_highway.benchmarks.road.peers import starts_of
     from ms_highway.envs.agents import is_agent
     from ms_highway.experiments.directory import write_table
     from ms_highway.road.constants import MODELS

@@ -1,16 +1,143 @@
-"""Print what commands tell, and keep their results."""
+"""Define commands and their options; print what commands tell, and keep their results."""
 
 import argparse
 import os
+import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from inspect import getdoc
 from pathlib import Path
 from shutil import get_terminal_size
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-from ms_highway.cli.command import PAGE_WIDTH
+from ms_highway.runtime.files import check_writable
+
+PAGE_WIDTH = 120  # characters of help texts and tables, where the terminal has not fewer
+COLUMN = 26  # characters before the second column of rows in help texts
+
+MOST = 1_000_000
+"""Largest number of episodes, parts and other counts; more would take years or all memory."""
+
+
+class Option(NamedTuple):
+    """An option or a positional argument.
+
+    Attributes:
+        name: such as ``--seeds`` or ``scenarios``.
+        arguments: of `argparse.ArgumentParser.add_argument`.
+        notes: a text to print below all options.
+    """
+
+    name: str
+    arguments: dict
+    notes: str = ""
+
+
+def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
+    """Return an option; append its default, if any, to its help text."""
+    if default is not None and default != []:
+        shown = default if isinstance(default, (str, float, int)) else " ".join(map(str, default))
+        text += f" (default: {shown})"
+    return Option(name, {"help": text, "default": default, **more})
+
+
+def number(name: str, default: Any, text: str, least: float = 1, most: float = MOST, **more: Any) -> Option:
+    """Return an option that is a number in a range, a whole number unless ``least`` is a float."""
+    kind = type(least)
+
+    def read(word: str) -> float:
+        with suppress(ValueError):
+            if least <= kind(word) <= most:
+                return kind(word)
+        whole = "whole " if kind is int else ""
+        raise argparse.ArgumentTypeError(f"{word!r} is no {whole}number from {least:,} to {most:,}")
+
+    return option(name, text, default, type=read, **more)
+
+
+def output(name: str, text: str, *ends: str, directory: bool = False, **more: Any) -> Option:
+    """Return an option that is the path of a writable file whose name has one of these ends, or of a directory."""
+
+    def path(word: str) -> Path:
+        word.encode()  # fails for a name that UTF-8 results cannot contain
+        check_writable(Path(word), directory)
+        if not word.endswith(ends or ""):
+            raise argparse.ArgumentTypeError(f"{word!r} is no name that ends in {', '.join(ends)}")
+        return Path(word)
+
+    return option(name, text, type=path, metavar="DIR" if directory else "FILE", **more)
+
+
+class Command(NamedTuple):
+    """A command.
+
+    Attributes:
+        name: one word or two.
+        summary: for the list of commands.
+        options: in the order of the help text.
+        simulates: whether it computes many episodes at once instead of plans one after the other.
+        run: takes the parsed options. Its docstring is the help text; the part behind ``Examples:`` is printed
+            unchanged.
+    """
+
+    name: str
+    summary: str
+    options: Sequence[Option]
+    simulates: bool
+    run: Callable[[argparse.Namespace], None]
+
+    def add_to(self, commands: Any) -> None:
+        """Add a parser of the command's options to those of other commands."""
+        text, _, examples = (getdoc(self.run) or "").partition("\n\nExamples:\n")
+        epilog = "\n\n".join([*(each.notes for each in self.options if each.notes), f"{EXAMPLES}{examples}"])
+        parser = commands.add_parser(self.name, help=self.summary, description=text, epilog=epilog)
+        for each in self.options:
+            parser.add_argument(each.name, **each.arguments)
+        parser.set_defaults(command=self)
+
+
+def command(name: str, summary: str, *options: Option, simulates: bool = False) -> partial[Command]:
+    """Make a `Command` of the function that runs it."""
+    return partial(Command, name, summary, options, simulates)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that accepts no abbreviations and refuses arguments in one line."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(formatter_class=Layout, allow_abbrev=False, **more)  # --seed must not mean --seeds
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse arguments.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(f"{message}; see the --help of the command, and that of ms-highway")
+
+
+EXAMPLES = "examples:\n"
+
+
+class Layout(argparse.HelpFormatter):
+    """Wraps paragraphs and the second column of rows; leaves examples unchanged."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, width=min(get_terminal_size().columns, PAGE_WIDTH) - 2)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        text, mark, examples = text.partition(EXAMPLES)
+        wrapped = []
+        for row in re.split(r"\n(?=\n|  \S)", text.rstrip()):
+            wrap = textwrap.TextWrapper(width, break_on_hyphens=False)
+            wrap.subsequent_indent = " " * COLUMN * row.startswith("  ")
+            wrapped.append("\n" * row.startswith("\n") + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n"))))
+        return "\n".join(wrapped) + (f"\n\n{mark}{examples}" if mark else "")
+
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

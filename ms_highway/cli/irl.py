@@ -4,8 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ms_highway.cli.command import command, number, option, output
-from ms_highway.cli.console import count_episodes, print_tables, save_figure, say, tell
+from ms_highway.cli.console import command, count_episodes, number, option, output, print_tables, save_figure, say, tell
 from ms_highway.cli.options import FORMAT
 from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 

@@ -10,14 +10,12 @@ from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench, bench_road
-from ms_highway.cli.command import Parser
-from ms_highway.cli.console import printing, warn
+from ms_highway.cli.console import Parser, printing, warn
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
-from ms_highway.cli.search import frontier, learn
-from ms_highway.cli.show import report, validate, video
+from ms_highway.cli.show import frontier, learn, report, validate, video
 from ms_highway.runtime.extras import import_modules
-from ms_highway.runtime.interrupt import INTERRUPTED, STOPPED
+from ms_highway.runtime.process import INTERRUPTED, STOPPED
 from ms_highway.runtime.retired import OPTIONS, replacement
 
 ALL = compare, sweep, frontier, video, report, bench, bench_road, validate, learn, record, fit, evaluate

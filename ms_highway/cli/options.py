@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ms_highway.cli.command import MOST, Option, number, option, output
+from ms_highway.cli.console import MOST, Option, number, option, output
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison

@@ -7,8 +7,18 @@ from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
 
-from ms_highway.cli.command import command, number, option
-from ms_highway.cli.console import count_episodes, own_results, print_tables, record, save_figure, say, warn
+from ms_highway.cli.console import (
+    command,
+    count_episodes,
+    number,
+    option,
+    own_results,
+    print_tables,
+    record,
+    save_figure,
+    say,
+    warn,
+)
 from ms_highway.cli.options import DEVICES, FORMATS, LEARNED, compared, comparison
 
 if TYPE_CHECKING:
@@ -65,9 +75,8 @@ def compare(options: argparse.Namespace) -> None:
       ms-highway compare merger --set yielding=never --controllers tom tom+belief --out results/never
     """
     from ms_highway.experiments.directory import write_table
-    from ms_highway.experiments.results import read_results
     from ms_highway.experiments.runner import only, run
-    from ms_highway.experiments.summary import summary
+    from ms_highway.experiments.summary import read_results, summary
     from ms_highway.visualization.figures import CAPTIONS, figures
     from ms_highway.visualization.tables import table
 
@@ -163,10 +172,10 @@ def sweep(options: argparse.Namespace) -> None:
     from ms_highway.experiments.directory import write_table
     from ms_highway.experiments.runner import Compute, read_episodes, run_batched
     from ms_highway.experiments.summary import summary
-    from ms_highway.loop.devices import use_devices
+    from ms_highway.runtime.compilation import use_devices
     from ms_highway.runtime.extras import needing
+    from ms_highway.visualization.figures import curve
     from ms_highway.visualization.tables import table
-    from ms_highway.visualization.tradeoff import curve
 
     if options.devices and options.scheduler:
         raise ValueError("--devices compute on this machine, and --scheduler on others; leave one out")

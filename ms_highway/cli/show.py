@@ -1,12 +1,34 @@
-"""Define the commands ``ms-highway report``, ``video`` and ``validate``."""
+"""Define the commands ``ms-highway report``, ``video``, ``validate``, ``frontier`` and ``values learn``."""
 
 import argparse
 import json
 from pathlib import Path
 
-from ms_highway.cli.command import command, number, option, output
-from ms_highway.cli.console import print_tables, say, tell, warn
-from ms_highway.cli.options import CONTROLLERS, LEARNED, MAX_SEEDS, SCENARIO_NAMES, SET, configuration
+from ms_highway.cli.console import (
+    command,
+    number,
+    option,
+    output,
+    own_results,
+    print_tables,
+    record,
+    save_figure,
+    say,
+    tell,
+    warn,
+)
+from ms_highway.cli.options import (
+    CONTROLLERS,
+    DEVICES,
+    LEARNED,
+    MAX_SEEDS,
+    SCENARIO_NAMES,
+    SCENARIOS,
+    SET,
+    compared,
+    comparison,
+    configuration,
+)
 
 FILM = 'film the best fixed model and a controller that chooses online (default); needs the extra "video"'
 KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
@@ -28,7 +50,7 @@ def report(options: argparse.Namespace) -> None:
       ms-highway report results/compare
       ms-highway report results/merger --no-videos --out merger.html
     """
-    from ms_highway.experiments.results import read_results
+    from ms_highway.experiments.summary import read_results
     from ms_highway.runtime.files import check_writable, replacing
     from ms_highway.visualization.html_page import page
     from ms_highway.visualization.video import check_format
@@ -118,3 +140,150 @@ def validate(options: argparse.Namespace) -> None:
         row["decisions"] = "{agree} of {all}".format(**errors["decisions"]) if "decisions" in errors else ""
         rows.append(row)
     print_tables(grid("errors against the logs: median, 90 %, 99 %, largest", rows))
+
+
+LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
+PRICE = "lambdas of the meta-reward of orders and controllers: reward for a second of planning"
+STATES = (
+    "states from which rollouts start in round 1 in each scenario; later rounds have 5 for every 8 (default: 400; "
+    "among several humans 100 in every round)"
+)
+
+
+@command(
+    "frontier",
+    "search for the best orders of models",
+    *compared(
+        30,
+        "results/frontier",
+        "(learned: at each of --prices), beside the ladder's models and switching",
+        " ".join(map("{:g}".format, LAMBDAS)),
+    ),
+    number("--prices", [0.1, 1.0, 10.0], PRICE, 0.0, 1e6, nargs="+", metavar="PRICE"),
+    number("--population", 32, "orders per start, price and round"),
+    number("--rounds", 8, "of the search, before starts try each other's best orders"),
+    DEVICES,
+    simulates=True,
+)
+def frontier(options: argparse.Namespace) -> None:
+    """Search from each start for the order of human models with the highest meta-reward: the reward less PRICE times
+    the seconds T(M) of planning. The best possible choice of models earns at least as much. The regret of a controller
+    is this meta-reward minus its own. The search also tries the orders that switching and other --controllers chose.
+
+    The tables show the regrets of the fixed models, of the best order for all starts, of other --controllers, and of
+    switching and other controllers with a lambda at their best lambda. --prices are the lambdas of the meta-reward;
+    --lambdas are those that switching decides with, and need not be a price. The best order and lambda are chosen on
+    the same starts as they are judged by. Everything is simulated, and nothing is timed.
+
+    Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
+    start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
+    episodes); settings.json and provenance.json, which say how they were made. Episodes are kept after every round: the
+    same command with the same --out resumes a search that was stopped or killed, and one with more seeds, prices,
+    lambdas or rounds uses the episodes that are there. Results do not depend on the number of devices.
+
+    Examples:
+      ms-highway frontier
+      ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier
+      ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 --out results/wide
+      ms-highway frontier merger --controllers period:tom=1,naive=3 random:naive=0.7,tom=0.3 --out results/blind
+    """
+    import pandas as pd
+
+    from ms_highway.experiments.batch import make_batch
+    from ms_highway.experiments.directory import write_table
+    from ms_highway.experiments.frontier import Outcomes, best, regrets, search
+    from ms_highway.runtime.compilation import use_devices
+    from ms_highway.visualization.figures import frontier
+    from ms_highway.visualization.tables import regret_tables
+
+    options.lambdas = options.lambdas or [LAMBDAS]
+    asked, mesh, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
+    batches = {name: make_batch(asked, name) for name in asked.controllers}
+    for name, batch in batches.items():
+        if unknown := [model for model in batch.models if model not in batch.costs]:
+            remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
+            raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    orders, behind = pd.DataFrame(), pd.DataFrame()
+    with own_results(options) as directory:
+        settings = directory.take_up(asked.common_config())
+        every = {name: Outcomes(batch, out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()}
+        directory.write_settings(settings)
+        record(directory, options)
+        for scenario, outcomes in every.items():
+            tell(f"{scenario}: compiling, and driving fixed models and controllers")
+            outcomes.of(outcomes.batch.keys())
+            for count in search(outcomes, seeds, options.prices, options.population, options.rounds):
+                tell(f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
+            for price in dict.fromkeys(options.prices):
+                found = best(outcomes.table, seeds, price).reset_index()
+                own = regrets(outcomes.table, asked.controllers[scenario], seeds, price)
+                orders = pd.concat([orders, found.assign(scenario=scenario, price=price)])
+                behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
+            write_table(orders, out / "orders.csv")
+            write_table(behind, out / "regrets.csv")
+            save_figure(frontier(behind, scenario, options.seeds), out / f"{scenario}_frontier.{options.format}")
+    for scenario in asked.controllers:
+        print_tables(*regret_tables(behind, scenario))
+    say(f"results are in {out}")
+
+
+@command(
+    "values learn",
+    "learn values of computation: when it pays to think",
+    SCENARIOS,
+    output("--out", "of the values, such as values.npz", ".npz", required=True),
+    number("--states", None, STATES),
+    number("--rounds", None, "of rollouts and fits (default: 4; among several humans 2)", most=100),
+    number(
+        "--horizon-steps",
+        None,
+        "of a rollout (default: 20; among several humans 25)",
+        most=100,
+        metavar="STEPS",
+        dest="horizon",
+    ),
+    number("--seed", 0, "of everything that is drawn", 0),
+    SET,
+    DEVICES,
+    simulates=True,
+)
+def learn(options: argparse.Namespace) -> None:
+    """Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. Rollouts start from
+    states of episodes: for some steps, one model of the ladder predicts the human, and then the rule that was learned
+    so far chooses. Networks are fitted to the reward that each model earns beyond the cheapest one, in several rounds.
+    One file serves all lambdas and costs.
+
+    Among several humans (dense-merge-v1, dense_merge, crossing_crowd), each model predicts the nearest one, two, three
+    and four humans; the value of a human is the reward that it adds. Such a file serves scenes with several humans.
+
+    Starts are drawn anew, not by the numbered seeds of environments, so that `ms-highway frontier` can measure the
+    regret of learned:LAMBDA:FILE on held-out starts. The same --seed gives the same values. Rollouts are kept beside
+    the file until it is written: the same command continues a run that was stopped or killed.
+
+    Examples:
+      ms-highway values learn merger give_way --out values.npz
+      ms-highway compare merger --controllers tom learned:1:values.npz
+      ms-highway values learn dense-merge-v1 --states 300 --out crowd.npz
+      ms-highway --import zipper values learn zipper --out zipper.npz
+    """
+    from shutil import rmtree
+
+    from ms_highway.choice.learned_value import save_values
+    from ms_highway.envs import PAPER_SCENARIOS
+    from ms_highway.experiments.comparison import Comparison
+    from ms_highway.experiments.learning import learn, prepare
+    from ms_highway.runtime.compilation import use_devices
+
+    everywhere = {name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS}
+    asked = Comparison(everywhere, config=configuration(options))
+    learning, courses = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
+    values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
+    tell(f"{courses[0].name}: compiling")
+    for done, fitted in learn(learning, courses, kept, use_devices(options.devices)):
+        tell(done)
+        values = fitted or values
+    if values is not None:
+        save_values(values, options.out)
+    rmtree(kept, ignore_errors=True)
+    say(f"values are in {options.out}")

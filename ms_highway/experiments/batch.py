@@ -25,11 +25,19 @@ from ms_highway.envs.controllers import ControllerSettings
 from ms_highway.envs.registry import controller_settings
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.simulation import draw_start, shared_loop, stack_episodes
-from ms_highway.experiments.comparison import Comparison, EpisodeKey
-from ms_highway.experiments.records import COUNTED, KEYS, MEASURED, by_column, check_table, per_episode
+from ms_highway.experiments.comparison import (
+    COUNTED,
+    KEYS,
+    MEASURED,
+    Comparison,
+    EpisodeKey,
+    by_column,
+    check_table,
+    per_episode,
+)
 from ms_highway.loop.batch import simulate
-from ms_highway.loop.fallback import STATUSES
 from ms_highway.loop.records import Episodes, Loop, Records
+from ms_highway.loop.step import STATUSES
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.arrays import Array
@@ -159,7 +167,7 @@ class Batch:
         return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
 
     def tables(self, keys: Sequence[Key], records: Records) -> Tables:
-        """Return ``steps``, a row per step, and ``episodes``, see `ms_highway.experiments.records.per_episode`.
+        """Return ``steps``, a row per step, and ``episodes``, see `ms_highway.experiments.comparison.per_episode`.
 
         Episodes also have ``price``, the lambda of their controller, empty if it has none.
 
@@ -215,7 +223,7 @@ def simulate_parts(
     Args:
         comparison: of a single scenario.
         parts: episodes of each part by its number.
-        mesh: devices that share each part, see `ms_highway.loop.devices.device_mesh`; by default, the first device.
+        mesh: devices that share each part, see `ms_highway.runtime.compilation.device_mesh`; by default, the first.
     """
     batch = make_batch(comparison, *comparison.controllers)
     for number, part in parts.items():

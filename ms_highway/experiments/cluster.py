@@ -23,8 +23,8 @@ from ms_highway.experiments.comparison import Comparison, EpisodeKey
 from ms_highway.experiments.directory import PACKAGES
 from ms_highway.experiments.runner import Compute
 from ms_highway.runtime.extras import import_modules
-from ms_highway.runtime.forks import jax_has_begun
 from ms_highway.runtime.jax_settings import keep_compilations
+from ms_highway.runtime.process import jax_has_begun
 
 PATIENCE = 10  # s, within which a scheduler has to answer
 AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory

@@ -1,15 +1,18 @@
-"""Define a comparison by its scenarios, controllers, seeds and the common configuration of all environments."""
+"""Define a comparison (scenarios, controllers, seeds, configuration), and the columns of its records of steps."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.registry import robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
-from ms_highway.experiments.records import columns
-from ms_highway.planning.ladders import rung_names
+from ms_highway.loop.step import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
+from ms_highway.planning.ladders import known_models, rung_names
 
 EpisodeKey: TypeAlias = tuple[str, str, int]
 """An episode: its scenario, the short name of its controller, and its seed."""
@@ -72,7 +75,7 @@ class Comparison:
         return {**usual, **self.config, **ladder}
 
     def columns(self) -> list[str]:
-        """Return the columns of the records, see `ms_highway.experiments.records.columns`."""
+        """Return the columns of the records, see `ms_highway.experiments.comparison.columns`."""
         rungs, above = list[str](), None
         for name in self.controllers:
             scenario = ENVIRONMENTS[name].scenario
@@ -91,3 +94,126 @@ def paper_controllers(scenario: str) -> list[str]:
     """
     choice = ENVIRONMENTS[scenario_name(scenario)].scenario
     return [*rung_names(choice.ladder), *(f"switching:{price:g}" for price in choice.prices)]
+
+
+KEYS = ["scenario", "controller", "seed"]
+"""Columns that identify the episode of a step."""
+
+MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
+"""Columns of measured times, which simulations do not have."""
+
+COUNTED = "counted_seconds"
+NEEDED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
+"""Columns that records of live steps must have, without empty cells."""
+
+TEXTS = ("scenario", "controller", "model", "status")
+FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
+STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
+"""Columns of the states of the first two cars."""
+
+
+def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> list[str]:
+    """Return the columns of a record of steps.
+
+    ``counted_seconds`` is T of the step's plan, as decisions count it. ``gain_MODEL``, for every known human model and
+    every rung, is the highest gain over all humans, and empty if none was estimated. States are those of the robot and
+    the first human after the step, in SI units. With several humans, ``model`` is the most expensive model in use,
+    ``humans_MODEL`` the number of humans that each rung above the first predicts, and ``success`` whether the robot has
+    succeeded so far.
+
+    Args:
+        rungs: names of the models on the ladders, which may have efforts.
+        above: names of the rungs above the first; None with one human.
+    """
+    planning, decision, compiling = MEASURED
+    steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
+    gains = [f"gain_{name}" for name in known_models(rungs)]
+    several = [] if above is None else [*dict.fromkeys(f"humans_{name}" for name in above), "success"]
+    return [*KEYS, *steps, *gains, *STATES, *several]
+
+
+def by_column(gains: Mapping, states: Any) -> dict:
+    """Return the columns of records for gains by model and for the first two cars of states [..., cars, 4]."""
+    first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(len(STATES), *np.shape(states)[:-2])
+    return {f"gain_{name}": gain for name, gain in gains.items()} | dict(zip(STATES, first, strict=True))
+
+
+def models_of(table: pd.DataFrame, what: str) -> list[str]:
+    """Return the known models that have a column ``WHAT_MODEL``, such as ``gain_tom``, in a table, cheapest first."""
+    names = {str(name).removeprefix(f"{what}_") for name in table if str(name).startswith(f"{what}_")}
+    return [name for name in known_models(names) if name in names]
+
+
+def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame:
+    """Return a row per episode, in the order of the steps.
+
+    Columns are ``scenario``, ``controller`` and ``seed``, and:
+
+    * means over the steps, empty if a step's cell is empty: ``reward``, ``counted_seconds`` and, if they were measured,
+      ``planning_seconds`` and ``decision_seconds``;
+    * shares of the steps: ``share_MODEL``, planned with a model; ``way_out``, driven to keep a way out; and, if times
+      were measured, ``late``, driven with an old plan because the new one was late;
+    * numbers of steps: ``collisions``, in which the robot collided; and ``fallbacks``, whose plan failed;
+    * with several humans: ``success``, 0 or 1, at the end of the episode; and the means of ``humans_MODEL``.
+      ``share_MODEL`` then counts the steps in which the model is the most expensive one in use.
+
+    Args:
+        steps: records, in which the steps of an episode follow each other.
+        models: models whose shares are wanted; by default, all known ones.
+    """
+    models = list(models) or known_models(steps["model"].unique())
+    shares = {f"share_{name}": steps["model"] == name for name in models}
+    shares["way_out"] = steps["status"] == STATUSES[WAY_OUT]
+    measured = [name for name in MEASURED[:2] if name in steps]
+    if measured:
+        shares["late"] = steps["status"] == STATUSES[LATE]
+    sums = {"collisions": steps["collision"], "fallbacks": steps["status"].isin(FAILED)}
+    counts = [f"humans_{name}" for name in models_of(steps, "humans")]
+    episodes = steps.assign(**shares, **sums).groupby((steps["step"] == 0).cumsum())
+    means = episodes[["reward", COUNTED, *measured, *counts, *shares]]
+    known = means.count().eq(episodes.size(), axis=0)
+    table = episodes[KEYS].first().join(means.mean().where(known)).join(episodes[list(sums)].sum())
+    if "success" in steps:
+        ended = episodes["success"].last()  # empty where there is one human
+        table["success"] = ended if ended.isna().any() else ended.astype(int)
+    return table.reset_index(drop=True)
+
+
+def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
+    """Check that a table of steps or episodes holds the needed columns, and finite numbers except in `TEXTS`.
+
+    Args:
+        table: the table.
+        needed: columns that must be there in addition to those of every table. Those of `NEEDED` have no empty cell.
+
+    Raises:
+        ValueError: naming what is wrong, and where.
+    """
+    absent = sorted({*KEYS, "reward", COUNTED, *needed} - {*table})
+    if absent:
+        raise ValueError(f"it has no column {', '.join(absent)}")
+    for name in table.columns.difference(TEXTS):
+        numbers = pd.to_numeric(table[name], errors="coerce").astype(float)
+        wrong = ~np.isfinite(numbers) & (table[name].notna() | (name in NEEDED))
+        for row in table[wrong][:1].to_dict("records"):
+            where = f"{name} of {row['controller']} with seed {row['seed']}"
+            raise ValueError(f"{where} is {row[name]}; it must be a finite number")
+
+
+def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:
+    """Return the records of one episode, in the order of its steps.
+
+    Raises:
+        ValueError: if there are none.
+    """
+    chosen = records.query("scenario == @scenario and controller == @controller and seed == @seed")
+    if chosen.empty:
+        raise ValueError(f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in these records")
+    return chosen.sort_values("step")
+
+
+def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str]) -> list[int]:
+    """Return the seeds of the episodes that every one of these controllers has driven, ascending."""
+    rows = records.query("scenario == @scenario and controller in @controllers")
+    driven = rows.groupby("seed")["controller"].nunique()
+    return driven.index[driven == len(set(controllers))].tolist()

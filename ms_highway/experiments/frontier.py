@@ -14,8 +14,8 @@ from jax.sharding import Mesh
 
 from ms_highway.envs.registry import controller_config, fixed_order_types
 from ms_highway.experiments.batch import Batch, Key
+from ms_highway.experiments.comparison import check_table
 from ms_highway.experiments.directory import write_table
-from ms_highway.experiments.records import check_table
 from ms_highway.experiments.summary import interval
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.files import reading
@@ -36,7 +36,7 @@ class Outcomes:
     Attributes:
         batch: the scenario.
         table: all known episodes by controller and seed: ``scenario``, ``reward``, ``counted_seconds``, ``collisions``
-            and ``fallbacks`` as in `ms_highway.experiments.records.per_episode`.
+            and ``fallbacks`` as in `ms_highway.experiments.comparison.per_episode`.
     """
 
     def __init__(self, batch: Batch, file: Path, mesh: Mesh | None = None) -> None:
@@ -45,7 +45,7 @@ class Outcomes:
         Args:
             batch: the scenario.
             file: CSV file that keeps all episodes.
-            mesh: devices, see `ms_highway.loop.devices.device_mesh`.
+            mesh: devices, see `ms_highway.runtime.compilation.device_mesh`.
 
         Raises:
             ValueError: if the file exists and holds something else.

@@ -18,9 +18,8 @@ import numpy as np
 from jax import numpy as jnp
 from jax.sharding import Mesh
 
-from ms_highway.choice.learned_value import Network, noise, outputs
+from ms_highway.choice.learned_value import Network, Values, noise, outputs
 from ms_highway.choice.situation import description_names
-from ms_highway.choice.values import Values
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
@@ -119,7 +118,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
         learning: settings.
         courses: the courses.
         kept: directory that keeps all rollouts, so that an interrupted run can resume; the caller removes it.
-        mesh: devices, see `ms_highway.loop.devices.device_mesh`.
+        mesh: devices, see `ms_highway.runtime.compilation.device_mesh`.
 
     Yields:
         What was done, after the rollouts of each course and after each fit; and after a fit, the values.

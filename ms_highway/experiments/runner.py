@@ -27,9 +27,8 @@ from ms_highway.envs.agents import AgentDrives, is_agent
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config, robot_config
 from ms_highway.experiments.batch import Tables, make_batch, simulate_parts
-from ms_highway.experiments.comparison import Comparison, EpisodeKey
+from ms_highway.experiments.comparison import KEYS, NEEDED, Comparison, EpisodeKey, by_column, check_table
 from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, write_table
-from ms_highway.experiments.records import KEYS, NEEDED, by_column, check_table
 from ms_highway.runtime.files import reading
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
@@ -276,7 +275,7 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     """Run one episode with the robot's own controller; yield a record per step.
 
-    A record has the columns from ``step`` on, see `ms_highway.experiments.records.columns`, and all of ``info``.
+    A record has the columns from ``step`` on, see `ms_highway.experiments.comparison.columns`, and all of ``info``.
     """
     env.reset(seed=seed)
     inner = env.unwrapped

@@ -6,8 +6,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Array
-from ms_highway.runtime.structures import Finite, Positive, Structure, pytree
+from ms_highway.runtime.arrays import Array, Finite, Positive, Structure, pytree
 
 Scalar = float | Float[Array, "*drivers"]
 

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
+from ms_highway.runtime.arrays import Positive, Structure, read
 from ms_highway.runtime.files import read_json, reading, write_json
-from ms_highway.runtime.structures import Positive, Structure, read
 
 VERSION = 3
 """Version of the file format; files of others are refused."""

@@ -1,20 +1,146 @@
-"""Sum a car's reward over its trajectory among those of others, and differentiate the sum."""
+"""Sum a car's reward over its trajectory among those of others, and differentiate the sum.
+
+A plan for seconds also keeps room to stop before obstacles. Horizons end before an obstacle matters. Without this cost,
+a car drives fast until the obstacle is within the horizon, brakes as hard as tyres allow, and stops too close to the
+obstacle to steer around it.
+
+The curvature is a positive semidefinite matrix in place of minus the Hessian, without eigenvalues. Most features are
+concave functions of quantities that are taken as linear in the motion (Gauss-Newton), so their sum is positive
+semidefinite. Closeness to a body differs: it is a convex cost of a distance that is a square itself, so the reward
+bends upwards between the two ways around the body. The magnitude of this part is taken, as in the saddle-free Newton
+step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
+``C^-1 g`` at most doubles the difference between two plans. Smooth indicators of a lane, induced braking and
+user-defined features have no such form: they are left out, and plans take short steps up them.
+"""
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.curvature import Bends, curvature
+from ms_highway.game.collision_risk import SMOOTH_FACTOR, SMOOTH_MARGIN, Bodies, bodies_around
 from ms_highway.game.dynamics import Motion
-from ms_highway.game.features import motion_reward
+from ms_highway.game.features import attention, depth_off_road, motion_reward, soft_positive
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.game.stopping import stopping_cost
+from ms_highway.geometry.bodies import body_points
 from ms_highway.numerics.second_derivatives import along_fields
-from ms_highway.runtime.arrays import Scalar, Trajectories, Trajectory
+from ms_highway.runtime.arrays import Scalar, Times, Trajectories, Trajectory
+
+STOPPING_MARGIN = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
+LATERAL_MARGIN = 0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
+SMOOTHING = 0.2  # beyond which the cost of being late or aligned is nearly linear
+
+
+def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
+    """Return the cost of stopping too late before obstacles that are ahead in the car's way, ``sum r^2`` with::
+
+        r = soft(d) soft(1 - (dy / w)^2) s,  soft(z) = max(z, 0)^2 / (max(z, 0) + 0.2)
+        d = (v^2 / (2 b) + l - dx) / car length + room
+
+    The centres are (dx, dy) apart. Bodies touch at ``dx = l``, and pass each other with `LATERAL_MARGIN` between them
+    at ``dy = w``. The factor s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
+
+    Args:
+        scene: obstacles and sizes of bodies.
+        braking: deceleration b; if it is infinite, only the gap counts.
+        own: motion of the car, arrays [steps].
+
+    Returns:
+        An array [steps], zero except in the step half-way.
+    """
+    return jnp.sum(lateness(scene, braking, own) ** 2, axis=0)
+
+
+def lateness(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "obstacles steps"]:
+    """Return r of `stopping_cost` for every obstacle, zero except in the step half-way."""
+    obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T[..., None]
+    car_length, car_width = jnp.asarray(scene.car_size)
+    length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
+    gap = obstacle_x - own.x
+    late = soft_positive((own.speed**2 / (2 * braking) + length - gap) / car_length + STOPPING_MARGIN, SMOOTHING)
+    aligned = soft_positive(1 - ((own.y - obstacle_y) / (width + LATERAL_MARGIN * car_width)) ** 2, SMOOTHING)
+    ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
+    steps = own.x.shape[-1]
+    half_way = np.arange(steps) == (steps - 1) // 2
+    return half_way * late * aligned * ahead**2 * (3 - 2 * ahead)
+
+
+Bends = Float[jax.Array, "fields fields steps"]
+Points = Float[jax.Array, "2 points steps"]
+
+
+def curvature(
+    scene: Scene, parameters: Reward, own: Trajectory, others: Motion, braking: Scalar | None = None
+) -> Bends:
+    """Return a convex matrix in place of minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
+
+    For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the distances D
+    of `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
+
+    Args:
+        scene: road, obstacles and bodies.
+        parameters: the reward.
+        own: motion of the car.
+        others: motion of all others, arrays [others, steps].
+        braking: deceleration that `ms_highway.game.payoff` counts on; None without its cost.
+    """
+    along, aside = body_points(jnp.asarray(scene.car_size), scene.corner).T[..., None]
+
+    def body(path: Trajectory) -> Points:
+        x, y, cosine, sine, _ = path
+        return jnp.stack([x + cosine * along - sine * aside, y + sine * along + cosine * aside])
+
+    points, moved = along_fields(body, own)
+    _, slopes = along_fields(partial(_closeness, parameters, bodies_around(scene, others)), points)
+    bends = jnp.sum(slopes[:, None] * slopes, axis=(2, 3))  # one kernel, unlike an einsum
+    close = jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)
+    _, slopes = along_fields(partial(_residuals, scene, parameters, others, braking), own)
+    return 2 * (close + jnp.sum(slopes[:, None] * slopes, axis=2))
+
+
+def _residuals(
+    scene: Scene, parameters: Reward, others: Motion, braking: Scalar | None, path: Trajectory
+) -> Float[jax.Array, "residuals steps"]:
+    """Return quantities whose squares are, up to constants, the costs of features of the road and of traffic."""
+    own, per_unit = Motion(*path), 1 / scene.length_unit
+    weights = dict(zip(parameters.names, jnp.unstack(parameters.weights), strict=True))
+    costs = [
+        (weights["speed"], own.speed * own.cosine / parameters.speed_limit),
+        (weights["lane_alignment"] + weights["target_lane"], own.y * per_unit),
+        (-weights["off_road"], depth_off_road(scene, own, smooth=True) * per_unit),
+    ]
+    if scene.leader is not None:
+        costs.append((weights["gap"], own.x * per_unit))
+    if "headway" in weights:
+        along, _, attended = attention(scene, own, others)
+        ahead = jax.lax.stop_gradient(jnp.sqrt(jnp.where(along > 0, attended, 0.0).sum(axis=0)))
+        costs.append((weights["headway"], ahead * (own.x + parameters.headway * own.speed) * per_unit))
+        costs.append((weights["closing_speed"], ahead * own.speed / parameters.speed_limit))
+    residuals = jnp.stack([jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity for weight, quantity in costs])
+    if braking is None:
+        return residuals
+    late = jnp.sqrt(parameters.price("collision")) * lateness(scene, braking, own)
+    return jnp.concatenate([residuals, late])
+
+
+def _closeness(parameters: Reward, bodies: Bodies, points: Points) -> Float[jax.Array, "3 bodies points steps"]:
+    """Return quantities whose squares bend like closeness: the offset from a body along and across it, and D."""
+    other = Motion(*(field[:, None] for field in bodies.motion))
+    dx, dy = points[0] - other.x, points[1] - other.y
+    ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
+    across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
+    distance = ahead**2 + across**2 - 1
+    near = jax.lax.stop_gradient(distance)
+    close = parameters.price("collision_risk") * bodies.share * jnp.exp(-bodies.sharpness * near)
+    contact, depth = SMOOTH_FACTOR * parameters.price("collision"), jnp.maximum(SMOOTH_MARGIN - near, 0.0)
+    fall = jnp.sqrt(bodies.sharpness * close + 3 * contact * depth**2)
+    bend = jnp.sqrt(bodies.sharpness**2 * close / 2 + 3 * contact * depth)
+    return jnp.stack([fall * ahead, fall * across, bend * distance])
 
 
 class SecondOrder(NamedTuple):
@@ -40,7 +166,7 @@ class Payoff:
         scene: road, obstacles and bodies.
         reward: of the car.
         braking: deceleration with which the car keeps room to stop before obstacles, see
-            `ms_highway.game.stopping.stopping_cost`, at the price of a collision; None without this cost.
+            `ms_highway.game.payoff.stopping_cost`, at the price of a collision; None without this cost.
         smooth: whether jumps of the reward are smooth (static).
     """
 

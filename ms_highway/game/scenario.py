@@ -13,12 +13,11 @@ import numpy as np
 
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
-from ms_highway.game.planning_settings import PAPER_PLANNING, PlanningSettings, gradient_steps
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import CAR_SIZE, CONE_SIZE, PAPER_UNIT, Scene
 from ms_highway.numerics.convex_newton import EASE
 from ms_highway.numerics.second_derivatives import Influence
-from ms_highway.numerics.solvers import Planner, Solver
+from ms_highway.numerics.solvers import PAPER_PLANNING, Planner, PlanningSettings, Solver, gradient_steps
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 

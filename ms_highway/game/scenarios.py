@@ -7,9 +7,9 @@ from dataclasses import replace
 from math import sqrt
 from typing import Any
 
-from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import COMMON_WEIGHTS, GRIP, SECONDS_LIMIT, SPEED_LIMIT, Scenario, Stream
 from ms_highway.game.scenario import PAPER_UNIT as UNIT
+from ms_highway.numerics.solvers import PlanningSettings
 
 STAY_BACK = Scenario(
     name="stay_back",

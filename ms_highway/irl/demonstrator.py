@@ -15,8 +15,7 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.recording import Controls, States
-from ms_highway.numerics.newton import Optimum, find_optimum
-from ms_highway.numerics.objective import Objective
+from ms_highway.numerics.newton import Objective, Optimum, find_optimum
 from ms_highway.runtime.arrays import Scalar, Trajectory
 
 DRIVER_WEIGHTS = {

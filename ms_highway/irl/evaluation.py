@@ -8,13 +8,13 @@ import msgspec
 import numpy as np
 
 from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.neighbours import leaders
+from ms_highway.game.scene import leaders
 from ms_highway.irl.mixture import Mixture, Steps, density_level, expected_path, log_density
 from ms_highway.irl.prediction import PREDICTORS, predict_with
 from ms_highway.irl.recording import Flags, Recording, folds
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.snapshots import AT, HORIZONS, Paths, Snapshots, cut_snapshots
-from ms_highway.runtime.progress import Progress, silent
+from ms_highway.runtime.process import Progress, silent
 
 MISS = 2.0
 """Distance from which a prediction counts as a miss [m]."""

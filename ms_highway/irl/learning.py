@@ -22,7 +22,7 @@ from ms_highway.irl.segments import Segments, cut_segments, driver_game, with_se
 from ms_highway.irl.snapshots import cut_snapshots
 from ms_highway.runtime.arrays import Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
-from ms_highway.runtime.progress import Progress, silent
+from ms_highway.runtime.process import Progress, silent
 
 COMFORT_GIVEN = 0.1
 """Given comfort weight, which sets the scale of all others; small against the curvature of the published weights."""

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import Spread
 from ms_highway.irl.snapshots import Paths
 from ms_highway.numerics.estimation import Parameters, minimum
-from ms_highway.runtime.arrays import Scalar
-from ms_highway.runtime.structures import plain
+from ms_highway.runtime.arrays import Scalar, plain
 
 DRAWS = 256
 """Number of draws from a predicted distribution by which `density_level` is estimated."""

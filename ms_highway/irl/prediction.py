@@ -16,13 +16,12 @@ from jax import numpy as jnp
 from msgspec import structs
 
 from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers
-from ms_highway.game.neighbours import Leader
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.game.scene import Leader
 from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, straight_on
 from ms_highway.irl.snapshots import AT, SCALES, STEPS, Snapshots, lane_numbers
 from ms_highway.numerics.estimation import Parameters, minimum
-from ms_highway.planning.car_following import idm_acceleration
 from ms_highway.planning.learned_driving import (
     FREE_GAP,
     STEPS_PER_SECOND,
@@ -33,10 +32,10 @@ from ms_highway.planning.learned_driving import (
     seen_states,
     shown_traits,
 )
+from ms_highway.planning.manoeuvres import idm_acceleration
 from ms_highway.runtime import retired
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.runtime.arrays import Finite, Scalar, Structure, pytree, read
 from ms_highway.runtime.compilation import in_batches, jit_quickly
-from ms_highway.runtime.structures import Finite, Structure, pytree, read
 
 NEARNESS = 30.0  # m, gap at which the speed of a leader counts 1 / e as much when lanes are compared
 AXLES = 2.5  # m, half of a car's length, with which highway-env turns slip angles into yaw rates

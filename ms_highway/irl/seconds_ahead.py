@@ -20,9 +20,8 @@ from ms_highway.irl.recording import CarFlags, CarNumbers, Cars
 from ms_highway.irl.snapshots import Snapshots, lane_numbers
 from ms_highway.numerics.estimation import Parameters, grouped_covariance, minimum, slope_differences
 from ms_highway.planning.learned_driving import shown_traits
-from ms_highway.runtime.arrays import Scalar
-from ms_highway.runtime.progress import Progress, silent
-from ms_highway.runtime.structures import plain
+from ms_highway.runtime.arrays import Scalar, plain
+from ms_highway.runtime.process import Progress, silent
 
 SURE = 20  # steps for which a driver must be seen, to know whether it changes lanes
 COMFORT = 0.1  # weight of the comfort of acceleration, which sets the scale of all others

@@ -17,10 +17,9 @@ from jaxtyping import Float
 from ms_highway.game.dynamics import Motion, keep_velocity, observe
 from ms_highway.game.features import motion_features
 from ms_highway.game.game import Game, move
-from ms_highway.game.neighbours import far_behind, places
 from ms_highway.game.reward import FEATURES, features_for
 from ms_highway.game.scenario import PHYSICAL_LIMIT, TIME_STEP, driving_game
-from ms_highway.game.scene import Scene
+from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.irl.recording import (
     CarStates,
     Controls,
@@ -51,7 +50,7 @@ class Segments(Rows):
         start: state of the driver before the first step.
         controls: of the driver, unscaled.
         others: states after each step of the six cars that were its neighbours at the start, see
-            `ms_highway.game.neighbours`.
+            `ms_highway.game.scene`.
         driver: number of the driver among those of all recordings; segments of a driver are adjacent.
         group: number of the recording's group, by which segments are split into folds.
     """

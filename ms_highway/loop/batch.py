@@ -17,27 +17,31 @@ from ms_highway.choice.rule import Decision, unestimated
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, each_human, swap_players
-from ms_highway.loop.devices import device_mesh, share_among
-from ms_highway.loop.fallback import PLANNED, Rest, follow, follow_escape, no_rest, or_brake
 from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
+    PLANNED,
     Carry,
+    Rest,
     advance,
     begin,
     complete_outcome,
     continues_plan,
+    follow,
+    follow_escape,
+    no_rest,
+    or_brake,
     responsive_rungs,
 )
+from ms_highway.planning.compiled_plans import plan_for
 from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
-from ms_highway.planning.several import plan_for
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Control, Index, Rungs, State, for_rows
-from ms_highway.runtime.compilation import jit_quickly
+from ms_highway.runtime.compilation import device_mesh, jit_quickly, share_among
 
 
 def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
-    """Run episodes from start to end, shared by the devices of a mesh, see `ms_highway.loop.devices.share_among`.
+    """Run episodes, shared by the devices of a mesh, see `ms_highway.runtime.compilation.share_among`.
 
     A device computes the episodes chunk by chunk, and a human model only for chunks that use it. With several humans,
     it computes episodes one by one, as a plan takes as many rounds as there are humans to predict.
@@ -47,7 +51,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     Args:
         loop: what the episodes share.
         episodes: at least one.
-        mesh: of `ms_highway.loop.devices.device_mesh`; by default, the first device.
+        mesh: of `ms_highway.runtime.compilation.device_mesh`; by default, the first device.
 
     Returns:
         NumPy arrays.

@@ -9,15 +9,25 @@ import numpy as np
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always
 from ms_highway.game.game import Game
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.fallback import STATUSES, Followed, follow, follow_escape, no_rest, or_brake
-from ms_highway.loop.step import Carry, advance, begin, continues_plan, decide
+from ms_highway.loop.step import (
+    STATUSES,
+    Carry,
+    Followed,
+    advance,
+    begin,
+    continues_plan,
+    decide,
+    follow,
+    follow_escape,
+    no_rest,
+    or_brake,
+)
 from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan, one_step_later
 from ms_highway.runtime.arrays import State
-from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single
-from ms_highway.runtime.forks import refuse_after_fork
-from ms_highway.runtime.timing import timed, warm_up
+from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single, timed, warm_up
+from ms_highway.runtime.process import refuse_after_fork
 
 QUANTILE = 0.99  # of decisions' seconds, for budgets
 

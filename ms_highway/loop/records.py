@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.choice.rule import Rule
 from ms_highway.game.game import Game
-from ms_highway.loop.devices import CHUNK
-from ms_highway.loop.human_drivers import DriverFunction
+from ms_highway.loop.controller import DriverFunction
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import CHUNK
 
 DECIDES = -1
 """Entry of a schedule: the rule chooses the rung of this human in this step."""
@@ -100,7 +100,7 @@ class Records(NamedTuple):
     Attributes:
         rungs: number of the model that predicted each human in the plan that was followed, in `Loop.models`.
         planned: the same in the step's own plan, whose T is counted; it is not followed where it is not finite.
-        status: of the robot's control, its place in `ms_highway.loop.fallback.STATUSES`.
+        status: of the robot's control, its place in `ms_highway.loop.step.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
         gains: of each rung for each human, estimated before the step, see `ms_highway.choice.rule.Decision`.

@@ -1,6 +1,6 @@
 """Climb by Newton steps whose result is a continuous function of the start, for plans of seconds.
 
-The curvature of the reward is made convex (`ms_highway.game.curvature`) and the trajectory is taken as linear
+The curvature of the reward is made convex (`ms_highway.game.payoff`) and the trajectory is taken as linear
 (Gauss-Newton), so that every factorisation succeeds and no damping is searched for. The share of a step that is taken
 is at the top of the parabola with the slopes at both ends of the step: float32 resolves slopes where it loses the gain
 in rounding. Nothing is chosen among candidates, so that plans from similar starts are similar.
@@ -14,7 +14,7 @@ from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Float, PyTree
 
-from ms_highway.numerics.objective import Objective
+from ms_highway.numerics.newton import Objective
 from ms_highway.numerics.second_derivatives import second_order_expansion
 from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, Trajectory, Vector
 

@@ -1,8 +1,8 @@
 """Plan under each human model of the ladder: naive, IDM, turn and theory of mind.
 
 A `HumanModel` predicts one human, in the game of the robot with that human alone (`ms_highway.game.game.pair`);
-`ms_highway.planning.several` plans among several. Predictions are in SI units; plans and their starts are scaled, see
-`ms_highway.game.game`.
+`ms_highway.planning.compiled_plans` plans among several. Predictions are in SI units; plans and their starts are
+scaled, see `ms_highway.game.game`.
 
 A model has an effort: its number of steps, and the plan from which they start. ``tom@8`` is theory of mind in 8 ascent
 steps, ``tom+warm`` starts from the rest of the last plan, and ``tom@8+warm`` does both.
@@ -20,10 +20,10 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, bounded, pair, swap_players
-from ms_highway.game.planning_settings import STEP_SHARE, longest_step
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.planning.car_following import FREE_GAP, idm_acceleration
+from ms_highway.numerics.solvers import STEP_SHARE, longest_step
 from ms_highway.planning.joint import Interaction, joint_ascent
+from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration
 from ms_highway.planning.plans import Plan, cold_start, plan_against
 from ms_highway.runtime.arrays import Car, Control, Controls, State
 
@@ -37,10 +37,10 @@ class HumanModel:
     """A rung of the ladder, which predicts one human; hashable, as a plan is compiled once per model.
 
     With a number of steps, a model takes gradient steps, whatever the planner's solver and step size. They are as long
-    as is safe: 0.1 or, if that is shorter, `ms_highway.game.planning_settings.STEP_SHARE` of the longest step, as from
+    as is safe: 0.1 or, if that is shorter, `ms_highway.numerics.solvers.STEP_SHARE` of the longest step, as from
     K = 6 on at 0.1 s. The reward of a plan depends on the summed length of its steps: 6 of them earn as much as the
     paper's 20 of 0.03, and more of them earn more. The solver ``convex_newton`` takes so many of its own steps.
-    Among several humans, see `ms_highway.planning.several.most_steps`.
+    Among several humans, see `ms_highway.planning.compiled_plans.most_steps`.
 
     Attributes:
         name: in configurations and reports, with the effort; that of the class is without.
@@ -107,7 +107,7 @@ class HumanModel:
     def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
         """Plan against this model of the human, improving ``start``, by default `ms_highway.planning.plans.cold_start`.
 
-        The plan need not keep to the limits, see `ms_highway.planning.several.plan_for`.
+        The plan need not keep to the limits, see `ms_highway.planning.compiled_plans.plan_for`.
         """
         raise NotImplementedError
 

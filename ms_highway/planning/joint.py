@@ -16,7 +16,6 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.curvature import Bends
 from ms_highway.game.game import (
     Game,
     bounded,
@@ -27,6 +26,7 @@ from ms_highway.game.game import (
     swap_roles,
     with_scripted,
 )
+from ms_highway.game.payoff import Bends
 from ms_highway.numerics.convex_newton import Local, expand, improve, share, until_still
 from ms_highway.numerics.second_derivatives import response, second_order_expansion
 from ms_highway.numerics.solvers import projected_ascent

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf
 
-from ms_highway.game.planning_settings import MAX_ITERATIONS
+from ms_highway.numerics.solvers import MAX_ITERATIONS
 from ms_highway.planning.human_models import PACKAGE_TYPES, HumanModel, PredictedHuman
 
 NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")

@@ -19,7 +19,7 @@ from ms_highway.game.game import (
     move_jacobian,
     with_scripted,
 )
-from ms_highway.numerics.objective import Objective, best_of
+from ms_highway.numerics.newton import Objective, best_of
 from ms_highway.numerics.solvers import optimize_controls
 from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
 from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories, for_rows

@@ -12,7 +12,7 @@ from highway_env.vehicle.objects import RoadObject
 from ms_highway.geometry.bodies import nearest_ahead, separation
 from ms_highway.recorded.scenario import SPEED_LIMIT, RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import States, straight_road
-from ms_highway.vehicle.human import CommuterVehicle
+from ms_highway.vehicle.planning import CommuterVehicle
 
 EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
 ENTRY_GAP = 2.0  # m that must be free ahead of and behind a vehicle that enters or changes lanes

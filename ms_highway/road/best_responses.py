@@ -14,12 +14,10 @@ from jax import numpy as jnp
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
 from ms_highway.game.learned_reward import commuter_weights
-from ms_highway.game.neighbours import FAR_AWAY
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
-from ms_highway.game.scene import Scene
-from ms_highway.numerics.damped_newton import SHARES, damped_solve
-from ms_highway.numerics.objective import best_of
+from ms_highway.game.scene import FAR_AWAY, Scene
+from ms_highway.numerics.newton import SHARES, best_of, damped_solve
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.perception.scene import RoadScene, Steps, World
 from ms_highway.road.constants import LANE, RoadPlanning

@@ -10,17 +10,16 @@ from jaxtyping import Float
 
 from ms_highway.choice.rule import Rule, decide, first_memory
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.fallback import LATE, PLANNED, STATUSES, fallback_status
+from ms_highway.loop.step import LATE, PLANNED, STATUSES, fallback_status
 from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
-from ms_highway.planning.car_following import MAX_BRAKING
 from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.manoeuvres import MAX_BRAKING
 from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.road.plan import RoadPlan, no_plan, propose_road, respond_road
 from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
 from ms_highway.runtime.arrays import Controls, Rungs
-from ms_highway.runtime.compilation import jit_quickly
-from ms_highway.runtime.forks import refuse_after_fork
-from ms_highway.runtime.timing import timed, warm_up
+from ms_highway.runtime.compilation import jit_quickly, timed, warm_up
+from ms_highway.runtime.process import refuse_after_fork
 
 SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]))
 """Planning time if all cars are naive, and the time that each car adds under each model, measured on one core [s]."""

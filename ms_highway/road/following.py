@@ -9,7 +9,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Pose
 from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
-from ms_highway.planning.car_following import FREE_GAP, MAX_BRAKING, idm_acceleration
+from ms_highway.planning.manoeuvres import FREE_GAP, MAX_BRAKING, idm_acceleration
 from ms_highway.road.constants import IDM, TOM
 from ms_highway.road.traffic import ROOM, Situation
 from ms_highway.runtime.arrays import Car

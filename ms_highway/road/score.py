@@ -7,7 +7,7 @@ from jax import numpy as jnp
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Pose, interpolate, rotated
 from ms_highway.perception.scene import EachCar, EachFlag, EachStep, PlanFlags, PlanLanes, Plans, World
-from ms_highway.planning.car_following import FREE_GAP, highest, lowest
+from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.simulation import DrivenPlans, earlier

@@ -7,7 +7,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Curve, Pose, interpolate
 from ms_highway.perception.scene import EachStep, RoadScene, States, Steps, Traffic, World
-from ms_highway.planning.car_following import FREE_GAP, idm_acceleration, lowest
+from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration, lowest
 from ms_highway.road.constants import RoadPlanning
 from ms_highway.road.following import Behaviour, along_paths, aside, move_traffic
 from ms_highway.road.proposals import Profiles

@@ -8,7 +8,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.planning.car_following import COMFORTABLE_BRAKING, MAX_ACCELERATION, STANDSTILL
+from ms_highway.planning.manoeuvres import COMFORTABLE_BRAKING, MAX_ACCELERATION, STANDSTILL
 from ms_highway.road.timed_goal import RobotGoal
 
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}

@@ -8,7 +8,7 @@ from jax import numpy as jnp
 from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
 from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
-from ms_highway.planning.car_following import FREE_GAP, highest, lowest
+from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 

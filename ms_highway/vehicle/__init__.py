@@ -4,8 +4,7 @@ Imports `ms_highway.loop` and the packages below it.
 """
 
 from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle
-from ms_highway.vehicle.human import CommuterVehicle, HumanVehicle
-from ms_highway.vehicle.planning import PlanningVehicle, RobotVehicle
+from ms_highway.vehicle.planning import CommuterVehicle, HumanVehicle, PlanningVehicle, RobotVehicle
 from ms_highway.vehicle.road_view import states_of
 
 __all__ = [

@@ -10,15 +10,14 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.neighbours import far_behind, places
 from ms_highway.game.scenario import PAPER_UNIT
-from ms_highway.game.scene import Scene
+from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, interpolate
 from ms_highway.geometry.lane_paths import Point, Row
 from ms_highway.geometry.road_map import LIMIT, road_map
 from ms_highway.perception.observation import observe_road
 from ms_highway.perception.scene import RoadScene
-from ms_highway.planning.car_following import idm_acceleration
+from ms_highway.planning.manoeuvres import idm_acceleration
 from ms_highway.runtime.arrays import State
 
 TAPER = (80.0, 20.0)  # m before its end, between which a lane merges with its neighbour

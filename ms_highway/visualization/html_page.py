@@ -7,11 +7,10 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from ms_highway.envs.viewer import model_meaning
-from ms_highway.experiments.records import common_seeds, models_of
-from ms_highway.experiments.results import Results
-from ms_highway.experiments.summary import answer, most_informative_pair
+from ms_highway.experiments.comparison import common_seeds, models_of
+from ms_highway.experiments.summary import Results, answer, most_informative_pair
 from ms_highway.game.scenario import title
-from ms_highway.runtime.progress import Progress, silent
+from ms_highway.runtime.process import Progress, silent
 from ms_highway.visualization import video
 from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.style import content

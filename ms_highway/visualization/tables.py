@@ -9,7 +9,7 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from ms_highway.envs.registry import priced_types
-from ms_highway.experiments.records import models_of
+from ms_highway.experiments.comparison import models_of
 from ms_highway.experiments.summary import CONFIDENCE
 from ms_highway.planning.ladders import PAPER_MODELS, cheapest_first
 from ms_highway.road.constants import MODELS

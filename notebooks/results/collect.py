@@ -16,7 +16,7 @@ import pandas as pd
 from ms_highway.benchmarks.road import DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.registry import fixed_order_types
 from ms_highway.experiments.frontier import BEST_PER_START
-from ms_highway.experiments.results import Results
+from ms_highway.experiments.summary import Results
 from ms_highway.visualization.html_page import results_table
 
 KEPT = Path(__file__).parent

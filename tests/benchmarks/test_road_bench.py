@@ -16,8 +16,7 @@ from ms_highway.benchmarks.road import RECORDED
 from ms_highway.benchmarks.road.episodes import Block, run_episode, summary
 from ms_highway.benchmarks.road.export import WHEELBASE
 from ms_highway.benchmarks.road.measures import Watch, measured
-from ms_highway.benchmarks.road.peers import Peer
-from ms_highway.benchmarks.road.recorded import starts_of
+from ms_highway.benchmarks.road.peers import Peer, starts_of
 
 KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleration", "p50_ms", "p99_ms"}
 

@@ -5,7 +5,7 @@ import json
 import pytest
 from commands import run
 
-from ms_highway.benchmarks.steadiness import AFTER, changes
+from ms_highway.benchmarks.speed import AFTER, changes
 from ms_highway.experiments.comparison import Comparison
 
 NAIVE = Comparison({"merger": ["naive"]}, seeds=8, config={"ladder": ["naive"]})

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from episodes import drive, make
 
-from ms_highway.choice.learned_value import LearnedValue
+from ms_highway.choice.learned_value import LearnedValue, load_values, save_values
 from ms_highway.choice.rule import Outcome, decide, first_memory
 from ms_highway.choice.situation import describe, description_names
-from ms_highway.choice.values import load_values, save_values
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS
 from ms_highway.game.scenario import PAPER_UNIT, build_game
 from ms_highway.game.starts import draw_episode

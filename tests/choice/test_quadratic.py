@@ -8,9 +8,9 @@ from jax import numpy as jnp
 from ms_highway.choice.quadratic import Switching, WholeHorizon, expand
 from ms_highway.choice.rule import NOT_ESTIMATED, Outcome, decide, first_memory
 from ms_highway.game.game import swap_players, total_reward
-from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.numerics.second_derivatives import response
+from ms_highway.numerics.solvers import PlanningSettings
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import ladder
 from ms_highway.planning.plans import Plan

@@ -9,9 +9,8 @@ from jax import numpy as jnp
 
 from ms_highway.choice.budget import Budget, OneStepGains
 from ms_highway.choice.learned_value import LearnedValue
-from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import Switching
-from ms_highway.choice.rule import Decision, Outcome, Rule, decide, first_memory
+from ms_highway.choice.rule import Decision, Nearest, Outcome, Rule, decide, first_memory
 from ms_highway.choice.situation import description_names
 from ms_highway.loop.driver import Driver
 from ms_highway.planning.compiled_plans import Costs

@@ -21,13 +21,11 @@ import pytest
 from commands import run
 
 from ms_highway.cli.options import FORMATS
-from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.records import columns
-from ms_highway.experiments.results import read_results
+from ms_highway.experiments.comparison import Comparison, columns
 from ms_highway.experiments.runner import run as run_comparison
-from ms_highway.visualization.figures import CAPTIONS, figures
+from ms_highway.experiments.summary import read_results
+from ms_highway.visualization.figures import CAPTIONS, curve, figures, frontier
 from ms_highway.visualization.style import content
-from ms_highway.visualization.tradeoff import curve, frontier
 
 COMPARE = "compare stay_back --controllers naive naive switching:0.4 --seeds 2 --out"
 KEPT = Path(__file__).parents[2] / "notebooks" / "results"

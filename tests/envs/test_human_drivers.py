@@ -11,7 +11,7 @@ import ms_highway
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS
+from ms_highway.loop.controller import HUMAN_DRIVERS
 
 
 def brakes(game, state):

@@ -12,7 +12,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment, read, run
 from ms_highway.experiments.summary import summary
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.loop.human_drivers import HUMAN_DRIVERS
+from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.visualization.tables import table
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 0.0}}

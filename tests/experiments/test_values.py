@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from commands import run
 
-from ms_highway.choice.values import load_values
+from ms_highway.choice.learned_value import load_values
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.learning import learn
 from ms_highway.experiments.rollouts import Course, Learning
-from ms_highway.loop.devices import device_mesh, use_devices
+from ms_highway.runtime.compilation import device_mesh, use_devices
 
 LEARNING = Learning({"naive": 0.09, "turn": 0.17}, rounds=2, states=(8, 5), seed=3)
 QUICK = {

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.game import curvature as bending
+from ms_highway.game import payoff as bending
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import linear_reward

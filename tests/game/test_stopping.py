@@ -9,11 +9,11 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import move, swap_roles
+from ms_highway.game.payoff import LATERAL_MARGIN, STOPPING_MARGIN, stopping_cost
 from ms_highway.game.scenario import GRIP, build_game
 from ms_highway.game.scenarios import DENSE_MERGE, STAY_BACK
-from ms_highway.game.stopping import LATERAL_MARGIN, STOPPING_MARGIN, stopping_cost
+from ms_highway.planning.compiled_plans import plan_for
 from ms_highway.planning.human_models import Naive
-from ms_highway.planning.several import plan_for
 
 GAME = build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=3)
 SCENE = replace(GAME.scene, obstacles=GAME.scene.obstacles[:1])

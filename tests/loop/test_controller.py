@@ -8,9 +8,8 @@ import pytest
 from driving import move as move_all
 from jax import numpy as jnp
 
-from ms_highway.choice.nearest import Nearest
 from ms_highway.choice.quadratic import Switching
-from ms_highway.choice.rule import PUBLISHED_COSTS, Order, always
+from ms_highway.choice.rule import PUBLISHED_COSTS, Nearest, Order, always
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.loop.driver import Driver, fixed

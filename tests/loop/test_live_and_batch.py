@@ -12,16 +12,15 @@ from jax import numpy as jnp
 
 from ms_highway.choice.belief import RESPONDING
 from ms_highway.choice.budget import Budget, OneStepGains
-from ms_highway.choice.nearest import Nearest
+from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.quadratic import Switching, WholeHorizon
-from ms_highway.choice.rule import Decision, Order, Rule, unestimated
-from ms_highway.choice.values import load_values
+from ms_highway.choice.rule import Decision, Nearest, Order, Rule, unestimated
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_roles
+from ms_highway.loop.controller import FunctionDriver, always_yields, never_yields
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.loop.fallback import BRAKING, STATUSES, WAY_OUT
-from ms_highway.loop.human_drivers import FunctionDriver, always_yields, never_yields
 from ms_highway.loop.records import Loop
+from ms_highway.loop.step import BRAKING, STATUSES, WAY_OUT
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive, PredictedHuman, TheoryOfMind
 from ms_highway.planning.ladders import ladder

@@ -10,13 +10,12 @@ import pytest
 from ms_highway.benchmarks.speed import speed
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
 from ms_highway.experiments.batch import make_batch, simulated
-from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.records import MEASURED
+from ms_highway.experiments.comparison import MEASURED, Comparison
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.loop.batch import simulate
-from ms_highway.loop.devices import use_devices
+from ms_highway.runtime.compilation import use_devices
 
 KEYS = ["controller", "seed", "step"]
 COIN = "random:naive=0.25,turn=0.75"

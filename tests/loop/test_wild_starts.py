@@ -12,7 +12,7 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.loop.fallback import DECELERATION, braking_control
+from ms_highway.loop.step import DECELERATION, braking_control
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import ladder
 

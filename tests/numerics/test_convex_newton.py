@@ -13,7 +13,7 @@ from ms_highway.numerics.convex_newton import (
     share,
     until_still,
 )
-from ms_highway.numerics.objective import Objective, best_of
+from ms_highway.numerics.newton import Objective, best_of
 
 PATH = jnp.asarray(np.random.default_rng(0).normal(size=(1, 6, 12)) / 3)
 

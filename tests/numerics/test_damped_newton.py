@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from ms_highway.numerics.damped_newton import damped_solve
+from ms_highway.numerics.newton import damped_solve
 
 
 @pytest.mark.parametrize("shift", [-3.0, 5.0, 300.0])

@@ -6,7 +6,7 @@ import pytest
 from episodes import drive, make
 from jax import numpy as jnp
 
-from ms_highway.numerics.objective import Objective
+from ms_highway.numerics.newton import Objective
 from ms_highway.numerics.solvers import Planner, optimize_controls
 
 

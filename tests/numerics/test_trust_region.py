@@ -6,7 +6,7 @@ import pytest
 from jax import numpy as jnp
 from scipy.optimize import minimize_scalar
 
-from ms_highway.numerics.trust_region import trust_region_step
+from ms_highway.choice.quadratic import trust_region_step
 
 RADIUS = 1.5
 

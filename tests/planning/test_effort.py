@@ -13,9 +13,9 @@ from ms_highway.envs.configuration import read_own
 from ms_highway.envs.settings import Settings
 from ms_highway.game.game import total_reward
 from ms_highway.numerics.solvers import project
+from ms_highway.planning.compiled_plans import plan_for
 from ms_highway.planning.human_models import HumanModel, Naive, PredictedHuman
 from ms_highway.planning.ladders import BEST_LADDER, MODELS, human_model, is_model, known_models, ladder, register
-from ms_highway.planning.several import plan_for
 from ms_highway.runtime.compilation import jit_quickly
 
 STRANGE = ["tom@08", "tom@5001", "tom+warm@8", 8]

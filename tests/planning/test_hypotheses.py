@@ -4,10 +4,10 @@ import jax
 import numpy as np
 import pytest
 
+from ms_highway.choice.belief import next_controls
 from ms_highway.game.game import swap_roles
-from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.loop.driver import fixed
-from ms_highway.planning.hypotheses import next_controls
+from ms_highway.numerics.solvers import PlanningSettings
 
 NAIVE, IDM, TURN, TOM = range(4)
 STRAIGHT = np.tile(np.float32([0.0, 0.12]), (5, 1))  # keeps 20 m/s

@@ -8,17 +8,16 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.game.game import move, move_all, pair, swap_roles
-from ms_highway.game.planning_settings import PlanningSettings
 from ms_highway.game.scenario import build_game
 from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.game.starts import draw_episode
-from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
+from ms_highway.numerics.solvers import PlanningSettings
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, most_steps
 from ms_highway.planning.human_models import TheoryOfMind, Turn
 from ms_highway.planning.joint import Interaction as Situation
 from ms_highway.planning.joint import mixed_bends
 from ms_highway.planning.ladders import MODELS, ladder
 from ms_highway.planning.plans import cold_start
-from ms_highway.planning.several import most_steps
 from ms_highway.runtime.compilation import jit_quickly
 
 FAR = 2000.0  # m

@@ -10,9 +10,9 @@ import pandas as pd
 from test_pages import README, RESULTS, TEXTS
 
 from ms_highway.benchmarks.road.episodes import Block, row, run_episode
-from ms_highway.benchmarks.road.recorded import RecordedStart
+from ms_highway.benchmarks.road.peers import RecordedStart
+from ms_highway.experiments.comparison import columns
 from ms_highway.experiments.frontier import INDEX, KEPT_COLUMNS
-from ms_highway.experiments.records import columns
 from ms_highway.planning.ladders import PAPER_MODELS
 
 KEPT = RESULTS.parent

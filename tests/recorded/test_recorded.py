@@ -9,10 +9,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from recordings import SPEED, TURN, car, moving, place, problem, scenario, two_lanes
 
-from ms_highway.benchmarks.road.recorded import starts_of
+from ms_highway.benchmarks.road.peers import starts_of
 from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.commonroad import read_xml
-from ms_highway.recorded.problem import problem_of
+from ms_highway.recorded.environment import problem_of
 from ms_highway.recorded.scenario import SHIPPED, open_recording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import overlap

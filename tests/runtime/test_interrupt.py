@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ms_highway.runtime.interrupt import INTERRUPTED
+from ms_highway.runtime.process import INTERRUPTED
 
 SWEEP = ["sweep", "merger", "--seeds", "100000", "--part", "1024", "--devices", "1"]
 ENDED = "ms-highway: stopped; started again in the same way, it resumes", INTERRUPTED
@@ -64,7 +64,7 @@ from itertools import count
 import jax
 import numpy as np
 
-from ms_highway.loop.devices import CHUNK, device_mesh, share_among
+from ms_highway.runtime.compilation import CHUNK, device_mesh, share_among
 
 long = jax.jit(lambda items, _: jax.lax.fori_loop(0, 3000, lambda _, x: jax.numpy.sin(x), items))
 items, main = np.zeros((CHUNK, 40), np.float32), threading.get_ident()

@@ -18,8 +18,7 @@ import pandas as pd
 from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.peers import Agent, Human, Idm, Peer
-from ms_highway.benchmarks.road.recorded import RecordedStart
+from ms_highway.benchmarks.road.peers import Agent, Human, Idm, Peer, RecordedStart
 from ms_highway.envs.agents import AGENTS, is_agent, policy_of
 from ms_highway.road import drive
 from ms_highway.road.graphics import show
