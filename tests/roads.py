@@ -1,7 +1,5 @@
 """Roads for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
 
-from dataclasses import replace
-
 import jax
 import numpy as np
 from jax import numpy as jnp
@@ -9,16 +7,10 @@ from jax import numpy as jnp
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
 from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
-from ms_highway.road.following import Behaviour
-from ms_highway.road.plan import no_plan
-from ms_highway.road.proposals import LAST_PLAN, PROPOSALS, proposals
-from ms_highway.road.score import score
-from ms_highway.road.simulation import advance, simulate
-from ms_highway.road.traffic import situation_of
+from ms_highway.road.simulation import advance, bodies
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
-NOBODY = np.zeros(TRAFFIC, bool)
 ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 
 
@@ -29,17 +21,6 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
     x, y = (np.sin(heading) / bend, (1 - np.cos(heading)) / bend) if bend else (along, np.zeros(knots))
     own = bend / (1 - d * bend)
     arrays = (x - d * np.sin(heading), y + d * np.cos(heading), heading, np.full(knots, own))
-    return Curve(*(np.asarray(array, np.float32) for array in arrays))
-
-
-def winding(curvature):
-    """A path with a given curvature at its knots; at s = 0 it is at the origin, and its heading is 0."""
-    mean = (curvature[1:] + curvature[:-1]) / 2
-    heading = np.concatenate([[0.0], np.cumsum(mean) * SPACING])
-    middle = (heading[1:] + heading[:-1]) / 2
-    x, y = (np.concatenate([[0.0], np.cumsum(along(middle)) * SPACING]) for along in (np.cos, np.sin))
-    zero = round(BEHIND / SPACING)
-    arrays = (x - x[zero], y - y[zero], heading - heading[zero], curvature)
     return Curve(*(np.asarray(array, np.float32) for array in arrays))
 
 
@@ -72,27 +53,12 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
         states=states,
         sizes=np.tile(np.array([5.0, 2.0], np.float32), (TRAFFIC, 1)),
         limits=np.full(TRAFFIC, limit, np.float32),
-        leaders=np.full(TRAFFIC, -1),
+        leaders=np.full(TRAFFIC, -1, np.int32),
         gaps=np.full(TRAFFIC, np.inf, np.float32),
-        owners=np.where(present, np.arange(TRAFFIC), -1),
+        owners=np.where(present, np.arange(TRAFFIC), -1).astype(np.int32),
         moving=present.copy(),
         accelerations=np.zeros(TRAFFIC, np.float32),
     )
-
-
-def country_road(*cars):
-    """A road of one lane for each direction."""
-    scene = scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=cars, limit=10.0)
-    edges = np.tile(np.array([[-2.0], [2.0]], np.float32), KNOTS)
-    return replace(scene, open=ONE_LANE, edges=edges)
-
-
-def crossing():
-    """A robot, and a car that will cross its route from the left at s = 40."""
-    scene = scene_of(robot=(26.0, 0.0, 0.0, 8.0), cars=[(0.0, 0, 10.0)])
-    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - 12.0
-    scene.paths.x[0], scene.paths.y[0], scene.paths.heading[0] = 40.0, along, np.pi / 2
-    return scene
 
 
 def wrecked(scene, car):
@@ -108,48 +74,13 @@ def coming(scene, car):
     return scene
 
 
-@jax.jit
+@jit_quickly
 def execute(scene, planning, controls):
-    """Return the robot's states after each control, and the controls that it executed within its limits."""
+    """Return the robot's states after each control, its executed controls, and the poses of its centre."""
 
     def go(state, control):
         moved, held = advance(scene, planning, state, control)
         return moved, (moved, held)
 
-    return jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
-
-
-def behaving(follows, acceleration=0.0):
-    """Others that follow by IDM, or have a given acceleration; all arrays have fixed shapes, for one program."""
-    nothing = np.zeros((PROPOSALS, TRAFFIC, PLANNING.steps), np.float32)
-    return Behaviour(follows, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
-
-
-@jit_quickly
-def driven_and_judged(scene, planning, others, plans):
-    """As many plans as there are proposals, simulated and scored by one program for all tests."""
-    now = situation_of(scene, planning, WEIGHTS)
-    driven = simulate(now, others, plans)
-    return driven, score(now, driven, plans)
-
-
-def judged(scene, controls, lanes):
-    """Plans with given controls [plans, steps, 2], simulated among others that keep their speed, and scored."""
-    number = len(controls)
-    filled = np.minimum(np.arange(PROPOSALS), number - 1)
-    plans = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS, axis=0), PLANS)
-    plans = plans._replace(
-        lane=np.asarray(lanes, np.int32)[filled],
-        controls=np.asarray(controls, np.float32)[filled],
-    )
-    found = driven_and_judged(scene, PLANNING, behaving(NOBODY), plans)
-    return jax.tree.map(lambda field: field[:number], found)
-
-
-@jit_quickly
-def proposals_in(scene, last):
-    """All proposals in a scene."""
-    return proposals(situation_of(scene, PLANNING, WEIGHTS), last)
-
-
-PLANS = jax.tree.map(np.asarray, proposals_in(scene_of(), no_plan(PLANNING)))
+    states, held = jax.lax.scan(go, jnp.asarray(scene.robot), controls)[1]
+    return states, held, jnp.stack(bodies(scene, states), axis=-1)

@@ -26,10 +26,10 @@ def test_a_centimetre_of_noise_in_the_start_of_a_merger_is_forgotten_within_twen
 
 
 @pytest.mark.slow
-def test_the_command_shows_figures_for_each_noise_in_observations(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "150")
+def test_the_command_shows_figures_for_each_noise_in_observations(tmp_path, capsys):
     file = tmp_path / "noise.json"
-    run(f"bench merger --noise 1e-5 0.001 --seen --seeds 2 --first-seed 7 --controllers naive --json {file}")
+    options = f"--seeds 2 --first-seed 7 --controllers naive --set ladder=naive, --json {file}"
+    run(f"bench merger --noise 1e-5 0.001 --seen {options}")
     (own,) = json.loads(file.read_text())["merger"].values()
     assert (own["seeds"], own["seen"]) == ([7, 2], True)
     assert list(own["noise"]) == ["1e-05", "0.001"]

@@ -1,7 +1,6 @@
 """Scenes of highway-env's own roads, observed from a driving car."""
 
-from functools import cache
-from itertools import pairwise
+from dataclasses import replace
 
 import gymnasium as gym
 import highway_env  # noqa: F401, registers the environments
@@ -10,18 +9,21 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
-from ms_highway.geometry.curve import Curve
 from ms_highway.perception.observation import observe_road
-from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS
+from tests.roads import scene_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 
 GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
 SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
-KINDS = {"leaders": np.int32, "owners": np.int32}
-KINDS |= dict.fromkeys(("open", "moving"), bool)
 
-located, placed = jax.jit(Curve.project), jax.jit(jax.vmap(Curve.place))
+
+def forms(scene):
+    """Shapes and types of a scene's arrays."""
+    return [(np.shape(leaf), leaf.dtype) for leaf in jax.tree.leaves(scene)]
+
+
+FORMS = forms(scene_of())
 
 
 def with_ego(scene, lane=None, at=0.0):
@@ -36,10 +38,6 @@ def with_ego(scene, lane=None, at=0.0):
     return ego
 
 
-def seen_from(scene, lane, at, goal=None):
-    return observe_road(with_ego(scene, lane, at), goal)
-
-
 def among(ego, lane, at):
     """Replace all other vehicles by one IDM vehicle at a place on a lane."""
     other = IDMVehicle.make_on_lane(ego.road, lane, at, speed=8.0)
@@ -47,61 +45,51 @@ def among(ego, lane, at):
     return other
 
 
-@cache
 def drive(scene, steps=80):
     """The ego's observation, the pose of its rear axle, its lane, and the positions of all, in every frame."""
-    ego, goal, frames = with_ego(scene), GOALS.get(scene), []
+    ego, goal = with_ego(scene), GOALS.get(scene)
     if goal:
         ego.plan_route_to(goal)
     for _ in range(steps):
         pose = (*(ego.position - ego.LENGTH / 2 * ego.direction), ego.heading)
         positions = np.array([car.position for car in (*ego.road.vehicles, *ego.road.objects)])
-        frames.append((observe_road(ego, goal), pose, ego.lane_index, positions))
+        yield observe_road(ego, goal), pose, ego.lane_index, positions
         ego.road.act()
         ego.road.step(1 / 15)
-    return frames
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_in_all_scenes_routes_are_drivable_positions_are_true_and_shapes_are_constant(scene):
-    for seen, pose, _, positions in drive(scene)[::3]:
-        route, edges = seen.route, seen.edges
-        assert (route.x.shape, edges.shape, seen.paths.x.shape) == ((KNOTS,), (2, KNOTS), (TRAFFIC, TRAFFIC_KNOTS))
-        assert seen.lanes.shape == seen.open.shape == (LANES, KNOTS)
-        for name, value in vars(seen).items():
-            for leaf in jax.tree.leaves(value):
-                assert leaf.dtype == KINDS.get(name, np.float32), name
-                assert name == "room" or np.isfinite(leaf).all(), name
+def test_in_all_scenes_routes_are_drivable_and_stay_the_same_positions_are_true_and_shapes_are_constant(scene):
+    before = last = None
+    for seen, pose, lane, positions in drive(scene):
+        route, (left, right) = seen.route, seen.edges
+        assert forms(seen) == FORMS
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(replace(seen, room=0.0)))
         assert np.abs(route.curvature).max() <= 0.2
         assert np.abs(np.diff(route.curvature)).max() < 0.1
         chords = np.diff(route.x) + 1j * np.diff(route.y)
         turns = np.angle(chords * np.exp(-0.5j * (route.heading[1:] + route.heading[:-1])))
         assert np.abs(chords) == pytest.approx(2.0, abs=0.02)
         assert np.abs(turns).max() < 0.1 * 2.0 / 12
-        assert (edges[1] - edges[0] >= 3.9).all()
-        np.testing.assert_allclose(located(route, *pose), seen.robot[:3], atol=0.02)
-        x, y, _ = placed(seen.paths, *seen.states.T[:2])
-        found = np.stack([x, y], axis=-1)[seen.present, None] - positions
+        assert (right - left >= 3.9).all()
+        np.testing.assert_allclose(route.project(*pose), seen.robot[:3], atol=0.02)
+        x, y, _ = seen.paths.place(seen.states[:, :1], seen.states[:, 1:2])
+        found = np.stack([x, y], axis=-1)[seen.present] - positions
         assert (np.hypot(*found.T).min(axis=0, initial=np.inf) < 0.1).all()
-
-
-@pytest.mark.parametrize("scene", ["roundabout-v0", "intersection-v2", "merge-v0"])
-def test_a_route_stays_the_same_while_it_is_driven(scene):
-    for (before, _, last, _), (seen, _, lane, _) in pairwise(drive(scene)):
-        if lane == last or lane[:2] != last[:2]:
-            route = before.route
-            _, aside, _ = located(seen.route, route.x[8:60], route.y[8:60], route.heading[8:60])
+        if before and (lane == last or lane[:2] != last[:2]):
+            _, aside, _ = route.project(before.x[8:60], before.y[8:60], before.heading[8:60])
             assert np.abs(aside).max() < 0.05
+        before, last = route, lane
 
 
 def test_a_ramp_asks_for_a_change_to_the_left_before_its_end_and_is_closed_to_cars_beside_it():
-    seen = seen_from("merge-v0", ("k", "b", 0), 60.0)
+    seen = observe_road(with_ego("merge-v0", ("k", "b", 0), 60.0))
     x, (left, own, _) = seen.route.x, seen.open
     assert seen.changes[1] == -1
     assert float(seen.room) == pytest.approx(100.0, abs=0.5)
     assert [left[x < 228].any(), left[x > 232].all()] == [False, True]
     assert [own[x < 308].all(), own[x > 312].any()] == [True, False]
-    beside = seen_from("merge-v0", ("b", "c", 1), 10.0)
+    beside = observe_road(with_ego("merge-v0", ("b", "c", 1), 10.0))
     assert not beside.open[2].any()
     assert beside.edges[1] == pytest.approx(2.0, abs=0.01)
 

@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 
 import gymnasium as gym
 import numpy as np
-import pytest
 from commonroad.common.reader.file_reader_xml import XMLFileReader
 from recordings import (
     RECTANGLE,
@@ -24,23 +23,6 @@ from recordings import (
 )
 
 from ms_highway.recorded.commonroad import read_scenario
-
-CARS = car(100, 60, 0) + car(101, 40, 3.5)
-
-
-@pytest.mark.parametrize(
-    ("cars", "message"),
-    [
-        (CARS + '<phantomObstacle id="5"/>', "phantomObstacle '5' cannot be"),
-        (CARS.replace("<exact>3<", "<exact>9<"), "dynamicObstacle 100: its times do not follow each other"),
-    ],
-)
-def test_a_file_that_cannot_be_read_is_refused_by_the_names_of_file_and_element(cars, message, tmp_path):
-    path = tmp_path / "small.xml"
-    path.write_text(scenario(cars=cars))
-    with pytest.raises(ValueError, match=rf"small\.xml cannot be read as a CommonRoad scenario \({re.escape(message)}"):
-        read_scenario(path)
-
 
 HOSTILE = ["", "x", "nan", "inf", "-1", "0", "1e9", "1e400", "9" * 5000, "0.5", "7", "100", "²", "<>\n"]
 

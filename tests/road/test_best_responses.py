@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
-from roads import PLANNING, judged, scene_of
+from roads import PLANNING, scene_of
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
@@ -12,26 +12,28 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
-from ms_highway.road.best_responses import ACCELERATION_UNIT, Commuter, commuter_among
+from ms_highway.geometry.curve import BEHIND, SPACING
+from ms_highway.road.best_responses import ACCELERATION_UNIT, commuter_among
+from ms_highway.runtime.compilation import jit_quickly
 
 TIMES = np.asarray(PLANNING.times)
-
-
 CUT_IN = np.minimum(-4 + 2 * TIMES, 0)  # lateral positions
 
 
 def robot_from(place, d=0.0, acceleration=0.0):
     """Trajectory of the robot on a straight road, at 20 m/s at first."""
-    s = place + 20 * TIMES + acceleration * TIMES**2 / 2
-    return jnp.stack(jnp.broadcast_arrays(*map(jnp.float32, (s, d, 0.0, 20 + acceleration * TIMES))))
+    s, speed = place + 20 * TIMES + acceleration * TIMES**2 / 2, 20 + acceleration * TIMES
+    return np.stack(np.broadcast_arrays(s, d, 0.0, speed)).astype(np.float32)
 
 
 def keeping_velocity(scene):
-    """Trajectories of others that keep their velocity."""
-    return judged(scene, np.zeros((1, PLANNING.steps, 2)), [1])[0].world[0]
+    """Trajectories of others that keep their velocity on a straight road."""
+    x, y = (field[:, round(BEHIND / SPACING), None] for field in (scene.paths.x, scene.paths.y))
+    speeds = scene.states[:, 3:]
+    return np.stack(np.broadcast_arrays(x + speeds * TIMES, y, 0.0, speeds), axis=1).astype(np.float32)
 
 
-@jax.jit
+@jit_quickly
 def respond(scene, robot, others):
     return ACCELERATION_UNIT * commuter_among(scene, PLANNING, 0, robot, others).best_response()
 
@@ -41,37 +43,33 @@ def response(scene, robot):
     return np.asarray(respond(scene, robot, keeping_velocity(scene)))
 
 
-def busy_human():
-    scene = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
-    return jax.jit(commuter_among)(scene, PLANNING, 0, robot_from(8, CUT_IN), keeping_velocity(scene))
-
-
-def test_the_reward_is_that_of_commuters_on_a_straight_road():
-    human = busy_human()
+def test_the_reward_is_that_of_commuters_on_a_straight_road_and_its_derivatives_are_exact():
     learned = linear_reward(commuter_weights(), 30.0)
-    scene = Scene(jnp.zeros(1), 4.0, jnp.zeros((0, 2)), jnp.ones(2), jnp.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
+    road = Scene(np.zeros(1), 4.0, np.zeros((0, 2)), np.ones(2), np.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
+    scene = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
 
-    def earned(scaled):
-        a = scaled * ACCELERATION_UNIT
-        speed = 22 + jnp.cumsum(a) * 0.2
-        s = jnp.cumsum(jnp.concatenate([jnp.full(1, 22.0), speed[:-1]]) + speed) * 0.1
-        own = Motion(s, 0 * s, 0 * s + 1, 0 * s, speed)
-        comfort = learned.comfort[1] * jnp.sum((a / PAPER_UNIT) ** 2) / 2
-        return jnp.sum(motion_reward(scene, learned, own, Motion(*human.others))) - comfort
+    @jit_quickly
+    def rewards_and_derivatives(first, second):
+        human = commuter_among(scene, PLANNING, 0, robot_from(8, CUT_IN), keeping_velocity(scene))
 
-    random = np.random.default_rng(0)
-    first, second = (jnp.asarray(random.normal(size=PLANNING.steps) / 10, jnp.float32) for _ in range(2))
-    found, difference = (float(jax.jit(of)(first) - jax.jit(of)(second)) for of in (human.earned, earned))
+        def earned(scaled):
+            a = scaled * ACCELERATION_UNIT
+            speed = 22 + jnp.cumsum(a) * 0.2
+            s = jnp.cumsum(speed - a * 0.1) * 0.2
+            own = Motion(s, 0 * s, 0 * s + 1, 0 * s, speed)
+            comfort = learned.comfort[1] * jnp.sum((a / PAPER_UNIT) ** 2) / 2
+            return jnp.sum(motion_reward(road, learned, own, human.others)) - comfort
+
+        gradient, hessian = human.expand(first)
+        found = human.earned(first) - human.earned(second), gradient, hessian @ second
+        return found, (earned(first) - earned(second), *jax.jvp(jax.grad(earned), (first,), (second,)))
+
+    first, second = np.random.default_rng(0).normal(size=(2, PLANNING.steps)).astype(np.float32) / 10
+    (difference, *derivatives), (exact, *true) = rewards_and_derivatives(first, second)
     assert abs(difference) > 10
-    assert found == pytest.approx(difference, rel=1e-3)
-
-
-def test_its_derivatives_are_exact():
-    human, at = busy_human(), jnp.full(PLANNING.steps, -0.1)
-    found = jax.jit(Commuter.expand)(human, at)
-    gradient, hessian = (jax.jit(of(human.earned))(at) for of in (jax.grad, jax.hessian))
-    for part, exact in zip(found, (gradient, hessian), strict=True):
-        np.testing.assert_allclose(part, exact, atol=1e-4 * np.abs(exact).max())
+    assert difference == pytest.approx(float(exact), rel=1e-3)
+    for found, expected in zip(derivatives, true, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
 def test_a_human_brakes_behind_a_braking_robot_and_slows_for_a_robot_that_cuts_in():

@@ -6,8 +6,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 
 import ms_highway
-from ms_highway.road.robot import RoadRobot
-from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
+from ms_highway.road.stock import desired_speed_of, destination_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
@@ -26,12 +25,12 @@ def made(name, **config):
         ("u-turn-v0", "d", 24.0),
         ("intersection-v0", "o1", 10.0),
         ("merge-v0", None, 30.0),
-        ("two-way-v0", None, 30.0),
         ("racetrack-v0", None, 10.0),
     ],
 )
 def test_destination_and_desired_speed_are_those_of_the_scene(name, destination, speed):
-    assert (destination_of(made(name)), desired_speed_of(made(name))) == (destination, speed)
+    env = made(name)
+    assert (destination_of(env), desired_speed_of(env)) == (destination, speed)
 
 
 def test_a_random_destination_is_the_end_of_the_route():
@@ -43,14 +42,18 @@ def test_a_random_destination_is_the_end_of_the_route():
     assert len(found) > 1
 
 
-def test_a_robot_replaces_the_controlled_vehicle():
-    env = made("intersection-v0").unwrapped
-    old, place, observed = env.vehicle, env.road.vehicles.index(env.vehicle), env.observation_type.observe()
-    new = replace_ego(env, RoadRobot.create_from)
-    assert env.vehicle is env.road.vehicles[place] is env.action_type.controlled_vehicle is new
-    assert env.observation_type.observer_vehicle is new
-    assert (new.speed, new.heading, getattr(old, "route", None)) == (old.speed, old.heading, new.route)
-    np.testing.assert_array_equal(env.observation_type.observe(), observed)
+@pytest.mark.parametrize("name", ["intersection-v0", "intersection-multi-agent-v0"])
+def test_robots_replace_all_controlled_vehicles_and_are_observed_as_these_were(name):
+    stock, driven = made(name).unwrapped, ms_highway.drive(gym.make(name))
+    observed, _ = driven.reset(seed=0)
+    base, actions, observations = driven.unwrapped, driven.unwrapped.action_type, driven.unwrapped.observation_type
+    np.testing.assert_equal(observations.observe(), observed)
+    controlled = [part.controlled_vehicle for part in getattr(actions, "agents_action_types", [actions])]
+    observers = [part.observer_vehicle for part in getattr(observations, "agents_observation_types", [observations])]
+    assert driven.robots == base.controlled_vehicles == controlled == observers
+    for robot, old in zip(driven.robots, stock.controlled_vehicles, strict=True):
+        assert robot in base.road.vehicles
+        assert (robot.speed, robot.heading, robot.route) == (old.speed, old.heading, getattr(old, "route", None))
 
 
 def test_side_effects_of_an_intersection_on_highway_envs_drivers_are_undone_in_other_scenes():
@@ -60,18 +63,17 @@ def test_side_effects_of_an_intersection_on_highway_envs_drivers_are_undone_in_o
 
 
 @pytest.mark.parametrize(
-    ("config", "message"),
+    ("name", "config", "message"),
     [
-        ({"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
-        ({"driver": "priced:cheap"}, "'priced:cheap'; choose one of priced, .* with numbers from 0"),
-        ({"driver": "fixed:tom", "ladder": ("naive", "idm")}, "'fixed:tom'; .*rungs of.*'ladder'.*'naive', 'idm'"),
+        ("merge-v0", {"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
+        (
+            "merge-v0",
+            {"driver": "fixed:tom", "ladder": ("naive", "idm")},
+            "'fixed:tom'; choose one of priced, .* with numbers from 0 and rungs of.*'ladder'.*'naive', 'idm'",
+        ),
+        ("parking-v0", {}, r"parking-v0.*the robot drives highway, merge, roundabout"),
     ],
 )
-def test_an_impossible_configuration_is_refused(config, message):
+def test_an_impossible_configuration_is_refused_and_so_is_a_scene_without_a_road_to_follow(name, config, message):
     with pytest.raises(ValueError, match=message):
-        ms_highway.drive(gym.make("merge-v0"), config)
-
-
-def test_without_a_road_to_follow_the_error_names_the_scenes_that_work():
-    with pytest.raises(ValueError, match=r"parking-v0.*the robot drives highway, merge, roundabout"):
-        ms_highway.drive(gym.make("parking-v0"))
+        ms_highway.drive(gym.make(name), config)

@@ -1,17 +1,57 @@
-"""The robot's driver on roads: late plans, compilation, and plans that fail."""
+"""The robot's driver on roads: choice of models by price and budget, late plans, compilation, and plans that fail."""
 
 from dataclasses import replace
 
 import jax
 import numpy as np
-from roads import PLANNING, scene_of
+from roads import PLANNING, WEIGHTS, scene_of
 
+from ms_highway.choice.rule import first_memory
 from ms_highway.perception.scene import TRAFFIC
+from ms_highway.planning.compiled_plans import Costs
 from ms_highway.road.constants import MODELS, RoadWeights
+from ms_highway.road.driver import decided, proposed_for
+from ms_highway.road.plan import no_plan
 from ms_highway.road.settings import RoadSettings
 
 SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
+
+
+def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_prediction():
+    """The goal asks for the lane in which a car comes from behind."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
+    scene = replace(scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0))
+    proposed = proposed_for(scene, PLANNING, WEIGHTS, np.zeros(TRAFFIC, np.int32), no_plan(PLANNING))
+    first, *others = np.asarray(proposed.worth)
+    assert first > 0
+    assert not any(others)
+
+
+def chosen(driver, costs, gains, spent=0.0):
+    """Numbers of the models that a driver's rule chooses."""
+    rule = RoadSettings.read({"driver": driver}).rule(costs).deciding_in(lambda: spent)
+    return np.asarray(decided(rule, None, first_memory(rule, TRAFFIC), gains.astype(np.float32)).memory.rungs)
+
+
+def test_a_higher_price_never_buys_a_more_expensive_model():
+    costs, gains = Costs(0.004, np.array([0.0, 0.0001, 0.003])), np.geomspace(1e-3, 30.0, TRAFFIC)
+    found = np.array([chosen(f"priced:{price}", costs, gains) for price in np.geomspace(1, 1e6, 30)])
+    assert (np.diff(found, axis=0) <= 0).all()
+    assert len(np.unique(found[:, -1])) == len(MODELS)
+
+
+def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
+        costs = Costs(random.uniform(0, 0.004), np.cumsum([0.0, *random.uniform(0, 0.002, 2)]))
+        milliseconds, spent = random.uniform(0, 20), random.uniform(0, 0.005)
+        models = chosen(f"budget:{milliseconds}", costs, gains, spent)
+        extra = costs.each[models].sum()
+        assert extra == 0 or spent + costs.base + extra <= milliseconds / 1e3 + 1e-6
+        assert (np.diff(models[np.argsort(-gains, kind="stable")]) <= 0).all()
+        assert (models[gains == 0] == 0).all()
 
 
 def driver(name="fixed:naive", planning=PLANNING):
@@ -22,12 +62,12 @@ def test_a_plan_beyond_its_budget_is_followed_a_step_later():
     late, usual = driver("budget:0"), driver()
     steps = [late.step(SCENE) for _ in range(3)]
     first, second = (usual.step(SCENE) for _ in range(2))
-    assert [step.status for step in steps] == ["late"] * 3
-    assert [step.source for step in steps] == ["braking", "last plan", "last plan"]
+    assert [(step.status, step.source) for step in steps] == [
+        ("late", source) for source in ("braking", "last plan", "last plan")
+    ]
     assert not any(step.failed for step in steps)
-    np.testing.assert_array_equal(steps[0].control, [0.0, -PLANNING.grip])
-    np.testing.assert_array_equal(steps[1].control, first.plan[1])
-    np.testing.assert_array_equal(steps[2].control, second.plan[1])
+    executed = [step.control for step in steps]
+    np.testing.assert_array_equal(executed, [[0.0, -PLANNING.grip], first.plan[1], second.plan[1]])
 
 
 def test_nothing_compiles_after_the_first_step(caplog):
@@ -52,7 +92,6 @@ def test_if_plans_are_not_finite_the_robot_follows_the_rest_of_the_last_plan_and
     assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + ["braking"] * 3
     assert not first.failed
     assert all(step.failed and not any(step.models) and len(step.path) == 0 for step in steps)
-    for step, control in zip(steps, first.plan[1:], strict=False):
-        np.testing.assert_allclose(step.control, control, atol=1e-6)
-    np.testing.assert_array_equal(steps[-1].control, [0.0, -PLANNING.grip])
+    braking = [[0.0, -PLANNING.grip]] * 3
+    np.testing.assert_allclose([step.control for step in steps], [*first.plan[1:], *braking], atol=1e-6)
     assert robot.step(SCENE).source in ("proposal", "last plan")

@@ -1,22 +1,24 @@
-"""Plans of the robot on roads: proposals and answers of others together."""
+"""Plans of the robot on roads: proposals and answers of others together, and ways round obstacles."""
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
-from jax import numpy as jnp
-from roads import PLANNING, WEIGHTS, coming, execute, scene_of
+from roads import ONE_LANE, PLANNING, WEIGHTS, coming, execute, scene_of, wrecked
 
 from ms_highway.perception.scene import KNOTS, TRAFFIC
 from ms_highway.road.constants import LANE, MODELS
-from ms_highway.road.driver import plan_of as planned
+from ms_highway.road.driver import plan_of
 from ms_highway.road.plan import no_plan
-from ms_highway.road.simulation import bodies
+
+UNHURRIED = replace(PLANNING, desired_speed=10.0)
 
 
-def plan_of(scene, name="idm"):
+def planned(scene, model="idm", planning=PLANNING, last=None):
     """The best plan if one model predicts everybody."""
-    return planned(scene, PLANNING, WEIGHTS, np.full(TRAFFIC, MODELS.index(name), np.int32), no_plan(PLANNING))
+    models = np.full(TRAFFIC, MODELS.index(model), np.int32)
+    return jax.tree.map(np.asarray, plan_of(scene, planning, WEIGHTS, models, last or no_plan(PLANNING)))
 
 
 def between(scene, left, right):
@@ -31,15 +33,12 @@ def asked(*cars):
 
 SLOW, BESIDE = (25.0, 0, 12.0), [(place, lane, 14.0) for place in (0.0, 12.0) for lane in (-1, 1)]
 CIRCLE = scene_of(bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)])
+ONCOMING = coming(scene_of(cars=[SLOW, (120, -1, 20.0)]), 1)
 SCENES = {  # with the final lane of the robot, counted to the right, and its final speed
     "a free road": (scene_of(), 0, 29.2),
     "a slow car ahead": (scene_of(cars=[SLOW]), 1, 29.9),
     "a slow car ahead and cars on both sides": (scene_of(cars=[SLOW, *BESIDE]), 0, 14.3),
-    "a slow car ahead, and an oncoming car": (
-        between(coming(scene_of(cars=[SLOW, (120, -1, 20.0)]), 1), -1.5, 0.5),
-        0,
-        19.8,
-    ),
+    "a slow car ahead, and an oncoming car": (between(ONCOMING, -1.5, 0.5), 0, 19.8),
     "a slow car ahead, and no oncoming car": (between(scene_of(cars=[SLOW]), -1.5, 0.5), -1, 29.9),
     "a goal to the right": (asked(), 1, 29.2),
     "a goal to the right among others": (asked(*((place, 1, 20.0) for place in (-12.0, 0.0, 12.0))), 0, 29.2),
@@ -52,37 +51,70 @@ SCENES = {  # with the final lane of the robot, counted to the right, and its fi
 def test_under_every_model_plans_reach_the_right_lane_within_the_limits_of_the_car(name):
     scene, lane, speed = SCENES[name]
     for model in MODELS:
-        plan = plan_of(scene, model)
-        assert np.isfinite(plan.path).all()
+        plan = planned(scene, model)
         assert np.isfinite(plan.predictions).all()
         assert not plan.broken
-        states, held = execute(scene, PLANNING, plan.controls)
+        states, held, centres = execute(scene, PLANNING, plan.controls)
         np.testing.assert_allclose(plan.controls, held, atol=1e-3)
-        np.testing.assert_allclose(plan.path, jnp.stack(bodies(scene, states), axis=-1), atol=0.05)
-        if model == "idm":
-            assert lane is None or plan.path[-1, 1] / LANE == pytest.approx(lane, abs=0.5)
-            assert speed is None or states[-1, 3] == pytest.approx(speed, abs=0.5)
+        np.testing.assert_allclose(plan.path, centres, atol=0.05)
+        if model == "idm" and lane is not None:
+            assert plan.path[-1, 1] / LANE == pytest.approx(lane, abs=0.5)
+            assert np.asarray(states)[-1, 3] == pytest.approx(speed, abs=0.5)
 
 
 def test_before_a_wall_of_cars_the_best_plan_brakes_hardest_and_is_marked_as_broken():
-    plan = plan_of(scene_of(cars=[(28.0, lane, 0.0) for lane in (-1, 0, 1)]))
+    plan = planned(scene_of(cars=[(28.0, lane, 0.0) for lane in (-1, 0, 1)]))
     assert plan.broken
     assert plan.controls[0, 1] < -0.95 * PLANNING.grip
 
 
-CUT_IN = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
-
-
-def final_place(scene, name):
+def final_place(scene, model):
     """Where car 0 is expected at the end of the horizon."""
-    return float(plan_of(scene, name).predictions[0, -1, 0])
+    return planned(scene, model).predictions[0, -1, 0]
 
 
 def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_in():
+    cut_in = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
     kept = -14.0 + 26.0 * PLANNING.steps * PLANNING.time_step
-    assert final_place(CUT_IN, "naive") == pytest.approx(kept, abs=0.05)
+    assert final_place(cut_in, "naive") == pytest.approx(kept, abs=0.05)
     observed = np.where(np.arange(TRAFFIC) == 0, -6.0, 0.0).astype(np.float32)  # as its model predicts
-    braking = final_place(replace(CUT_IN, accelerations=observed), "tom")
+    braking = final_place(replace(cut_in, accelerations=observed), "tom")
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
     assert final_place(beside, "tom") > braking + 1.0
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_robot_passes_an_obstacle_in_a_bend_on_the_shorter_side_and_returns_to_its_lane(side):
+    scene = wrecked(scene_of(bend=1 / 60, robot=(0.0, 0.0, 0.0, 8.0), cars=[(24.0, -0.5 * side, 0.0)], limit=10.0), 0)
+    scene, driven, last = replace(scene, open=ONE_LANE), [], None
+    for _ in range(30):
+        plan = planned(scene, "naive", UNHURRIED, last)
+        assert not plan.broken
+        driven.append(scene.robot)
+        states, *_ = execute(scene, UNHURRIED, plan.controls)
+        scene, last = replace(scene, robot=np.asarray(states)[0]), plan.rest()
+    s, d, *_ = np.array(driven).T
+    assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
+    assert s[-1] > 40.0
+    assert abs(d[-1]) < 0.3
+
+
+def country_road(*cars):
+    """A road of one lane for each direction."""
+    scene = scene_of(robot=(0.0, 0.0, 0.0, 8.0), cars=cars, limit=10.0)
+    return replace(between(scene, -0.5, 0.5), open=ONE_LANE)
+
+
+def test_a_plan_waits_behind_a_wreck_for_an_oncoming_car_and_leaves_room_to_turn_round_the_wreck():
+    scene = coming(wrecked(country_road((26.0, 0, 0.0), (48.0, -1, 8.0)), 0), 1)
+    plan = planned(scene, "naive", UNHURRIED)
+    x, y, _ = plan.path.T
+    assert abs(y).max() < 1.0
+    assert not plan.broken
+    assert x[-1] + 2.5 < 26.0 - 2.5 - 4.0
+
+
+def test_a_plan_does_not_leave_its_road_for_a_queue_that_will_drive_on():
+    plan = planned(country_road((20.0, 0, 0.0)), "naive", UNHURRIED)
+    assert abs(plan.path[:, 1]).max() < 0.5

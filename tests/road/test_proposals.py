@@ -1,72 +1,77 @@
-"""Proposals keep within the limits of the car, and traffic follows as in highway-env."""
-
-from dataclasses import replace
+"""Proposals keep within the limits of the car, traffic follows as in highway-env, and the better plan is preferred."""
 
 import jax
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
-from roads import (
-    NOBODY,
-    PLANNING,
-    PLANS,
-    behaving,
-    driven_and_judged,
-    execute,
-    scene_of,
-    winding,
-)
+from roads import PLANNING, WEIGHTS, execute, scene_of
 
-from ms_highway.geometry.curve import SPACING
-from ms_highway.perception.scene import KNOTS, TRAFFIC
-from ms_highway.road.proposals import LAST_PLAN, PROPOSALS
+from ms_highway.geometry.curve import BEHIND, SPACING
+from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS
+from ms_highway.road.following import Behaviour
+from ms_highway.road.proposals import LAST_PLAN, PROFILES, PROPOSALS, Profiles
+from ms_highway.road.score import score
+from ms_highway.road.simulation import simulate
+from ms_highway.road.traffic import situation_of
+from ms_highway.runtime.compilation import jit_quickly
 
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
-FOLLOWING = np.ones(TRAFFIC, bool)
-STRAIGHT_ON = np.zeros((STEPS, 2), np.float32)
+FOLLOWING, NOBODY = np.ones(TRAFFIC, bool), np.zeros(TRAFFIC, bool)
+KEEPING, HARD = (0.0, 0.0), (0.0, -4.9)
 LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
+PLANS = Profiles(*map(np.array, zip(*PROFILES, strict=True)))
+GIVEN = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS), PLANS)
+OWN, RIGHT = 1, 2
 
 
-def proposed(scene, follows=NOBODY, last=STRAIGHT_ON, acceleration=0.0):
-    """All proposals, simulated."""
-    plans = PLANS._replace(controls=np.tile(last, (PROPOSALS, 1, 1)))
-    return driven_and_judged(scene, PLANNING, behaving(follows, acceleration), plans)[0]
+@jit_quickly
+def driven_and_judged(scene, others, plans):
+    """As many plans as there are proposals, simulated; their preference, and whether they break a constraint."""
+    now = situation_of(scene, PLANNING, WEIGHTS)
+    driven = simulate(now, others, plans)
+    scores = score(now, driven, plans)
+    return driven, scores.preference, scores.broken
 
 
-def before_a_bend(speed, ahead):
-    """A straight road that bends by a radius of 20 m ahead."""
-    curvature = np.where(np.arange(KNOTS) * SPACING > 20.0 + ahead, 1 / 20, 0.0)
-    return replace(scene_of(robot=(0.0, 0.0, 0.0, speed)), route=winding(curvature))
+def judged(scene, controls, plans=PLANS, follows=NOBODY, acceleration=0.0):
+    """Plans, simulated and scored; given plans repeat the given controls [plans, steps, 2].
+
+    Others follow by IDM or have an acceleration.
+    """
+    nothing = np.zeros((PROPOSALS, TRAFFIC, STEPS), np.float32)
+    others = Behaviour(follows, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
+    controls = np.resize(np.asarray(controls, np.float32), (PROPOSALS, STEPS, 2))
+    return jax.tree.map(np.asarray, driven_and_judged(scene, others, plans._replace(controls=controls)))
 
 
-SCENES = {
-    "standing": scene_of(robot=(0.0, 0.0, 0.0, 0.0)),
-    "fast in traffic": scene_of(robot=(0.0, 0.5, -0.05, 38.0), cars=[(30.0, 0, 10.0), (-15.0, 1, 30.0)]),
-    "circle": scene_of(bend=-1 / 15, robot=(0.0, 1.0, 0.2, 11.0), cars=[(20.0, 0, 5.0)]),
-    "before a bend": before_a_bend(20.0, 15.0),
-}
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(name):
-    wild = (np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.3, 10]).astype(np.float32)
-    scene = SCENES[name]
-    rollouts = proposed(scene, FOLLOWING, wild)
-    states, (curvature, acceleration) = np.asarray(rollouts.states), np.moveaxis(np.asarray(rollouts.controls), -1, 0)
+@pytest.mark.parametrize(
+    "scene",
+    [
+        scene_of(robot=(0.0, 0.0, 0.0, 0.0)),
+        scene_of(robot=(0.0, 0.5, -0.05, 38.0), cars=[(30.0, 0, 10.0), (-15.0, 1, 30.0)]),
+        scene_of(bend=-1 / 15, robot=(0.0, 1.0, 0.2, 11.0), cars=[(20.0, 0, 5.0)]),
+    ],
+    ids=["standing", "fast in traffic", "circle"],
+)
+def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(scene):
+    wild = np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.3, 10]
+    rollouts, *_ = judged(scene, wild, follows=FOLLOWING)
+    states, (curvature, acceleration) = rollouts.states, np.moveaxis(rollouts.controls, -1, 0)
     before = np.insert(states[:, :-1, 3], 0, scene.robot[3], axis=1)
     assert np.hypot(before**2 * curvature, acceleration).max() <= GRIP + 1e-4
     assert np.abs(curvature).max() <= PLANNING.curvature
     assert states[..., 3].min() > -1e-6
-    driven, _ = jax.jit(jax.vmap(execute, (None, None, 0)))(scene, PLANNING, rollouts.controls)
-    np.testing.assert_allclose(states, driven, atol=0.02)
+    for found, controls in zip(states, rollouts.controls, strict=True):
+        np.testing.assert_allclose(found, execute(scene, PLANNING, controls)[0], atol=0.02)
 
 
 @pytest.mark.parametrize(("gap", "speed"), [(20.0, 20.0), (10.0, 10.0)])
 def test_a_plan_that_follows_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
-    rollouts, own = proposed(scene, acceleration=-6.0), PLANS.follows & ~PLANS.closes & (PLANS.lane == 1)
-    assert (np.asarray(rollouts.s)[own, 0] - np.asarray(rollouts.states)[own, :, 0] - LENGTHS).min() > 0
+    rollouts, *_ = judged(scene, KEEPING, acceleration=-6.0)
+    own = PLANS.follows & ~PLANS.closes & (PLANS.lane == OWN)
+    assert (rollouts.s[own, 0] - rollouts.states[own, :, 0] - LENGTHS).min() > 0
 
 
 def theirs(speed, distance, ahead):
@@ -83,5 +88,50 @@ def test_followers_are_predicted_as_highway_env_moves_them_behind_others_and_beh
     led.leaders[0], led.gaps[0] = 1, distance
     behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
     for scene in (led, behind):
-        speeds = np.asarray(proposed(scene, FOLLOWING).speeds)[LAST_PLAN]
-        assert (speeds[0, 0] - speed) / DT == pytest.approx(theirs(speed, distance, ahead), abs=5e-3)
+        rollouts, *_ = judged(scene, KEEPING, follows=FOLLOWING)
+        acceleration = (rollouts.speeds[LAST_PLAN, 0, 0] - speed) / DT
+        assert acceleration == pytest.approx(theirs(speed, distance, ahead), abs=5e-3)
+
+
+def changing(curvature):
+    """Controls that turn for 1.2 s and turn back."""
+    return np.pad(np.repeat([[curvature, 0.0], [-curvature, 0.0]], 6, axis=0), ((0, STEPS - 12), (0, 0)))
+
+
+def before(place):
+    """A robot before a standing car."""
+    return scene_of(robot=(0.0, 0.0, 0.0, 12.0), cars=[(place, 0, 0.0)])
+
+
+def crossing():
+    """A robot, and a car that will cross its route from the left at s = 40."""
+    scene = scene_of(robot=(26.0, 0.0, 0.0, 8.0), cars=[(0.0, 0, 10.0)])
+    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - 12.0
+    scene.paths.x[0], scene.paths.y[0], scene.paths.heading[0] = 40.0, along, np.pi / 2
+    return scene
+
+
+CLOSED, TWICE = scene_of(), [changing(0.004)] * 2
+CLOSED.open[RIGHT] = False
+PURSUED = scene_of(robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, lane, 18.5) for lane in (0, 1)])
+
+
+@pytest.mark.parametrize(
+    ("scene", "controls", "other_lane", "broken"),
+    [
+        (scene_of(), (KEEPING, (0.01, 0.0)), OWN, False),  # stays on the road
+        (CLOSED, TWICE, RIGHT, False),  # changes to no closed lane
+        (PURSUED, (KEEPING, changing(0.008)), RIGHT, False),  # does not cut in, though it is rear-ended
+        (crossing(), (HARD, KEEPING), OWN, False),  # stops before a crossing car
+        (before(75.0), (HARD, KEEPING), OWN, False),  # keeps room to stop
+        (before(14.0), ((0.0, -1.0), KEEPING), OWN, True),  # hits more softly
+        (before(22.5), (HARD, (0.03, 0.0)), OWN, True),  # hits softly rather than leaves the road
+    ],
+)
+def test_the_first_of_two_plans_is_preferred_as_the_second_breaks_a_constraint(scene, controls, other_lane, broken):
+    """Target lanes are the robot's and the other lane; the first plan may be broken, too."""
+    controls = [np.broadcast_to(each, (STEPS, 2)) for each in controls]
+    lanes = np.resize([OWN, other_lane], PROPOSALS)
+    _, preference, found = judged(scene, controls, GIVEN._replace(lane=lanes))
+    assert preference[0] > preference[1] + 100
+    assert found[:2].tolist() == [broken, True]

@@ -1,13 +1,34 @@
-"""The robot's car keeps within its grip, whatever its driver does."""
+"""The robot moves like highway-env's cars, and keeps within its grip, whatever its driver does."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import highway_env  # noqa: F401, registers the environments
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+from roads import PLANNING, execute, scene_of
 
-from ms_highway.road.robot import GRIP, RoadRobot
+from ms_highway.road.robot import GRIP, RoadRobot, steering_of
+
+
+def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_a_bent_road():
+    """The rear axle of the car of highway-env is at the origin at first."""
+    turns = np.stack([np.linspace(0.12, -0.06, 800), np.linspace(1.0, -2.0, 800)], axis=-1).astype(np.float32)
+    scene = scene_of(1 / 20, robot=(0.0, 0.0, 0.0, 6.0))
+    states, held, centres = map(np.asarray, execute(scene, replace(PLANNING, time_step=0.005), turns))
+    car, poses, speeds = Vehicle(None, [Vehicle.LENGTH / 2, 0.0], 0.0, 6.0), [], []
+    for curvature, acceleration in held.tolist():
+        car.act({"steering": steering_of(curvature, car.LENGTH), "acceleration": acceleration})
+        car.step(0.005)
+        poses.append([*car.position, car.heading])
+        speeds.append(car.speed)
+    assert np.hypot(*car.position) > 10.0
+    x, y, turned = (centres - poses).T
+    assert np.hypot(x, y).max() < 0.05
+    assert np.abs(turned).max() < 0.01
+    np.testing.assert_allclose(states[:, 3], speeds, atol=1e-3)
 
 
 @pytest.mark.parametrize("frequency", [5, 15])

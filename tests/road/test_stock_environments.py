@@ -38,22 +38,19 @@ def drive(environment, steps):
 
 
 @pytest.mark.slow
-def test_humans_drive_episodes_of_stock_environments_and_compile_nothing_after_the_first_step():
-    compiled = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda event, _, **named: compiled.append(event) if "backend_compile" in event else None
-    )
-    driven = 0
-    for name, config, steps in [("highway-v0", {"vehicles_count": 10, "duration": 10}, 10), ("merge-v0", {}, 12)]:
+@pytest.mark.parametrize(("name", "config"), [("highway-v0", {"vehicles_count": 10}), ("merge-v0", {})])
+def test_humans_drive_episodes_of_stock_environments_and_compile_nothing_after_the_first_step(name, config, caplog):
+    driven = []
+    with jax.log_compiles():
         for seed in range(2):
-            for humans in drive(humans_in(name, seed, **config), steps):
-                driven or compiled.clear()
-                driven += len(humans)
+            for humans in drive(humans_in(name, seed, **config), 10):
+                if not driven:
+                    caplog.clear()
+                driven += humans
                 assert {human.last_step.status for human in humans} == {"planned"}
-                assert all(np.isfinite(human.state).all() for human in humans)
                 assert all(human.on_road and not human.crashed for human in humans)
-    assert compiled == []
-    assert driven > 2 * 10 * 10 + 2 * 4 * 8
+    assert not [record for record in caplog.records if "compilation" in record.getMessage()]
+    assert len(driven) > 2 * 4 * 8
 
 
 @pytest.mark.slow
@@ -73,7 +70,7 @@ def test_in_every_stock_environment_humans_plan_within_tyres_never_reverse_and_c
     environment, planned = humans_in(f"{name}-v0", policy_frequency=5), 0
     environment.step(IDLE)
     twin = deepcopy(environment)
-    for humans in drive(environment, 9):
+    for humans in drive(environment, 6):
         for human in (human for human in humans if human.last_step and not human.crashed):
             planned += 1
             assert human.last_step.status == "planned"
@@ -82,7 +79,7 @@ def test_in_every_stock_environment_humans_plan_within_tyres_never_reverse_and_c
             assert total < 8.0 * 1.1  # the speed is that after it
             assert human.speed >= -1e-9
     assert planned > 0
-    *_, _ = drive(twin, 9)
+    *_, _ = drive(twin, 6)
     for car, other in zip(environment.road.vehicles, twin.road.vehicles, strict=True):
         np.testing.assert_allclose(car.position, other.position)
 
