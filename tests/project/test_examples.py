@@ -4,15 +4,12 @@ import json
 import re
 import subprocess
 import sys
-from pathlib import Path
 from textwrap import indent
 
 import pytest
+from test_pages import EXAMPLES, PAGES
 
-DIRECTORY = Path(__file__).parents[2] / "notebooks" / "examples"
-LEARNING, TRAINING = AGENTS = "learn_to_choose", "train_peers"  # which need stable-baselines3
-LONG = "train_in_jax"
-EXAMPLES = {path.stem: path.read_text() for path in sorted(DIRECTORY.glob("*.py"))}
+ALONE = LEARNING, PEERS, IN_JAX = "learn_to_choose", "train_peers", "train_in_jax"
 
 PROGRAM = """
 import runpy, sys
@@ -23,59 +20,58 @@ for example in sys.argv[1:]:
     print("----")
 """
 
+pytestmark = pytest.mark.slow
 
-def output(example, words):
-    """Run an example with these words on its command line; return what it prints."""
-    command = [sys.executable, str(DIRECTORY / f"{example}.py"), *words.split(" ")]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+def ran(*words, status=0, **options):
+    """Run Python with these words on its command line; return what it prints, or how it is refused."""
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, **options)
+    assert done.returncode == status, done.stderr
+    return done.stderr if status else done.stdout
+
+
+def place(example):
+    return str(PAGES / "examples" / f"{example}.py")
 
 
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory):
     """Return what each example prints, by name. All run in another process, as they add to the package's registries."""
-    names = [name for name in EXAMPLES if name not in (*AGENTS, LONG)]
-    command = [sys.executable, "-c", PROGRAM, *(str(DIRECTORY / f"{name}.py") for name in names)]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path_factory.mktemp("examples"))
-    assert run.returncode == 0, run.stderr
-    return dict(zip(names, run.stdout.split("----\n")[:-1], strict=True))
+    names = [name for name in EXAMPLES if name not in ALONE]
+    texts = ran("-c", PROGRAM, *map(place, names), cwd=tmp_path_factory.mktemp("examples"))
+    return dict(zip(names, texts.split("----\n")[:-1], strict=True))
 
 
-@pytest.mark.slow
 def test_every_example_runs_and_prints_what_its_text_says(printed):
     assert all(printed.values())
-    for name, output in printed.items():
+    for name, text in printed.items():
         if "Prints::" in EXAMPLES[name]:
-            table = "\n".join(output.splitlines()[1:])
+            table = text.partition("\n")[2].rstrip("\n")
             assert f"Prints::\n\n{indent(table, '    ')}\n" in EXAMPLES[name]
     assert {*re.findall(r"'(\w+)'", printed["work_zone"])} == {"naive"}
     assert printed["work_zone"].strip().endswith("False")  # nobody has crashed
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["merger-v1", "dense_merge --set humans=2 --set duration=1"])
 def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_values_and_naive(scenario):
-    lines = output(LONG, f"{scenario} --updates 1 --environments 8").splitlines()[1:]
+    _, *lines = ran(place(IN_JAX), *f"{scenario} --updates 1 --environments 8".split()).splitlines()
     assert [line.split()[0] for line in lines] == ["agent", "random", "learned:1", "naive"]
 
 
-@pytest.mark.slow
 def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_naive_and_learned_values(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
     agent = str(tmp_path / "agent.zip")
-    table = output(LEARNING, f"merger-v1 --steps 800 --episodes 1 --out {agent}")
-    lines = table.partition("reward per step less that")[2].splitlines()[1:]
+    table = ran(place(LEARNING), *f"merger-v1 --steps 800 --episodes 1 --out {agent}".split())
+    _, *lines = table.partition("reward per step less that")[2].splitlines()
     assert [line.split()[0] for line in lines] == [agent, "random", "naive", "learned"]
 
 
-@pytest.mark.slow
 def test_trained_peers_drive_in_their_own_scene_and_are_refused_in_others(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
-    output(TRAINING, f"merge-v0 --steps 300 --to {tmp_path}")
+    ran(place(PEERS), *f"merge-v0 --steps 300 --to {tmp_path}".split())
     agents = [str(tmp_path / f"{algorithm}-merge-v0-0.zip") for algorithm in ("dqn", "ppo")]
-    bench = [sys.executable, "-m", "ms_highway", "bench", "road"]
-    figures = tmp_path / "road.json"
-    subprocess.run([*bench, "merge-v0", "--drivers", *agents, "--seeds", "1", "--json", str(figures)], check=True)
+    bench, figures = "-m ms_highway bench road", tmp_path / "road.json"
+    ran(*f"{bench} merge-v0 --seeds 1 --json {figures} --drivers".split(), *agents)
     assert list(json.loads(figures.read_text())["merge-v0"]) == agents
-    refused = subprocess.run([*bench, "intersection-v0", "--drivers", agents[0]], capture_output=True, text=True)
-    assert refused.returncode == 2
-    assert "the agent's observation space is Box" in refused.stderr
+    refused = ran(*f"{bench} intersection-v0 --drivers {agents[0]}".split(), status=2)
+    assert "the agent's observation space is Box" in refused

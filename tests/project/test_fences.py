@@ -16,8 +16,12 @@ import ms_highway
 
 FENCES = json.loads(Path(__file__).with_name("fences.json").read_text())
 SLOW = pytest.mark.slow
-STOCK_SCENES = ["merge-v1", *(pytest.param(name, marks=SLOW) for name in ("highway-fast-v0", "roundabout-v0"))]
-PAPER_SCENARIOS = ["merger", pytest.param("give_way", marks=SLOW)]
+
+
+def mostly_slow(scenes):
+    """The first scene, and the others as parameters of slow tests."""
+    first, *others = scenes
+    return [first, *(pytest.param(scene, marks=SLOW) for scene in others)]
 
 
 def printed(capsys, command):
@@ -28,27 +32,27 @@ def printed(capsys, command):
 
 
 def drive(env, seed):
-    """Let a robot drive an episode; return the rewards of its steps and the last ``info``."""
+    """Let a robot drive an episode; return the mean reward of its steps and the last ``info``."""
     env.reset(seed=seed)
     rewards, done = [], False
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         rewards.append(reward)
         done = terminated or truncated
-    return rewards, info
+    return np.mean(rewards), info
 
 
 def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
-    files = printed(capsys, f"validate {reference}")["files"]
-    assert len(files) == FENCES["replay"]["files"]
-    assert max(errors["reward_error"]["max"] for errors in files.values()) < FENCES["replay"]["reward_error"]
+    fence, files = FENCES["replay"], printed(capsys, f"validate {reference}")["files"]
+    assert len(files) == fence["files"]
     decisions = [errors["decisions"] for errors in files.values() if "decisions" in errors]
-    assert sum(each["agree"] for each in decisions) == FENCES["replay"]["decisions"]
-    assert sum(each["all"] for each in decisions) == FENCES["replay"]["decisions"]
-    assert max(errors["human_error"]["q99"] for errors in files.values()) < 1e-4
+    for counted in ("agree", "all"):
+        assert sum(each[counted] for each in decisions) == fence["decisions"]
     for name, errors in files.items():
         scenario, _, kind = name.removesuffix(".npz").partition("__")
         error = errors["action_error"]
+        assert errors["reward_error"]["max"] < fence["reward_error"], name
+        assert errors["human_error"]["q99"] < 1e-4, name
         if kind == "naive":
             assert error["q99"] < 1e-4, name
         elif kind in ("turn", "tom") and scenario != "stay_back":  # which is chaotic in the reference
@@ -56,12 +60,12 @@ def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
             assert error["q90" if kind == "tom" else "q99"] < 1e-4, name
 
 
-@pytest.fixture(scope="module", params=PAPER_SCENARIOS)
+@pytest.fixture(scope="module", params=mostly_slow(FENCES["readme"]))
 def compared(request, tmp_path_factory):
     """Return a scenario, and the directory with the episodes of its rows in the README's table."""
-    out, controllers = tmp_path_factory.mktemp("compare"), " ".join(FENCES["readme"][request.param])
-    run(f"compare {request.param} --controllers {controllers} --seeds 30 --out {out}")
-    return request.param, out
+    scenario, out = request.param, tmp_path_factory.mktemp("compare")
+    run(f"compare {scenario} --controllers {' '.join(FENCES['readme'][scenario])} --seeds 30 --out {out}")
+    return scenario, out
 
 
 def test_the_mean_rewards_of_the_readme_are_within_their_intervals(compared):
@@ -83,31 +87,29 @@ def test_live_and_simulated_episodes_earn_the_same(compared, tmp_path):
 
 
 def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
-    config = {"controller": {"type": "fixed", "model": "tom", "belief": True}, "yielding": "never"}
-    env = gym.make("ms-highway/merger-v0", config=config)
-    collisions = 0
-    for seed in range(FENCES["belief"]["starts"]):
+    env = gym.make("ms-highway/merger-v0", config={"controller": "tom+belief", "yielding": "never"})
+    collisions, fence = 0, FENCES["belief"]
+    for seed in range(fence["starts"]):
         env.reset(seed=seed)
         collisions += any(env.step(0)[-1]["collision"] for _ in range(40))
-    assert collisions == FENCES["belief"]["collisions"]
+    assert collisions == fence["collisions"]
 
 
 @pytest.mark.filterwarnings("ignore:.*is out of date")
-@pytest.mark.parametrize("scene", STOCK_SCENES)
+@pytest.mark.parametrize("scene", mostly_slow(FENCES["stock"]))
 def test_robots_in_stock_scenes_earn_their_usual_reward_and_crash_no_more_often(scene):
     fence = FENCES["stock"][scene]
     env = ms_highway.drive(gym.make(scene))
-    driven = [drive(env, seed) for seed in range(20)]
-    rewards = np.array([np.mean(rewards) for rewards, _ in driven])
-    assert fence["low"] <= rewards.mean() <= fence["high"]
-    assert sum(info["crashed"] for _, info in driven) <= fence["collisions"]
+    rewards, infos = zip(*(drive(env, seed) for seed in range(20)), strict=True)
+    assert fence["low"] <= np.mean(rewards) <= fence["high"]
+    assert sum(info["crashed"] for info in infos) <= fence["collisions"]
 
 
 def test_the_recorded_problem_that_ships_is_solved():
-    env = ms_highway.drive(gym.make("ms-highway/recorded-v0", config={"ego": "problem"}))
-    rewards, info = drive(env, 0)
+    env, fence = gym.make("ms-highway/recorded-v0", config={"ego": "problem"}), FENCES["recorded"]
+    reward, info = drive(ms_highway.drive(env), 0)
     assert info["recorded"]["success"]
-    assert np.mean(rewards) == pytest.approx(FENCES["recorded"]["reward"], abs=FENCES["recorded"]["tolerance"])
+    assert reward == pytest.approx(fence["reward"], abs=fence["tolerance"])
 
 
 @SLOW

@@ -3,13 +3,12 @@
 import ast
 import os
 import re
-from pathlib import Path
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from test_pages import NOTEBOOKS
 
-NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 QUICK = {
     "COIN_LAMBDAS": [0.01],
     "CONTROLLER": "naive",
@@ -40,8 +39,8 @@ def texts(cell):
 
 def kinds(cell):
     """Return the kinds of outputs that a cell shows besides text."""
-    shown = [output.get("data", {}) for output in cell.outputs]
-    return [kind for data in shown for kind in ("image/png", "text/html") if kind in data]
+    shown = [kind for output in cell.outputs for kind in output.get("data", {})]
+    return [kind for kind in shown if kind in ("image/png", "text/html")]
 
 
 @pytest.mark.slow
@@ -52,7 +51,7 @@ def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_
     own = {target.id for statement in ast.parse(cell.source).body for target in statement.targets}
     quick = QUICK | {"RESULTS": str(tmp_path / "results")}
     assert own & {*quick}
-    cell.source += "".join(f"\n{name} = {value!r}" for name, value in quick.items() if name in own)
+    cell.source += "".join(f"\n{name} = {quick[name]!r}" for name in own & {*quick})
     client = NotebookClient(notebook, timeout=1200, resources={"metadata": {"path": str(path.parent)}})
     places = dict.fromkeys(("HOME", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_RUNTIME_DIR"), str(tmp_path))
     client.execute(env={**os.environ, **places})
@@ -61,14 +60,14 @@ def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_
             assert kinds(cell) == kinds(before)
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_committed_notebook_is_executed_and_small_and_names_no_place_on_the_machine(path):
-    notebook = nbformat.read(path, as_version=4)
-    nbformat.validate(notebook)
-    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    assert path.stat().st_size < LARGEST
-    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
-    assert set(notebook.metadata) == {"kernelspec", "language_info"}
-    for cell in cells:
-        assert not any(output.output_type == "error" or output.get("name") == "stderr" for output in cell.outputs)
-        assert not re.search(f"{SKIPPED}|{MACHINE}", texts(cell)), texts(cell)
+def test_committed_notebooks_are_executed_and_small_and_name_no_place_on_the_machine():
+    for path in NOTEBOOKS:
+        assert path.stat().st_size < LARGEST, path
+        notebook = nbformat.read(path, as_version=4)
+        nbformat.validate(notebook)
+        assert {*notebook.metadata} == {"kernelspec", "language_info"}, path
+        cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+        for number, cell in enumerate(cells, 1):
+            assert cell.execution_count == number, path
+            assert not {"error", "stderr"} & {output.get("name", output.output_type) for output in cell.outputs}, path
+            assert not re.search(f"{SKIPPED}|{MACHINE}", texts(cell)), texts(cell)

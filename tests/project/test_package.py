@@ -9,9 +9,7 @@ from importlib.metadata import Distribution
 from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[2]
-PIP = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target"]
+from test_pages import ROOT
 
 IMPORTED = """
 import sys
@@ -24,8 +22,16 @@ assert "jax" in sys.modules and HumanVehicle is vehicle.HumanVehicle
 """
 
 
+def python(*words, **options):
+    subprocess.run([sys.executable, *words], check=True, **options)
+
+
+def install(target, *what):
+    python(*f"-m pip install --quiet --no-deps --target {target}".split(), *what)
+
+
 def test_an_import_registers_all_environments_but_loads_public_names_only_when_they_are_used():
-    subprocess.run([sys.executable, "-W", "error::ImportWarning", "-c", IMPORTED], check=True)
+    python("-W", "error::ImportWarning", "-c", IMPORTED)
 
 
 @pytest.fixture
@@ -43,7 +49,7 @@ def checkout_without_links(tmp_path):
 @pytest.mark.slow
 def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout_without_links, tmp_path):
     source, installed = checkout_without_links, tmp_path / "installed"
-    subprocess.run([*PIP, str(installed), str(source)], check=True)
+    install(installed, source)
     shutil.rmtree(source)
     (metadata,) = installed.glob("*.dist-info")
     assert "Copyright (c) 2026 the ms_highway authors" in (metadata / "licenses" / "LICENSE").read_text()
@@ -53,7 +59,7 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout
         assert (package / name).exists(), name
     packaged = {path.relative_to(package) for path in package.rglob("*.py")}
     written = {path.relative_to(ROOT / "ms_highway") for path in (ROOT / "ms_highway").rglob("*.py")}
-    written |= {Path("envs") / path.name for path in (ROOT / "envs").glob("*.py")}
+    written |= {path.relative_to(ROOT) for path in (ROOT / "envs").glob("*.py")}
     assert packaged == written
     assert "US-101" in (package / "data" / "NOTICE.txt").read_text()
     shutil.copy(Path(__file__).with_name("test_drive.py"), tmp_path)
@@ -62,14 +68,13 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout
         f"assert ms_highway.__file__.startswith({str(installed)!r})\n"
         "sys.exit(pytest.main(['-q', '-W', 'error', 'test_drive.py']))"
     )
-    environment = {**os.environ, "PYTHONPATH": str(installed)}
-    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True)
+    python("-c", program, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(installed)})
 
 
 @pytest.mark.slow
 def test_an_editable_installation_finds_the_environments_without_symbolic_links(checkout_without_links, tmp_path):
     source, installed = checkout_without_links, tmp_path / "installed"
-    subprocess.run([*PIP, str(installed), "-e", str(source)], check=True)
+    install(installed, "-e", source)
     program = (
         "import site, sys\n"
         f"site.addsitedir({str(installed)!r}); sys.path.append({sysconfig.get_path('purelib')!r})\n"
@@ -78,5 +83,4 @@ def test_an_editable_installation_finds_the_environments_without_symbolic_links(
         "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
     )
     alone = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    without_site = [sys.executable, "-S"]  # `site` would find an editable installation of this checkout
-    subprocess.run([*without_site, "-c", program], cwd=tmp_path, env=alone, check=True)
+    python("-S", "-c", program, cwd=tmp_path, env=alone)  # `site` would find an editable installation of this checkout

@@ -5,6 +5,7 @@ import inspect
 import re
 import subprocess
 import tomllib
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from pkgutil import resolve_name, walk_packages
@@ -17,35 +18,35 @@ import ms_highway
 from ms_highway.cli.main import parse
 
 ROOT = Path(__file__).parents[2]
-README, MAP, RESULTS = ROOT / "README.md", ROOT / "notebooks" / "MAP.md", ROOT / "notebooks" / "results" / "README.md"
-REFERENCE = ROOT / "notebooks" / "REFERENCE.md"
-NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-EXAMPLES = sorted((ROOT / "notebooks" / "examples").glob("*.py"))
+PAGES = ROOT / "notebooks"
+README, MAP, RESULTS = ROOT / "README.md", PAGES / "MAP.md", PAGES / "results" / "README.md"
+REFERENCE = PAGES / "REFERENCE.md"
+NOTEBOOKS = sorted(PAGES.glob("*.ipynb"))
+EXAMPLES = {path.stem: path.read_text() for path in sorted(PAGES.glob("examples/*.py"))}
 
 
-def prose(page: Path) -> str:
-    """Return the text of a page, the text cells of a notebook, or all of an example."""
-    if page.suffix != ".ipynb":
-        return page.read_text()
-    cells = nbformat.read(page, as_version=4).cells
+def prose(notebook):
+    """Return the text cells of a notebook."""
+    cells = nbformat.read(notebook, as_version=4).cells
     return "\n\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
 
 
-TEXTS = {page: prose(page) for page in (README, RESULTS, MAP, REFERENCE, *NOTEBOOKS, *EXAMPLES)}
+TEXTS = {page: page.read_text() for page in (README, RESULTS, MAP, REFERENCE)}
+TEXTS |= {notebook: prose(notebook) for notebook in NOTEBOOKS}
 
 
-def fences(page: Path, language: str) -> list[str]:
+def fences(page, language):
     """Return a page's blocks of code in a language."""
     tokens = MarkdownIt().parse(TEXTS[page])
     return [token.content for token in tokens if token.type == "fence" and token.info == language]
 
 
-def commands() -> list[str]:
+def commands():
     """Return the lines of shell code that call ``ms-highway``, except those with variables of the shell."""
     texts = [*fences(README, "sh"), *fences(RESULTS, "sh")]
-    texts += [ast.get_docstring(ast.parse(TEXTS[path])) for path in EXAMPLES]
-    lines = [line.strip() for text in texts for line in text.replace("\\\n", " ").splitlines()]
-    return [line for line in lines if line.startswith("ms-highway ") and "$" not in line]
+    texts += [ast.get_docstring(ast.parse(source)) for source in EXAMPLES.values()]
+    lines = "\n".join(texts).replace("\\\n", " ").splitlines()
+    return [line for line in map(str.strip, lines) if line.startswith("ms-highway ") and "$" not in line]
 
 
 @pytest.mark.parametrize("command", commands())
@@ -59,14 +60,14 @@ def test_every_command_parses(command):
 
 def test_the_readme_begins_with_an_example_that_the_tests_run():
     (example,) = fences(README, "python")
-    _, *statements = ast.parse(TEXTS[ROOT / "notebooks" / "examples" / "drive.py"]).body
+    _, *statements = ast.parse(EXAMPLES["drive"]).body
     assert list(map(ast.dump, ast.parse(example).body)) == list(map(ast.dump, statements))
 
 
 def test_every_link_has_a_target():
     dead = []
-    for page in (README, RESULTS, MAP, REFERENCE, *NOTEBOOKS):
-        for link in re.findall(r"\]\((?!http)([^)]*)\)", TEXTS[page]):
+    for page, text in TEXTS.items():
+        for link in re.findall(r"\]\((?!http)([^)]*)\)", text):
             place, _, anchor = link.partition("#")
             target = (page.parent / place).resolve() if place else page
             headings = re.findall(r"^#+ (.*)", TEXTS.get(target, ""), re.MULTILINE)
@@ -77,9 +78,8 @@ def test_every_link_has_a_target():
 
 
 def test_every_file_and_name_in_a_page_exists():
-    for text in TEXTS.values():
-        for name in re.findall(r"`(ms_highway(?:\.\w+)+)", text):
-            resolve_name(name)
+    for name in re.findall(r"`(ms_highway(?:\.\w+)+)", "\n".join([*TEXTS.values(), *EXAMPLES.values()])):
+        resolve_name(name)
     for place in re.findall(r"`([\w/]+(?:\.py|/)|tests/\w+)`", TEXTS[MAP]):
         assert (ROOT / "ms_highway" / place).exists() or (ROOT / place).exists(), place
 
@@ -94,22 +94,23 @@ def test_every_name_in_a_docstring_exists():
     names = [found.name for found in walk_packages(ms_highway.__path__, "ms_highway.")]
     dead = []
     for module in [import_module(name) for name in names if not name.endswith("__main__")]:
+        own = f"{module.__name__}:"
         for scope in ast.parse(inspect.getsource(module)).body:
-            texts = [node.value.value for node in ast.walk(scope) if isinstance(node, ast.Expr) and is_text(node.value)]
-            around = f"{module.__name__}:{scope.name}." if isinstance(scope, ast.ClassDef) else f"{module.__name__}:"
-            for name in re.findall(r"(?<!`)`(\w+(?:\.\w+)*)`(?!`)", "\n".join(texts)):
-                if not any(map(resolves, (name, f"{module.__name__}:{name}", around + name))):
-                    dead.append(f"{module.__name__}: {name}")
+            around = f"{own}{scope.name}." if isinstance(scope, ast.ClassDef) else own
+            for name in re.findall(r"(?<!`)`(\w+(?:\.\w+)*)`(?!`)", "\n".join(docstrings(scope))):
+                if not any(map(resolves, (name, own + name, around + name))):
+                    dead.append(own + name)
     assert dead == []
 
 
-def is_text(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+def docstrings(scope):
+    """Return all texts that are statements."""
+    values = [getattr(node.value, "value", None) for node in ast.walk(scope) if isinstance(node, ast.Expr)]
+    return [value for value in values if isinstance(value, str)]
 
 
-def resolves(name: str) -> bool:
-    try:
+def resolves(name):
+    with suppress(AttributeError, ImportError, ValueError):
         resolve_name(name)
-    except (AttributeError, ImportError, ValueError):
-        return False
-    return ":" in name or "." in name
+        return ":" in name or "." in name
+    return False

@@ -20,6 +20,10 @@ COLLECTED = SimpleNamespace(**runpy.run_path(str(KEPT / "collect.py")))
 FLOWING = " ".join((TEXTS[README] + TEXTS[RESULTS]).split())
 
 
+def kept_texts():
+    return {file: file.read_text() for file in KEPT.iterdir() if file.is_file()}
+
+
 def summaries(run, scenario):
     return COLLECTED.comparison(run).summaries.query(f"scenario == '{scenario}'").set_index("controller")
 
@@ -32,14 +36,14 @@ def test_every_named_table_agrees_with_the_files():
 
 
 def test_every_run_has_settings_and_commands_and_is_kept_until_it_is_repeated(tmp_path):
-    made = json.loads((KEPT / "settings.json").read_text())
+    before = kept_texts()
+    made = json.loads(before[KEPT / "settings.json"])
     assert list(made) == list(COLLECTED.RUNS)
     for run in made.values():
         assert run["settings"]["semantics"] in ("paper", "physical", "released")
         assert all(one["command"].startswith("ms-highway ") for one in run["provenance"])
-    before = {file: file.read_text() for file in KEPT.iterdir() if file.is_file()}
     COLLECTED.collect(tmp_path)  # without any run
-    assert {file: file.read_text() for file in KEPT.iterdir() if file.is_file()} == before
+    assert kept_texts() == before
 
 
 def test_sentences_on_shares_of_reward_and_planning_agree_with_the_summaries():
@@ -56,10 +60,11 @@ def test_sentences_on_switching_agree_with_the_summaries():
     merger = summaries("compare", "merger")
     gains = merger["reward"] - merger["reward"]["naive"]
     kept, effort = 100 * gains / gains["tom"], 100 * merger["counted_ms"] / merger["counted_ms"]["tom"]
-    learned, switching = (f"{kept[name]:.0f} %" for name in ("learned:1", "switching:0.1"))
-    spent = f"for {effort['learned:1']:.0f} % of its planning"
-    assert f"keeps {learned} of what theory of mind gains over `naive`, {spent}" in FLOWING
-    assert f"`switching`, keeps {switching} for {effort['switching:0.1']:.0f} % in Merger" in FLOWING
+    for name, sentence in {
+        "learned:1": "keeps {:.0f} % of what theory of mind gains over `naive`, for {:.0f} % of its planning",
+        "switching:0.1": "`switching`, keeps {:.0f} % for {:.0f} % in Merger",
+    }.items():
+        assert sentence.format(kept[name], effort[name]) in FLOWING
 
 
 def test_learned_values_have_the_small_regret_that_the_text_says():
@@ -75,11 +80,10 @@ def test_learned_values_have_the_small_regret_that_the_text_says():
 
 def test_the_glossary_explains_exactly_the_columns_of_all_csv_files():
     glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
-    rows = [line.split("|")[1] for line in glossary.splitlines() if line.startswith("| `")]
+    explained = "".join(re.findall(r"^\|( `[^|]*)", glossary, re.MULTILINE))
     kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]
     block = Block("recorded", "idm", "replay", (RecordedStart("name", "file", "problem"),))
     road = set(row(block, run_episode(Block("highway-fast-v0", "idm"), 0)))
     found = {*chain(*kept), *columns(PAPER_MODELS, PAPER_MODELS[1:]), *INDEX, *KEPT_COLUMNS, "meta_reward", *road}
-    assert {re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found} == set(
-        re.findall(r"`(\w+)`", "".join(rows))
-    )
+    columns_of_models = {re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found}
+    assert columns_of_models == set(re.findall(r"`(\w+)`", explained))

@@ -2,7 +2,6 @@
 
 import resource
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 
 import pytest
 
@@ -11,23 +10,18 @@ from ms_highway.runtime.files import LOCK, held, replacing, tidy
 SIZE = 20_000  # bytes
 
 
-@contextmanager
-def room_for(size):
-    """No file may grow larger than this; as on a full disk, the error of the system names no file."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
 def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
+    """As on a full disk, the error of the system names no file."""
     file = tmp_path / "summary.csv"
     file.write_text("before")
+    usual, most = resource.getrlimit(resource.RLIMIT_FSIZE)
     refused = pytest.raises(OSError, match=r"summary\.csv cannot be written: File too large")
-    with room_for(1000), refused, replacing(file) as path:
-        path.write_text("x" * SIZE)
+    with refused, replacing(file) as path:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most))
+        try:
+            path.write_text("x" * SIZE)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (usual, most))
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
 

@@ -10,45 +10,40 @@ import pytest
 
 from ms_highway.runtime.process import INTERRUPTED
 
-SWEEP = ["sweep", "merger", "--seeds", "100000", "--part", "1024", "--devices", "1"]
+SWEEP = "sweep merger --seeds 100000 --part 1024 --devices 1 --out"
 ENDED = "ms-highway: stopped; started again in the same way, it resumes", INTERRUPTED
-SCRIPT = [str(Path(sys.executable).with_name("ms-highway"))]
+SCRIPT = Path(sys.executable).with_name("ms-highway")
 
 
-def begin(*command, **streams):
-    """A process that reacts to interrupts, even if this one ignores them."""
+def begin(words):
+    """A process of Python that reacts to interrupts, even if this one ignores them."""
     heeded = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        return subprocess.Popen([sys.executable, *command], stderr=subprocess.PIPE, text=True, **streams)
+        return subprocess.Popen([sys.executable, *words.split()], stderr=subprocess.PIPE, text=True)
     finally:
         signal.signal(signal.SIGINT, heeded)
 
 
-def outcome(process):
-    """What a process says; it is killed if it does not end."""
+def interrupted(process):
+    """What a process says last after an interrupt, and its exit status; it is killed if it does not end."""
+    process.send_signal(signal.SIGINT)
     try:
-        return process.communicate(timeout=300)
+        _, said = process.communicate(timeout=300)
     finally:
         process.kill()
-
-
-def interrupted(process):
-    """What a process says last after an interrupt, and its exit status."""
-    process.send_signal(signal.SIGINT)
-    _, said = outcome(process)
     assert "Traceback" not in said
     return said.splitlines()[-1], process.returncode
 
 
 def test_an_interrupt_while_a_command_imports_what_it_needs_ends_it_with_one_sentence(tmp_path):
-    process = begin(*SCRIPT, *SWEEP, "--out", str(tmp_path / "out"))
+    process = begin(f"{SCRIPT} {SWEEP} {tmp_path}")
     while "numpy" not in Path(f"/proc/{process.pid}/maps").read_text():
         time.sleep(0.01)
     assert interrupted(process) == ENDED
 
 
 def test_an_interrupt_while_a_batch_is_computed_ends_the_command_at_once(tmp_path):
-    process = begin("-m", "ms_highway", *SWEEP, "--out", str(tmp_path))
+    process = begin(f"-m ms_highway {SWEEP} {tmp_path}")
     while not (tmp_path / "provenance.json").exists():
         assert process.poll() is None
         time.sleep(0.05)
@@ -66,6 +61,7 @@ import numpy as np
 
 from ms_highway.runtime.compilation import CHUNK, device_mesh, share_among
 
+signal.signal(signal.SIGINT, signal.default_int_handler)
 long = jax.jit(lambda items, _: jax.lax.fori_loop(0, 3000, lambda _, x: jax.numpy.sin(x), items))
 items, main = np.zeros((CHUNK, 40), np.float32), threading.get_ident()
 share_among(device_mesh(), long, items, CHUNK)  # compiles, during which an interrupt may be lost
@@ -80,6 +76,5 @@ except KeyboardInterrupt:
 @pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
     """In Python 3.11, threads that an interrupted `Thread.join` waits for count as ended, and outlive Python."""
-    process = begin("-c", LONG, stdout=subprocess.PIPE)
-    said, errors = outcome(process)
-    assert (said.strip(), process.returncode) == ("[]", 0), errors
+    ran = subprocess.run([sys.executable, "-c", LONG], capture_output=True, text=True, timeout=300)
+    assert (ran.stdout, ran.returncode) == ("[]\n", 0), ran.stderr
