@@ -1,29 +1,25 @@
 """The answer of a comparison in sentences, and its printed tables."""
 
 import pandas as pd
-import pytest
 
 from ms_highway.cli.console import print_tables
 from ms_highway.experiments.summary import answer, summary
 from ms_highway.visualization.tables import grid
 
-COUNTED = {"naive": 0.09, "turn": 0.17, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}
+COUNTED = {"naive": 0.09, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.111}
 
 
-def records(**rewards):
-    """Return an episode of one step for every reward of a controller; ``_`` in its name stands for ``:0.``."""
+def said(**rewards):
+    """Return the answer on one-step episodes with the rewards of controllers; ``_`` stands for ``:0.``."""
     rows = [(name.replace("_", ":0."), *each) for name, values in rewards.items() for each in enumerate(values)]
     table = pd.DataFrame(rows, columns=["controller", "seed", "reward"]).astype({"reward": float})
     table = table.assign(scenario="merger", step=0, model="naive", status="planned", collision=False)
-    return table.assign(planning_seconds=0.001, decision_seconds=0.0, counted_seconds=table["controller"].map(COUNTED))
-
-
-def said(table):
+    table = table.assign(planning_seconds=0.001, decision_seconds=0.0, counted_seconds=table["controller"].map(COUNTED))
     return answer(table, summary(table), "merger")
 
 
 def test_the_answer_tells_the_gain_and_how_much_of_it_each_kind_of_controller_keeps():
-    message = said(records(naive=[1, 1.1], tom=[5, 5.1], learned_1=[5, 5.1], switching_1=[4, 4.1]))
+    message = said(naive=[1, 1.1], tom=[5, 5.1], learned_1=[5, 5.1], switching_1=[4, 4.1])
     assert message == (
         "tom earns a reward of 5.05 per step. "
         "That is 4.00 more than naive (90 % interval 4.00 to 4.00, starts: 2). "
@@ -33,18 +29,17 @@ def test_the_answer_tells_the_gain_and_how_much_of_it_each_kind_of_controller_ke
 
 
 def test_the_answer_says_that_a_gain_may_be_chance():
-    message = said(records(naive=[1, 4, 2], tom=[3, 1, 4], switching_1=[4, 4, 4]))
+    message = said(naive=[1, 4, 2], tom=[3, 1, 4], switching_1=[4, 4, 4])
     assert "(90 % interval -4.53 to 5.20, starts: 3), which may be chance." in message
     assert "keeps" not in message
 
 
-@pytest.mark.parametrize("width", [60, 120])
-def test_a_printed_table_fits_the_terminal_and_shows_every_cell(width, monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", str(width))
+def test_a_printed_table_fits_the_terminal_and_shows_every_cell(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "60")
     row = {f"column {place}": "-1.89, 2.33" for place in range(12)}
     names = [f"schedule:tom={steps},{'turn=1,' * 9}naive" for steps in (4, 30)]
     print_tables(grid("crowded", [{"controller": name, **row} for name in names]))
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= width
+    assert max(map(len, lines)) <= 60
     assert sum(line.count("-1.89, 2.33") for line in lines) == 2 * 12
     assert all(line.strip().startswith("schedule:tom=") for line in lines if "-1.89" in line)

@@ -15,22 +15,18 @@ from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.validation import read_episodes
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.loop.batch import simulate
-from ms_highway.runtime.compilation import use_devices
 
 KEYS = ["controller", "seed", "step"]
-COIN = "random:naive=0.25,turn=0.75"
-PERIOD = "period:turn=1,naive=2"
-CONTROLLERS = ["naive", "schedule:turn=5,naive=3,turn", PERIOD, COIN]
+CONTROLLERS = ["naive", "schedule:turn=5,naive=3,turn", "period:turn=1,naive=2", "random:naive=0.25,turn=0.75"]
 STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
-COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=6)
+COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=4, config={"ladder": ["naive", "turn"]})
 
 
 def driven(comparison, scenario, controller):
     """The records of the environment."""
     env = make_environment(scenario, controller, **comparison.config)
-    seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
-    rows = [{"controller": controller, "seed": seed, **record} for seed in seeds for record in episode(env, seed)]
-    return pd.DataFrame(rows).set_index(KEYS)
+    rows = [{"seed": seed, **record} for seed in range(comparison.seeds) for record in episode(env, seed)]
+    return pd.DataFrame(rows).assign(controller=controller).set_index(KEYS)
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +36,22 @@ def records():
 
 def test_records_have_the_columns_of_an_experiment_but_measured_times(records):
     assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
-    assert len(records) == len(CONTROLLERS) * 6 * 40
+    assert len(records) == len(CONTROLLERS) * 4 * 40
     assert records["controller"].drop_duplicates().tolist() == CONTROLLERS
     assert set(records["status"]) == {"planned"}
+
+
+def agree(found, expected):
+    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+    np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-3)
+    for name in ("model", "status", "counted_seconds"):
+        assert (found[name] == expected[name]).all()
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS[1:])
 def test_whole_episodes_agree_with_the_environment_step_by_step(records, controller):
     expected = driven(COMPARISON, "merger", controller)
-    found = records.set_index(KEYS).loc[expected.index]
-    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
-    np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-3)
-    for name in ("model", "status", "counted_seconds"):
-        assert (found[name] == expected[name]).all()
+    agree(records.set_index(KEYS).loc[expected.index], expected)
 
 
 @pytest.mark.slow
@@ -83,42 +82,33 @@ class NearsightedEnv(MergerEnv):
         return starts + [[0, 0, 0, 1.0]] * 3, 1.5 * weights  # which the robot does not know
 
 
-@pytest.fixture
-def nearsighted():
-    add_scenario(NearsightedEnv)
-    yield "nearsighted"
-    del ENVIRONMENTS["nearsighted"], SCENARIOS["nearsighted"]
-    gym.registry.pop("ms-highway/nearsighted-v0")
-
-
 @pytest.mark.slow
-def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(nearsighted, monkeypatch):
-    comparison = Comparison({nearsighted: ["naive"]}, seeds=2)
-    expected, found = driven(comparison, nearsighted, "naive"), simulated(comparison).set_index(KEYS)
-    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(monkeypatch):
+    nearsighted = NearsightedEnv.scenario.name
+    for known in (ENVIRONMENTS, SCENARIOS):
+        monkeypatch.setitem(known, nearsighted, None)
+    monkeypatch.setitem(gym.registry, "ms-highway/nearsighted-v0", None)
+    add_scenario(NearsightedEnv)
+    comparison = Comparison({nearsighted: ["naive"]}, seeds=2, config={"ladder": ["naive"]})
+    found = simulated(comparison).set_index(KEYS)
+    agree(found, driven(comparison, nearsighted, "naive"))
     assert found.loc[("naive", 0, 0), "human_speed"] > 20.4
     monkeypatch.setattr(NearsightedEnv, "_is_terminated", lambda self: self.steps > 3)
     with pytest.raises(ValueError, match="NearsightedEnv has its own _is_terminated, which a simulation does not call"):
         make_batch(comparison, nearsighted)
 
 
-def test_a_batch_without_controllers_known_costs_or_devices_is_refused():
+def test_a_batch_without_controllers_is_refused():
     with pytest.raises(ValueError, match="no controllers for 'give_way'"):
         make_batch(COMPARISON, "give_way")
-    with pytest.raises(ValueError, match="cannot measure plans"):
-        make_batch(Comparison({"merger": ["naive"]}, config={"costs": "measured"}), "merger")
-    with pytest.raises(ValueError, match="1000 devices are wanted"):
-        use_devices(1000)
 
 
 @pytest.mark.slow
 def test_the_speed_of_environment_and_batches_is_measured(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
-    ((name, result),) = speed("stay_back", ["switching:1"], {"ladder": ["naive", "turn"]}, [1, 20])
+    ((name, result),) = speed("merger", ["switching:1"], {"ladder": ["naive"]}, [1, 20])
     assert name == "switching:1"
-    assert result["plan_us"]["p50"] <= result["plan_us"]["p99"]
-    times = *result["plan_us"].values(), result["decision_us"], result["step_us"]
-    assert all(0 < time < 1e6 for time in times)
+    assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
     assert result["environment"] > 1
     assert result["batch"]["20"] > result["batch"]["1"] > 1
     assert result["devices"].endswith(" of kind cpu")

@@ -16,59 +16,45 @@ from ms_highway.loop.step import DECELERATION, braking_control
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import ladder
 
-STARTS = 100
 LIMIT = np.array(PHYSICAL_LIMIT)
 
 
-@pytest.fixture(params=["stay_back", "merger"])
-def scenario(request):
-    return request.param
-
-
-@pytest.fixture
-def wild(scenario, played):
-    """The scenario's game and starts: cars off the road, across it, reversing, standing, and one inside another."""
-    game, state = played(scenario, control_limit=PHYSICAL_LIMIT)
+def wild(state):
+    """Return starts with cars off the road, across it, reversing, standing, and one inside another."""
     random = np.random.default_rng(0)
-    starts = np.asarray(state, dtype=float) + random.normal(0, [10, 4, 0.8, 12], (STARTS, *state.shape))
+    starts = np.asarray(state, dtype=float) + random.normal(0, [10, 4, 0.8, 12], (100, *state.shape))
     starts[::5, 0] = starts[::5, 1]  # the robot in the human's place
     starts[1::5, :, 3] = 0.0  # all cars stand
     starts[2::5, 0, :2] = starts[2::5, -1, :2]  # bodies overlap, motions differ
-    return game, starts
-
-
-def check(step):
-    assert step.status == "planned"
-    assert np.isfinite(step.plan).all()
-    assert np.isfinite(step.humans).all()
-    assert (abs(step.plan) <= LIMIT * (1 + 1e-6)).all()
+    return starts
 
 
 @pytest.mark.slow
-def test_switching_drives_from_wild_starts(scenario, wild):
+@pytest.mark.parametrize("scenario", ["stay_back", "merger"])
+def test_switching_drives_from_wild_starts(scenario, played):
     """Five steps from every start, with a random human: enough to go up the ladder and all the way down."""
-    game, starts = wild
+    game, normal = played(scenario, control_limit=PHYSICAL_LIMIT)
     rungs = ladder(SCENARIOS[scenario].ladder)
     costs = Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs]))
     controller = Driver(game, Switching(costs, 0.1, rungs))
     random, models, estimated = np.random.default_rng(1), set(), set()
-    for state in starts:
+    for state in wild(normal):
         controller.reset()
         for _ in range(5):
             step = controller.step(state)
-            check(step)
+            assert step.status == "planned"
+            assert np.isfinite(step.plan).all()
+            assert np.isfinite(step.humans).all()
+            assert (abs(step.plan) <= LIMIT * (1 + 1e-6)).all()
             models |= {*step.models}
             estimated |= {name for name, gain in zip(step.ladder, step.gains[0], strict=True) if np.isfinite(gain)}
             controls = np.zeros((len(state), 2))
             controls[:2] = step.control, random.normal(0, LIMIT / 3)
             state = move(game.dynamics, state, controls)
-    assert models == set(SCENARIOS[scenario].ladder)
-    assert estimated == models
+    assert models == estimated == set(SCENARIOS[scenario].ladder)
 
 
-@pytest.fixture(params=["paper", "released"])
-def semantics(request):
-    return request.param
+either_semantics = pytest.mark.parametrize("semantics", ["paper", "released"])
 
 
 def absurd_states(number, cars, largest):
@@ -78,20 +64,21 @@ def absurd_states(number, cars, largest):
     return random.choice([-1, 1], shape) * 10.0 ** random.uniform(-largest, largest, shape)
 
 
+@either_semantics
 def test_braking_ends_at_a_standstill_and_is_finite_and_limited_in_any_finite_state(played, semantics):
     game, _ = played("merger", semantics=semantics)
-    compiled = jax.jit(jax.vmap(partial(braking_control, game)))
     for car in absurd_states(2000, 1, 308)[:, 0]:
         with np.errstate(over="ignore", invalid="ignore"):
             control = braking_control(game, car)
         assert np.isfinite(control).all()
         assert abs(control[1]) <= DECELERATION
     slow = np.array([0.0, 0.0, 0.1, 0.5])
-    assert move(game.dynamics, slow, braking_control(game, slow))[3] == pytest.approx(0.0, abs=1e-6)  # it stops
+    assert move(game.dynamics, slow, braking_control(game, slow))[3] == pytest.approx(0.0, abs=1e-6)
     single = absurd_states(2000, 1, 38)[:, 0].astype(np.float32)
-    assert np.isfinite(compiled(single)).all()
+    assert np.isfinite(jax.jit(jax.vmap(partial(braking_control, game)))(single)).all()
 
 
+@either_semantics
 def test_controls_are_finite_in_any_state_that_single_precision_holds_and_others_are_refused(played, semantics):
     game, state = played("merger", semantics=semantics)
     controller, random = fixed(game), np.random.default_rng(3)
