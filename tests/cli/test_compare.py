@@ -23,11 +23,11 @@ from commands import run
 from ms_highway.cli.options import FORMATS
 from ms_highway.experiments.comparison import Comparison, columns
 from ms_highway.experiments.runner import run as run_comparison
-from ms_highway.experiments.summary import read_results
-from ms_highway.visualization.figures import CAPTIONS, curve, figures, frontier
+from ms_highway.visualization.figures import curve, frontier
 from ms_highway.visualization.style import content
 
 COMPARE = "compare stay_back --controllers naive naive switching:0.4 --seeds 2 --out"
+FIGURES = "bars", "timeline", "decisions"
 KEPT = Path(__file__).parents[2] / "notebooks" / "results"
 
 
@@ -65,10 +65,8 @@ def test_compare_writes_a_row_per_step_a_summary_figures_and_what_made_them(comp
     summary = pd.read_csv(compared / "summary.csv").set_index("controller")
     means = records.groupby("controller")["reward"].mean()
     assert summary["reward"].to_dict() == pytest.approx(means.to_dict())
-    assert summary["reward"].between(summary["reward_low"], summary["reward_high"]).all()
     assert summary.loc["naive", "share_naive"] == 1
     assert summary.loc["naive", "decision_ms"] == 0 < summary.loc["switching:0.4", "decision_ms"]
-    assert not list(compared.glob("*part*"))
     runs = json.loads((compared / "provenance.json").read_text())
     assert ["--seeds 1" in run["command"] for run in runs] == [True, False]
     run(f"{COMPARE} {compared}")  # computes nothing
@@ -91,7 +89,6 @@ def test_a_killed_comparison_on_two_cores_resumes_to_the_results_of_one_process(
     process.wait()
     left = len(parts(killed))
     assert 10 <= left < 80
-    assert not (killed / "steps.csv").exists()
     while any(worker.exists() for worker in workers):
         time.sleep(0.1)
     assert list(run_comparison(asked, killed)) == list(range(left, 81))
@@ -112,6 +109,8 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
     run(f"{COMPARE} {begun} --format pdf")
     assert steps.read_text() == before
     assert (begun / "stay_back_bars.png").exists()  # of the same records
+    for name in FIGURES:
+        assert (begun / f"stay_back_{name}.pdf").stat().st_size > 8000
     assert not parts.exists()
 
 
@@ -170,9 +169,9 @@ def elements(html, tag):
     return [dict(re.findall(r'([\w-]+)="([^"]*)"', found)) for found in re.findall(f"<{tag} [^>]*>", html)]
 
 
-def data(source, kind):
-    assert source.startswith(f"data:{kind};base64,")
-    return b64decode(source.partition(",")[2])
+def content_of(element):
+    """What the source of a picture or film holds."""
+    return b64decode(element["src"].partition(";base64,")[2])
 
 
 def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_file(compared):
@@ -180,18 +179,16 @@ def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_
     html = (compared / "report.html").read_text()
     texts = texts_of(html)
     said = " ".join(texts)
-    summary = pd.read_csv(compared / "summary.csv").set_index("controller")
-    assert f"naive earns a reward of {summary.loc['naive', 'reward']:.2f} per step" in said
-    for name, reward in summary["reward"].items():
+    rewards = pd.read_csv(compared / "summary.csv").set_index("controller")["reward"]
+    assert f"naive earns a reward of {rewards['naive']:.2f} per step" in said
+    for name, reward in rewards.items():
         assert re.search(rf">{name}</t[hd]>\s*<td>{reward:.2f}</td>", html)
     images, (film,) = elements(html, "img"), elements(html, "video")
-    names = [image["alt"].split(".")[0] for image in images]
-    assert names == [f"Stay Back, {name}" for name in ("bars", "timeline", "decisions")]
+    assert [image["alt"].split(".")[0] for image in images] == [f"Stay Back, {name}" for name in FIGURES]
     for image in images:
-        assert imageio.imread(data(image["src"], "image/png")).std() > 10
+        assert imageio.imread(content_of(image)).std() > 10
     assert "naive above, switching:0.4 below" in film["aria-label"]
-    frames = imageio.imread(data(film["src"], "video/mp4"), plugin="pyav", extension=".mp4")
-    assert frames.shape == (35, 816, 960, 3)
+    assert imageio.imread(content_of(film), plugin="pyav", extension=".mp4").shape == (35, 816, 960, 3)
     assert f"ms-highway {COMPARE} {compared}" in said
     assert f"jax {version('jax')}" in said
     assert {"human reward", "learned"} <= set(texts)
@@ -216,26 +213,12 @@ def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(
     assert [path.name for path in out.parent.iterdir()] == [out.name]
 
 
-@pytest.fixture(scope="module")
-def drawn(compared):
-    """A figure of each kind, by its name."""
-    results, kept = read_results(compared), pd.read_csv(KEPT / "summary.csv")
-    return {
-        **{name: draw() for name, draw in figures(results.records, results.summaries, "stay_back").items()},
-        "curve": curve(kept[kept["run"] == "curve"], "merger"),
-        "frontier": frontier(pd.read_csv(KEPT / "regrets.csv"), "merger", 30),
-    }
-
-
-@pytest.mark.parametrize("kind", FORMATS)
-@pytest.mark.parametrize("name", [*CAPTIONS, "frontier"])
-def test_every_figure_is_written_in_every_format_and_is_not_empty(name, kind, drawn):
-    written = content(drawn[name], kind)
-    if kind == "png":
-        assert imageio.imread(io.BytesIO(written)).std() > 10
-    elif kind == "svg":
-        assert len(list(ElementTree.fromstring(written).iter("{http://www.w3.org/2000/svg}path"))) > 20
-    else:
-        assert written.startswith(b"%PDF")
-        assert len(written) > 8000
-        assert not re.search(rb"/Type3\b", written)  # fonts that publishers refuse
+def test_figures_are_written_in_every_format_and_are_not_empty():
+    kept = pd.read_csv(KEPT / "summary.csv")
+    drawn = curve(kept[kept["run"] == "curve"], "merger"), frontier(pd.read_csv(KEPT / "regrets.csv"), "merger", 30)
+    for figure in drawn:
+        png, pdf, svg = (content(figure, kind) for kind in FORMATS)
+        assert imageio.imread(io.BytesIO(png)).std() > 10
+        assert len(pdf) > 8000
+        assert not re.search(rb"/Type3\b", pdf)  # fonts that publishers refuse
+        assert len(list(ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}path"))) > 20

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from episodes import TWO, drive, make
+from episodes import drive, make
 
 from ms_highway.envs.graphics import TEXT_WIDTH
 from ms_highway.envs.viewer import model_color
@@ -34,19 +34,17 @@ def test_a_belief_in_a_human_that_yields_changes_nothing_but_info(trusted):
     assert all(info["timing"].decision_seconds > 0 for info in trusted.infos[1:])
 
 
-@pytest.mark.parametrize("controller", ["tom", "learned:1"])
-def test_with_a_belief_the_robot_does_not_merge_in_front_of_a_human_that_never_yields(controller):
-    _, states, _, infos = drive(make("merger", f"{controller}+belief", yielding="never"), SEED)
+def test_with_a_belief_the_robot_does_not_merge_in_front_of_a_human_that_never_yields():
+    _, states, _, infos = drive(make("merger", "learned:1+belief", yielding="never"), SEED)
     assert infos[5]["belief"][0, NAIVE] > 0.95
     assert {info["model"] for info in infos[5:]} == {"naive"}
     assert not any(info["collision"] for info in infos)
     assert (states[:, 0, 1] > -1.25).all()  # within its own lane
 
 
-@pytest.mark.parametrize(("scenario", "config"), [("merger", {}), ("dense_merge", TWO)])
-def test_a_frame_shows_every_humans_belief(scenario, config):
+def test_a_frame_shows_every_humans_belief():
     def shown(controller):
-        env = make(scenario, controller, "rgb_array", **config)
+        env = make("dense_merge", controller, "rgb_array")
         drive(env, steps=1)
         panel = env.render()[-env.unwrapped.viewer.panel_height :, :TEXT_WIDTH]
         return int((panel == model_color("idm")).all(axis=-1).sum())

@@ -1,5 +1,7 @@
 """Drivers of the real humans: functions, vehicles of highway-env, and a person at the keyboard."""
 
+from collections import Counter
+
 import numpy as np
 import pygame
 import pytest
@@ -24,7 +26,8 @@ def looks_for_itself(game, state):
 
 
 def batch_of(driver):
-    return simulated(Comparison({"merger-v1": ["naive"]}, seeds=1, config={"human_driver": driver}))
+    config = {"human_driver": driver, "ladder": ["naive"]}
+    return simulated(Comparison({"merger-v1": ["naive"]}, seeds=1, config=config))
 
 
 @pytest.fixture
@@ -39,7 +42,7 @@ def added():
 
 @pytest.mark.usefixtures("added")
 def test_a_function_drives_the_human_alike_live_and_in_a_batch():
-    _, states, *_ = drive(make("merger-v1", "naive", human_driver="brakes"), seed=0, steps=10)
+    _, states, *_ = drive(make("merger-v1", human_driver="brakes"), steps=10)
     np.testing.assert_allclose(np.diff(states[:, 1, 3]), -0.1, atol=2e-3)  # m/s in 0.1 s
     speeds = batch_of("brakes")["human_speed"].to_numpy()[:10]
     np.testing.assert_allclose(speeds, states[-10:, 1, 3], atol=1e-3)
@@ -47,8 +50,8 @@ def test_a_function_drives_the_human_alike_live_and_in_a_batch():
 
 @pytest.mark.usefixtures("added")
 def test_a_vehicle_of_highway_env_drives_by_itself():
-    env = make("merger-v1", "naive", human_driver="follows")
-    _, states, _, infos = drive(env, seed=0, steps=10)
+    env = make("merger-v1", human_driver="follows")
+    _, states, _, infos = drive(env, steps=10)
     assert type(env.unwrapped.humans[0]) is IDMVehicle
     assert infos[-1]["human_status"] == (None,)
     assert states[-1, 1, 3] < 15.0  # it brakes behind the car ahead
@@ -65,10 +68,12 @@ def test_a_vehicle_of_highway_env_drives_by_itself():
 def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, message):
     with pytest.raises(ValueError, match=message):
         batch_of(driver)
+    with pytest.raises(ValueError, match="<class 'int'>"):
+        ms_highway.add_driver("mine", int)
 
 
 def test_arrow_keys_drive_the_human(monkeypatch):
-    env = make("merger-v1", "naive", human_driver="keyboard")
+    env = make("merger-v1", human_driver="keyboard")
     env.reset(seed=0)
     with pytest.raises(OSError, match="render_mode='human'"):
         env.step(0)
@@ -76,9 +81,9 @@ def test_arrow_keys_drive_the_human(monkeypatch):
     pygame.display.init()
     pygame.display.set_mode((10, 10))
     try:
-        pressed = {pygame.K_UP: False, pygame.K_DOWN: True, pygame.K_LEFT: False, pygame.K_RIGHT: True}
+        pressed = Counter([pygame.K_DOWN, pygame.K_RIGHT])
         monkeypatch.setattr(pygame.key, "get_pressed", lambda: pressed)
-        _, states, *_ = drive(env, seed=0, steps=5)
+        _, states, *_ = drive(env, steps=5)
     finally:
         pygame.display.quit()
     np.testing.assert_allclose(np.diff(states[:, 1, 3]), -0.4, atol=0.05)
@@ -95,6 +100,4 @@ def test_arrow_keys_drive_the_human(monkeypatch):
 )
 def test_an_unknown_driver_and_a_key_without_effect_are_refused(config, message):
     with pytest.raises(ValueError, match=message):
-        make("merger-v1", "naive", **config)
-    with pytest.raises(ValueError, match="<class 'int'>"):
-        ms_highway.add_driver("mine", int)
+        make("merger-v1", **config)

@@ -6,12 +6,13 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
 
 from ms_highway.game.dynamics import step
+from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, ScriptedVehicle
 
 
-def road_with(*cars, lanes=2, limit=20.0):
+def road_with(*cars, lanes=2):
     """A straight road with cars, each given by class, position, speed and, optionally, heading."""
-    road = Road(RoadNetwork.straight_road_network(lanes, speed_limit=limit), np_random=np.random.RandomState(0))
+    road = Road(RoadNetwork.straight_road_network(lanes, speed_limit=20.0), np_random=np.random.RandomState(0))
     for kind, position, speed, *heading in cars:
         road.vehicles.append(kind(road, list(position), *(heading or [0.0]), speed))
     return road, *road.vehicles
@@ -39,10 +40,10 @@ def test_the_bicycle_vehicle_moves_like_the_games_dynamics_and_converts_curvatur
 
 
 def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_overlap():
-    (road,), random, still, hits = road_with(), np.random.default_rng(0), np.zeros(2), []
+    random, still, hits = np.random.default_rng(0), np.zeros(2), []
     for _ in range(100):
-        car = BicycleVehicle(road, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0)
-        other = BicycleVehicle(road, random.uniform(-5, 5, 2), random.uniform(-4, 4))
+        car = BicycleVehicle(None, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0)
+        other = BicycleVehicle(None, random.uniform(-5, 5, 2), random.uniform(-4, 4))
         car.solid = other.solid = False
         overlap, *_ = are_polygons_intersecting(car.polygon(), other.polygon(), still, still)
         car.handle_collisions(other, 0.1)
@@ -52,28 +53,22 @@ def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_ove
     assert 0.2 < np.mean(hits) < 0.8
 
 
-@pytest.mark.parametrize("slower", [8.0, 12.0, 20.0])
-def test_a_human_does_not_run_into_a_car_that_is_slower(slower):
-    road, human, leader = road_with(
-        (HumanVehicle, (0.0, 0.0), 20.0), (ScriptedVehicle, (60.0, 0.0), 20.0 - slower), lanes=1
-    )
-    drive(road, 150)
-    assert not human.crashed
-    assert 1.0 < leader.position[0] - human.position[0] - human.LENGTH < 25.0
-    assert human.speed == pytest.approx(20.0 - slower, abs=1.0)
-
-
 @pytest.mark.parametrize(
-    ("leader_speed", "gaps"),  # between bumpers; at speed, the quartiles of drivers on US-101
-    [(0.0, (1, 6)), (20.0, (16.9, 34.8))],
+    ("kind", "start", "leader_speed", "gaps"),  # between bumpers; at 20 m/s, the quartiles of drivers on US-101
+    [
+        (HumanVehicle, 60.0, 0.0, (1, 25)),
+        (HumanVehicle, 60.0, 12.0, (1, 25)),
+        (CommuterVehicle, 35.0, 0.0, (1, 6)),
+        (CommuterVehicle, 35.0, 20.0, (16.9, 34.8)),
+    ],
 )
-def test_a_commuter_keeps_the_distances_of_real_drivers_and_stops_behind_a_standing_car(leader_speed, gaps):
-    cars = (CommuterVehicle, (0.0, 0.0), 20.0), (ScriptedVehicle, (35.0, 0.0), leader_speed)
-    road, commuter, leader = road_with(*cars, lanes=1)
+def test_humans_and_commuters_keep_their_distance_behind_a_car(kind, start, leader_speed, gaps):
+    cars = (kind, (0.0, 0.0), 20.0), (ScriptedVehicle, (start, 0.0), leader_speed)
+    road, car, leader = road_with(*cars, lanes=1)
     drive(road, 250)
-    assert not commuter.crashed
-    assert commuter.speed == pytest.approx(leader_speed, abs=1.0)
-    assert gaps[0] < leader.position[0] - commuter.position[0] - commuter.LENGTH < gaps[1]
+    assert not car.crashed
+    assert car.speed == pytest.approx(leader_speed, abs=1.0)
+    assert gaps[0] < leader.position[0] - car.position[0] - car.LENGTH < gaps[1]
 
 
 def test_a_human_that_must_stop_brakes_within_its_grip_and_stands_until_it_may_drive():
@@ -85,3 +80,17 @@ def test_a_human_that_must_stop_brakes_within_its_grip_and_stands_until_it_may_d
     assert speeds[-1] == pytest.approx(0.0, abs=1e-6)
     human.target_speed = None
     assert drive(road, 15, 1 / 15)[-1] > 2.0
+
+
+class Lazy(HumanVehicle):
+    weights = COMMON_WEIGHTS | {"speed": 0.0}
+
+
+def test_target_speed_and_weights_change_how_fast_a_human_drives():
+    speeds = []
+    for kind, target in ((HumanVehicle, None), (HumanVehicle, 12.0), (Lazy, None)):
+        road, human = road_with((kind, (0.0, 0.0), 12.0))
+        human.target_speed = target
+        speeds.append(drive(road, 60, 1 / 15)[-1])
+    assert speeds[1] == pytest.approx(12.0, abs=0.5)
+    assert speeds[0] > speeds[2] + 3.0
