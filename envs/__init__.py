@@ -28,6 +28,27 @@ from ms_highway.game.scenarios import (
     STAY_BACK_V1,
 )
 
+__all__ = [
+    "DEMONSTRATION_ID",
+    "ENVIRONMENTS",
+    "PAPER_SCENARIOS",
+    "SCENARIOS",
+    "CrossingCrowdEnv",
+    "DemonstrationEnv",
+    "DenseMergeEnv",
+    "DenseMergeV1Env",
+    "GiveWayEnv",
+    "GiveWayV1Env",
+    "InteractionEnv",
+    "MergerEnv",
+    "MergerV1Env",
+    "StayBackEnv",
+    "StayBackV1Env",
+    "add_scenario",
+    "environment_id",
+    "scenario_name",
+]
+
 
 class StayBackEnv(InteractionEnv):
     """The robot on the left and the human on the right approach cones that only one car at a time can pass."""
@@ -82,27 +103,6 @@ class CrossingCrowdEnv(InteractionEnv):
 
     scenario = CROSSING_CROWD
 
-
-__all__ = [
-    "DEMONSTRATION_ID",
-    "ENVIRONMENTS",
-    "PAPER_SCENARIOS",
-    "SCENARIOS",
-    "CrossingCrowdEnv",
-    "DemonstrationEnv",
-    "DenseMergeEnv",
-    "DenseMergeV1Env",
-    "GiveWayEnv",
-    "GiveWayV1Env",
-    "InteractionEnv",
-    "MergerEnv",
-    "MergerV1Env",
-    "StayBackEnv",
-    "StayBackV1Env",
-    "add_scenario",
-    "environment_id",
-    "scenario_name",
-]
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
     environment.scenario.name: environment

@@ -10,6 +10,7 @@ from . import geometry as geometry
 from . import irl as irl
 from . import loop as loop
 from . import numerics as numerics
+from . import perception as perception
 from . import planning as planning
 from . import recorded as recorded
 from . import road as road

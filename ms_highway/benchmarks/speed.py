@@ -116,6 +116,8 @@ def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], de
     return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{used.size} of kind {kind}"}
 
 
+# Steadiness
+
 AFTER = 1, 5, 10, 20
 """Steps from the start after which the change of the robot's path is measured."""
 

@@ -5,7 +5,8 @@ Blom and Bar-Shalom (1988) is the forward pass of a hidden Markov model::
 
     p(m) <- sum over m' of P(m | m') p(m'),    p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum
 
-where u is the observed control, and u_m the control that model m predicts for this step.
+where u is the observed control, and u_m the control that model m predicts for this step, see
+`next_controls`.
 """
 
 from dataclasses import replace
@@ -24,6 +25,15 @@ from ms_highway.planning.plans import Plan, plan_against
 from ms_highway.runtime.arrays import Array, Belief, Control, Controls, Index, SameArray, State
 
 LOOKAHEAD = 8  # steps of humans' plans at most; only the first one counts
+
+STAY_PROBABILITY = 0.98
+"""Probability that a human keeps its model for 0.1 s. On average, a human keeps it for five seconds."""
+CONTROL_NOISE = (0.005, 1.0)
+"""Standard deviations of a human's controls from those of its model: curvature [1/m], acceleration [m/s^2]."""
+MIN_PROBABILITY = 1e-3
+"""Lower bound on the probability of each model. With it, the filter soon detects a change of model."""
+MIN_RESPONSE = 0.3  # least probability of `RESPONDING` at which plans count on a human's response
+RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # in both, the human plans for its reward
 
 
 def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "humans models 2"]:
@@ -61,19 +71,6 @@ def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "huma
         return jnp.stack([keep_velocity(game.dynamics, seen[0]), following, *answers])
 
     return each_human(game, predict)
-
-
-STAY_PROBABILITY = 0.98
-"""Probability that a human keeps its model for 0.1 s. On average, a human keeps it for five seconds."""
-
-CONTROL_NOISE = (0.005, 1.0)
-"""Standard deviations of a human's controls from those of its model: curvature [1/m], acceleration [m/s^2]."""
-
-MIN_PROBABILITY = 1e-3
-"""Lower bound on the probability of each model. With it, the filter soon detects a change of model."""
-
-MIN_RESPONSE = 0.3  # least probability of `RESPONDING` at which plans count on a human's response
-RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # in both, the human plans for its reward
 
 
 def updated_belief(

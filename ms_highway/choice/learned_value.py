@@ -1,4 +1,4 @@
-"""Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et al. 2018), read from a file.
+"""Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et al. 2018); keep it in files.
 
 From the situation of a human, networks estimate how much more the robot earns per step if a rung, instead of the
 cheapest one, predicts this human, while the same rung predicts all nearer humans. The price of the time that the human
@@ -108,6 +108,8 @@ def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
     return MIN_NOISE + jax.nn.softplus(spreads)
 
 
+# Files of learned values
+
 SHIPPED_VALUES = "shipped"
 """Name of the values that come with the package."""
 
@@ -119,7 +121,7 @@ SHIPPED_FILES = {
 }
 """Files that come with the package, by kind of scene, see `ms_highway.choice.rule.shipped_kind`."""
 
-VERSION = 3
+VERSION = 3  # of the form of files
 REMEDY = "learn values with `ms-highway values learn`"
 ALTERNATIVES = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
 MAX_BYTES = 2**24  # of an unpacked file; the package's files have a hundredth
@@ -132,7 +134,7 @@ class Values:
     """Result of ``ms-highway values learn``.
 
     Attributes:
-        network: see `ms_highway.choice.learned_value.LearnedValue`.
+        network: see `LearnedValue`.
         centre, spread: mean and standard deviation of its inputs.
         ladder: names of the models that the values were learned on, cheapest first.
         inputs: names of the network's inputs.

@@ -1,4 +1,4 @@
-"""Define the interface of rules, which choose the model of every human for the coming step, and two simple rules.
+"""Define the interface of rules, which choose the model of every human for the coming step; and two simple rules.
 
 `Order` takes the models of a fixed order, `Nearest` predicts the nearest humans by the top of the ladder.
 """
@@ -187,6 +187,25 @@ def always(model: HumanModel) -> Order:
     return Order(np.zeros((1, 1), int), (model,))
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Nearest(Rule):
+    """Predict the nearest humans by the top of the ladder, and all others by the first rung.
+
+    Attributes:
+        count: number of humans on the top rung.
+        ladder: human models (static).
+    """
+
+    count: Index
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+
+    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
+        """Choose by the distances after the last step."""
+        rank = nearness(game, outcome.after)
+        return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))
+
+
 def decide(rule: Rule, game: Any, memory: Memory, outcome: Any) -> Decision:
     """Choose the rungs of the coming step by a rule, see `Rule.decide`."""
     return rule.decide(game, memory, outcome)
@@ -228,22 +247,3 @@ def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.n
     """Return the highest gain of each rung over all humans, NaN where none was estimated."""
     known = np.isfinite(gains)
     return np.where(known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Nearest(Rule):
-    """Predict the nearest humans by the top of the ladder, and all others by the first rung.
-
-    Attributes:
-        count: number of humans on the top rung.
-        ladder: human models (static).
-    """
-
-    count: Index
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-
-    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Choose by the distances after the last step."""
-        rank = nearness(game, outcome.after)
-        return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))

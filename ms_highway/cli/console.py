@@ -16,8 +16,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from ms_highway.runtime.files import check_writable
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+    from ms_highway.experiments.directory import ResultsDirectory
+
 PAGE_WIDTH = 120  # characters of help texts and tables, where the terminal has not fewer
 COLUMN = 26  # characters before the second column of rows in help texts
+EXAMPLES = "examples:\n"  # ends the text that is wrapped
 
 MOST = 1_000_000
 """Largest number of episodes, parts and other counts; more would take years or all memory."""
@@ -120,9 +127,6 @@ class Parser(argparse.ArgumentParser):
         raise ValueError(f"{message}; see the --help of the command, and that of ms-highway")
 
 
-EXAMPLES = "examples:\n"
-
-
 class Layout(argparse.HelpFormatter):
     """Wraps paragraphs and the second column of rows; leaves examples unchanged."""
 
@@ -137,13 +141,6 @@ class Layout(argparse.HelpFormatter):
             wrap.subsequent_indent = " " * COLUMN * row.startswith("  ")
             wrapped.append("\n" * row.startswith("\n") + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n"))))
         return "\n".join(wrapped) + (f"\n\n{mark}{examples}" if mark else "")
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from pandas import DataFrame
-
-    from ms_highway.experiments.directory import ResultsDirectory
 
 
 @contextmanager

@@ -142,6 +142,8 @@ def validate(options: argparse.Namespace) -> None:
     print_tables(grid("errors against the logs: median, 90 %, 99 %, largest", rows))
 
 
+# Search and learning
+
 LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
 PRICE = "lambdas of the meta-reward of orders and controllers: reward for a second of planning"
 STATES = (

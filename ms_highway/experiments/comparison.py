@@ -1,4 +1,4 @@
-"""Define a comparison (scenarios, controllers, seeds, configuration), and the columns of its records of steps."""
+"""Define comparisons and the columns of their records of steps; check records, and summarise them by episode."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -75,7 +75,7 @@ class Comparison:
         return {**usual, **self.config, **ladder}
 
     def columns(self) -> list[str]:
-        """Return the columns of the records, see `ms_highway.experiments.comparison.columns`."""
+        """Return the columns of the records, see the function `columns` of this module."""
         rungs, above = list[str](), None
         for name in self.controllers:
             scenario = ENVIRONMENTS[name].scenario

@@ -1,6 +1,6 @@
 """Summarise records, by scenario and controller, with intervals and in sentences; read a directory of results.
 
-`PUBLISHED` tells the results that the paper published.
+`PUBLISHED` holds the results of the paper.
 """
 
 from dataclasses import dataclass
@@ -132,7 +132,6 @@ PUBLISHED_WITH = {
 }
 """Settings under which results may be compared with the paper's; all other settings are the defaults."""
 
-
 ROWS = """\
 stay_back  naive           -7.73  0.105
 stay_back  turn             2.52  0.212
@@ -161,7 +160,9 @@ Models for Efficient Planning" (ICRA 2021), released. The seconds were measured 
 other controllers.
 """
 
-REMEDY = "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
+NO_RESULTS_REMEDY = (
+    "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
+)
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ def read_results(directory: Path) -> Results:
     results = ResultsDirectory(directory)
     settings = results.settings() if (directory / SETTINGS_FILE).is_file() else {}
     if "asked" not in settings:
-        raise ValueError(f"{directory} holds no results of a comparison; {REMEDY}")
+        raise ValueError(f"{directory} holds no results of a comparison; {NO_RESULTS_REMEDY}")
     records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")

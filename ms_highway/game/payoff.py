@@ -1,14 +1,14 @@
 """Sum a car's reward over its trajectory among those of others, and differentiate the sum.
 
-A plan for seconds also keeps room to stop before obstacles. Horizons end before an obstacle matters. Without this cost,
-a car drives fast until the obstacle is within the horizon, brakes as hard as tyres allow, and stops too close to the
-obstacle to steer around it.
+The payoff of a plan for seconds includes the cost of stopping too late before obstacles (`stopping_cost`), as horizons
+end before an obstacle matters. Without this cost, a car drives fast until the obstacle is within the horizon, brakes as
+hard as tyres allow, and stops too close to the obstacle to steer around it.
 
-The curvature is a positive semidefinite matrix in place of minus the Hessian, without eigenvalues. Most features are
-concave functions of quantities that are taken as linear in the motion (Gauss-Newton), so their sum is positive
-semidefinite. Closeness to a body differs: it is a convex cost of a distance that is a square itself, so the reward
-bends upwards between the two ways around the body. The magnitude of this part is taken, as in the saddle-free Newton
-step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
+The matrix `curvature` is positive semidefinite and takes the place of minus the Hessian, without eigenvalues. Most
+features are concave functions of quantities that are taken as linear in the motion (Gauss-Newton), so their sum is
+positive semidefinite. Closeness to a body differs: it is a convex cost of a distance that is a square itself, so the
+reward bends upwards between the two ways around the body. The magnitude of this part is taken, as in the saddle-free
+Newton step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
 ``C^-1 g`` at most doubles the difference between two plans. Smooth indicators of a lane, induced braking and
 user-defined features have no such form: they are left out, and plans take short steps up them.
 """
@@ -87,7 +87,7 @@ def curvature(
         parameters: the reward.
         own: motion of the car.
         others: motion of all others, arrays [others, steps].
-        braking: deceleration that `ms_highway.game.payoff` counts on; None without its cost.
+        braking: deceleration of `stopping_cost`; None without this cost.
     """
     along, aside = body_points(jnp.asarray(scene.car_size), scene.corner).T[..., None]
 
@@ -130,7 +130,7 @@ def _residuals(
 
 def _closeness(parameters: Reward, bodies: Bodies, points: Points) -> Float[jax.Array, "3 bodies points steps"]:
     """Return quantities whose squares bend like closeness: the offset from a body along and across it, and D."""
-    other = Motion(*(field[:, None] for field in bodies.motion))
+    other = Motion(*(part[:, None] for part in bodies.motion))
     dx, dy = points[0] - other.x, points[1] - other.y
     ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
     across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
@@ -165,8 +165,8 @@ class Payoff:
     Attributes:
         scene: road, obstacles and bodies.
         reward: of the car.
-        braking: deceleration with which the car keeps room to stop before obstacles, see
-            `ms_highway.game.payoff.stopping_cost`, at the price of a collision; None without this cost.
+        braking: deceleration with which the car keeps room to stop before obstacles, see `stopping_cost`, at the price
+            of a collision; None without this cost.
         smooth: whether jumps of the reward are smooth (static).
     """
 

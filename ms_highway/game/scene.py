@@ -1,4 +1,4 @@
-"""Define the scene: lanes, obstacles, the size of cars, and the leader; find the neighbours of a driver."""
+"""Define the scene: lanes, obstacles, sizes of cars, and the leader; find the cars ahead and behind in three lanes."""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -80,6 +80,8 @@ class Scene:
         if isinstance(width, (int, float, np.ndarray, np.number)) and not np.all(np.asarray(width) >= 0):
             raise ValueError(f"Scene.lane_width is {width}; it must not be negative")
 
+
+# Neighbours of a driver: the nearest cars ahead and behind, in its own lane and in the adjacent ones
 
 MIN_FOLLOWER_SPEED = 1.0  # m/s, by which headways are divided at least
 FAR_AWAY = 1000.0  # m behind, where absent cars are

@@ -1,7 +1,7 @@
-"""Define controllers, the records of their steps, and controllers that are functions of the state, to drive humans.
+"""Define controllers and the records of their steps; drive humans by functions of the state instead of plans.
 
 Controllers take and return float64 NumPy states and controls in SI units. They drive car 0; the next cars are its
-partners. Two functions of the package drive humans who never or always yield.
+partners. Two functions of the package drive humans: one who never yields, and one who always yields.
 """
 
 from collections.abc import Callable
@@ -95,6 +95,8 @@ class Controller(Protocol):
     def step(self, state: State) -> ControlStep:
         """Return the control of the coming step, from the states of all cars now."""
 
+
+# Functions of the state that drive
 
 YIELD_GAP = 8.0  # m, between bumpers, made for the robot
 YIELD_BRAKING = 3.0  # m/s^2, for the robot

@@ -36,6 +36,84 @@ DECELERATION = 8.0  # m/s^2, hard braking on a dry road
 STRAIGHTENING_TIME = 0.5  # s, in which a braking car aligns with the road
 
 
+class Carry(NamedTuple):
+    """What a robot carries from step to step.
+
+    Attributes:
+        memory: of its rule.
+        outcome: of the last step; before the first one, of a step in which no car moved.
+        belief: probability that each of the package's models predicts each human.
+    """
+
+    memory: Memory
+    outcome: Outcome
+    belief: Belief
+
+
+def begin(rule: Rule, game: Game, state: State) -> Carry:
+    """Return what a robot carries into its first step."""
+    still = np.zeros((1 + game.number, game.planner.horizon, 2), np.float32)
+    outcome = Outcome(state, state, still[0, 0], still[1:, 0], np.float32(0), Plan(still[0], still[1:]))
+    return Carry(first_memory(rule, game.number), outcome, first_belief(game.number))
+
+
+def complete_outcome(game: Game, carry: Carry, now: State, infers: bool) -> Carry:
+    """Complete the outcome of the last step: observed controls, the reward and, if wanted, the belief."""
+    outcome, last = carry.outcome, 1 + game.number
+    controls = recover_control(game.world, outcome.before[1:last], now[1:last]) / game.planner.control_scale
+    outcome = outcome._replace(after=now, humans=controls, reward=reward(game.scene, game.robot, now))
+    belief = carry.belief
+    if infers:
+        moved = jnp.any(outcome.before != now)  # before the first step, nothing is seen of the humans
+        belief = jnp.where(moved, infer(game, belief, outcome.before, now, outcome.plan.robot), belief)
+    return carry._replace(outcome=outcome, belief=belief)
+
+
+def responsive_rungs(ladder: tuple[HumanModel, ...], rungs: Rungs, belief: Belief, unresponsive: int | None) -> Rungs:
+    """Predict unresponsive humans by the rung ``unresponsive`` instead of one that counts on a response.
+
+    Args:
+        ladder: human models.
+        rungs: that were chosen.
+        belief: see `Carry`.
+        unresponsive: rung, or None to count on everybody's response.
+    """
+    if unresponsive is None:
+        return rungs
+    responds = jnp.array([model.responds for model in ladder])
+    return jnp.where(responds[rungs] & ~counted_on(belief), unresponsive, rungs).astype(jnp.int32)
+
+
+def decide(
+    rule: Rule, game: Game, carry: Carry, now: State, unresponsive: int | None = None
+) -> tuple[Belief, Decision]:
+    """Choose the rungs of the coming step from the outcome of the last one, and return the belief with them.
+
+    Args:
+        rule: that chooses.
+        game: as the robot believes it.
+        carry: into the step.
+        now: all cars.
+        unresponsive: see `responsive_rungs`; None without a belief.
+    """
+    carry = complete_outcome(game, carry, now, unresponsive is not None)
+    decision = rule.decide(game, carry.memory, carry.outcome)
+    rungs = responsive_rungs(rule.ladder, decision.memory.rungs, carry.belief, unresponsive)
+    return carry.belief, decision._replace(memory=decision.memory._replace(rungs=rungs))
+
+
+def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, rest: Rest) -> bool:
+    """Return whether the coming plan starts from the rest of the last one, as the planner or a rung wants."""
+    warm = np.array([model.warm for model in ladder])
+    wanted = game.planner.persistent or bool(warm.all())
+    if not wanted and warm.any():
+        wanted = rungs.__array_namespace__().asarray(warm)[rungs].any()
+    return wanted & (rest.steps > 0)
+
+
+# Following a plan, or what takes its place
+
+
 def fallback_status(finite: bool | Flag, left: Index, horizon: int) -> tuple[Any, Any]:
     """Return the number of this step's status, and how many controls are then left, this one included.
 
@@ -142,81 +220,6 @@ def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, 
     stop = xp.where(xp.isnan(stop), -xp.sign(speed) * DECELERATION, stop)
     limit = xp.asarray(game.planner.control_limit)
     return xp.clip(xp.stack([omega, xp.clip(stop, -DECELERATION, DECELERATION)]), -limit, limit)
-
-
-class Carry(NamedTuple):
-    """What a robot carries from step to step.
-
-    Attributes:
-        memory: of its rule.
-        outcome: of the last step; before the first one, of a step in which no car moved.
-        belief: probability that each of the package's models predicts each human.
-    """
-
-    memory: Memory
-    outcome: Outcome
-    belief: Belief
-
-
-def begin(rule: Rule, game: Game, state: State) -> Carry:
-    """Return what a robot carries into its first step."""
-    still = np.zeros((1 + game.number, game.planner.horizon, 2), np.float32)
-    outcome = Outcome(state, state, still[0, 0], still[1:, 0], np.float32(0), Plan(still[0], still[1:]))
-    return Carry(first_memory(rule, game.number), outcome, first_belief(game.number))
-
-
-def complete_outcome(game: Game, carry: Carry, now: State, infers: bool) -> Carry:
-    """Complete the outcome of the last step: observed controls, the reward and, if wanted, the belief."""
-    outcome, last = carry.outcome, 1 + game.number
-    controls = recover_control(game.world, outcome.before[1:last], now[1:last]) / game.planner.control_scale
-    outcome = outcome._replace(after=now, humans=controls, reward=reward(game.scene, game.robot, now))
-    belief = carry.belief
-    if infers:
-        moved = jnp.any(outcome.before != now)  # before the first step, nothing is seen of the humans
-        belief = jnp.where(moved, infer(game, belief, outcome.before, now, outcome.plan.robot), belief)
-    return carry._replace(outcome=outcome, belief=belief)
-
-
-def responsive_rungs(ladder: tuple[HumanModel, ...], rungs: Rungs, belief: Belief, unresponsive: int | None) -> Rungs:
-    """Predict unresponsive humans by the rung ``unresponsive`` instead of one that counts on a response.
-
-    Args:
-        ladder: human models.
-        rungs: that were chosen.
-        belief: see `Carry`.
-        unresponsive: rung, or None to count on everybody's response.
-    """
-    if unresponsive is None:
-        return rungs
-    responds = jnp.array([model.responds for model in ladder])
-    return jnp.where(responds[rungs] & ~counted_on(belief), unresponsive, rungs).astype(jnp.int32)
-
-
-def decide(
-    rule: Rule, game: Game, carry: Carry, now: State, unresponsive: int | None = None
-) -> tuple[Belief, Decision]:
-    """Choose the rungs of the coming step from the outcome of the last one, and return the belief with them.
-
-    Args:
-        rule: that chooses.
-        game: as the robot believes it.
-        carry: into the step.
-        now: all cars.
-        unresponsive: see `responsive_rungs`; None without a belief.
-    """
-    carry = complete_outcome(game, carry, now, unresponsive is not None)
-    decision = rule.decide(game, carry.memory, carry.outcome)
-    rungs = responsive_rungs(rule.ladder, decision.memory.rungs, carry.belief, unresponsive)
-    return carry.belief, decision._replace(memory=decision.memory._replace(rungs=rungs))
-
-
-def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, rest: Rest) -> bool:
-    """Return whether the coming plan starts from the rest of the last one, as the planner or a rung wants."""
-    warm = np.array([model.warm for model in ladder])
-    wanted = game.planner.persistent or bool(warm.all())
-    if not wanted and warm.any():
-        wanted = rungs.__array_namespace__().asarray(warm)[rungs].any()
-    return wanted & (rest.steps > 0)
 
 
 def advance(carry: Carry, decision: Decision, followed: Followed, state: State) -> Carry:

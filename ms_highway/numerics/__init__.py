@@ -1,4 +1,4 @@
-"""Optimise functions of controls and know no roads: second derivatives, solvers, step sizes, trust region.
+"""Optimise functions of controls and know no roads: second derivatives, solvers, step sizes.
 
 Imports `ms_highway.runtime` only.
 """

@@ -1,4 +1,7 @@
-"""Climb an objective over the controls of a plan by Newton's method, with a line search or damped."""
+"""State what is optimised over the controls of a plan (`Objective`), and climb it by Newton's method.
+
+`damped_solve` is a Newton step that needs no eigenvalues.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
@@ -146,7 +149,7 @@ def find_optimum(objective: Objective, start: Controls, floor: float) -> Optimum
 
 
 DAMPED_SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
-"""Shares of a step that a line search tries."""
+"""Shares of a damped step that its line search tries."""
 
 MIN_DAMPING, DAMPING_GROWTH, MAX_DAMPING = 1.0, 6.0, 1e7  # reward per squared scaled control
 

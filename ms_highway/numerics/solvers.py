@@ -115,6 +115,8 @@ def optimize_controls(planner: Planner, objective: Objective, start: Controls) -
     return convex_newton_steps(objective, start, planner.newton_steps)
 
 
+# Number and size of gradient steps; the constants are those of the paper's scenes
+
 MAX_ITERATIONS = 5000
 """Upper bound on the gradient steps of a plan; more take seconds."""
 

@@ -130,6 +130,8 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     return np.where(outside < LANE_EXTENSION, -d / np.maximum(np.cos(turned), MIN_LANE_COSINE), np.nan)
 
 
+# Observation
+
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
 NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead: below the first length, they are extended to the second
 

@@ -1,10 +1,10 @@
 """Drive like recorded drivers on a straight road, all cars together, each by the traits that it has shown.
 
-The best control that is held over the horizon has a closed form. The reward's features of traffic, of the lane and of
-comfort are quadratic in a held acceleration and a held curvature, if a leader keeps its speed, headings are small, and
-the attention to the leader is constant. So the best control is a quotient of two sums over the steps. The risk of
-collisions, the braking of followers and the edges of the road are left out, as they matter little while driving in a
-lane.
+The best control that is held over the horizon has a closed form, `held_acceleration` and `held_curvature`. The reward's
+features of traffic, of the lane and of comfort are quadratic in a held acceleration and a held curvature, if a leader
+keeps its speed, headings are small, and the attention to the leader is constant. So the best control is a quotient of
+two sums over the steps. The risk of collisions, the braking of followers and the edges of the road are left out, as
+they matter little while driving in a lane.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 from ms_highway.game.scene import Leader, leaders
 from ms_highway.geometry.curve import namespace
 
-Cars = Float[Any, "*cars"]
+AnyCars = Float[Any, "*cars"]
 
 UNIT = PAPER_UNIT  # m
 TURN_SCALE = 1 / SPEED_LIMIT  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
@@ -30,7 +30,7 @@ MAX_BRAKING, MAX_ACCELERATION, MAX_CURVATURE = 8.0, 4.0, 0.02  # m/s^2, m/s^2, 1
 TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps over which a control is held
 
 
-def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: Cars, leader: Leader) -> Cars:
+def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: AnyCars, leader: Leader) -> AnyCars:
     """Return the best acceleration to hold over `TIMES`, from -8 to 4 m/s^2.
 
     With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a t_k^2 / 2`` it maximises, with the
@@ -62,7 +62,7 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: C
     return xp.clip(slope / bend, -MAX_BRAKING, MAX_ACCELERATION)
 
 
-def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, speed: Cars) -> Cars:
+def held_curvature(weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars, speed: AnyCars) -> AnyCars:
     """Return the best curvature to hold over `TIMES`, at most 0.02 1/m to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
@@ -87,6 +87,8 @@ def held_curvature(weights: Mapping[str, Any], offset: Cars, heading: Cars, spee
     return xp.clip(slope / bend, -MAX_CURVATURE, MAX_CURVATURE)
 
 
+# Driving, with the traits that a driver has shown
+
 PAST_STEPS = 30
 """Steps of 0.1 s before a moment from which the traits of drivers are inferred."""
 
@@ -101,6 +103,7 @@ MAX_SURPRISE = 3.0  # standard deviations, to which surprises are clipped
 MAX_DEVIATION = 1.5  # of the logarithm of a trait from the median's
 UNSEEN_DISTANCE = 1e4  # m behind, where cars that are not seen are put
 
+Cars = Float[Any, "cars"]
 States = Float[Any, "cars 4"]
 TraitLogarithms = Float[Any, "cars 3"]
 Estimate = tuple[Float[Any, "3"], Float[Any, "3 3"]]  # mean and covariance

@@ -1,4 +1,8 @@
-"""Drive simply: manoeuvres into lanes and gaps, and following by the Intelligent Driver Model."""
+"""Drive simply: into lanes and gaps, and behind the car ahead.
+
+Manoeuvres are the ways out of `ms_highway.planning.way_out`, and possible starts of plans for seconds. Cars follow by
+the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,8 +24,15 @@ MIN_SPEED = 3.0  # m/s, by which accelerations are divided at least to get curva
 OPEN_GAP = 6.0  # car lengths, of the gap behind the last car of a lane or ahead of the first one
 GAP_MARGIN = 1.3  # car lengths that a car keeps to the centres of the cars around a gap that is wide enough
 POSITION_GAIN, SPEED_GAIN = 2.0, 3.0  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
-MAX_BRAKING, MAX_ACCELERATION = 7.0, 4.0  # m/s^2, towards a gap
+GAP_BRAKING, GAP_ACCELERATION = 7.0, 4.0  # m/s^2, towards a gap
 ENTRY_TOLERANCE = 2.0  # m, from its place in a gap, within which a car changes lanes
+
+FREE_GAP = 1e3
+"""Distance to the car ahead if there is none [m]."""
+
+MAX_ACCELERATION, COMFORTABLE_BRAKING = 3.0, 5.0  # m/s^2, highway-env's, behind the car ahead
+HEADWAY, STANDSTILL = 1.5, 10.0  # s, and m between centres, highway-env's
+MAX_BRAKING = 6.0  # m/s^2, behind the car ahead
 
 Ways = tuple[Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]]
 Around = TypeVar("Around")
@@ -73,7 +84,7 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
             spare = jnp.maximum(half - GAP_MARGIN * length, 0.0)
             pull = POSITION_GAIN * (jnp.clip(off, -spare, spare) - off) + SPEED_GAIN * (pace - car[3])
             enters = jnp.abs(off) < jnp.maximum(half - length, 0.0) + ENTRY_TOLERANCE
-            return _towards(game, car, jnp.where(enters, lane, present), jnp.clip(pull, -MAX_BRAKING, MAX_ACCELERATION))
+            return _towards(game, car, jnp.where(enters, lane, present), jnp.clip(pull, -GAP_BRAKING, GAP_ACCELERATION))
 
         return _drive(game, car, follow, gap, None)
 
@@ -112,14 +123,6 @@ def _drive(
         return moved, (control / game.planner.control_scale, moved)
 
     return jax.lax.scan(go, car, around, steps)[1]
-
-
-FREE_GAP = 1e3
-"""Distance to the car ahead if there is none [m]."""
-
-MAX_ACCELERATION, COMFORTABLE_BRAKING = 3.0, 5.0  # m/s^2, highway-env's
-HEADWAY, STANDSTILL = 1.5, 10.0  # s, and m between centres, highway-env's
-MAX_BRAKING = 6.0  # m/s^2
 
 
 def lowest(values: Numbers, where: Numbers) -> Numbers:

@@ -1,4 +1,4 @@
-"""Recorded: drive on a recorded road among the vehicles that were recorded there, from a start to a goal in time."""
+"""Drive in recorded traffic: on its road, among its vehicles, from a start to a goal in time."""
 
 from typing import Annotated, Any, Literal
 
@@ -24,6 +24,8 @@ from ms_highway.recorded.straight_road import StraightRoad, straight_road
 from ms_highway.recorded.traffic import RecordedRoad, sized
 from ms_highway.road.stock import GoalEnv
 from ms_highway.road.timed_goal import TimedGoal
+
+# Planning problems
 
 LATE = 20  # steps by which the ego may reach the last position of a recorded vehicle later than that vehicle
 GOAL_SIZE = 4.0, 3.0  # m, length along the road and width of the region around that position
@@ -72,6 +74,8 @@ def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
         return TimedGoal(Spot(index, place), position, (first, last), goal.speeds or (0.0, np.inf))
     return None
 
+
+# The environment
 
 EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
 OFF_LANE = 1.0  # distance of a start from the nearest lane, in its widths, beyond which the start is not on the road

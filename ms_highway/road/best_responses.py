@@ -17,7 +17,7 @@ from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import FAR_AWAY, Scene
-from ms_highway.numerics.newton import SHARES, best_of, damped_solve
+from ms_highway.numerics.newton import DAMPED_SHARES, best_of, damped_solve
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.perception.scene import RoadScene, Steps, World
 from ms_highway.road.constants import LANE, RoadPlanning
@@ -92,7 +92,7 @@ class Commuter:
 
         def improve(_: Index, scaled: Vector) -> Vector:
             gradient, hessian = self.expand(scaled)
-            return best(scaled + SHARES[:, None] * damped_solve(hessian, gradient))
+            return best(scaled + DAMPED_SHARES[:, None] * damped_solve(hessian, gradient))
 
         first = best(jnp.broadcast_to(FIRST_ACCELERATIONS, (len(FIRST_ACCELERATIONS), self.planning.steps)))
         return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)

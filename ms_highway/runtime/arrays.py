@@ -69,6 +69,8 @@ def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], star
     return jax.lax.cond(chosen.any(), loop, lambda: start)
 
 
+# Structures of numbers, read from JSON
+
 MAX_NUMBER = 1e300
 
 Finite = Annotated[float, msgspec.Meta(gt=-MAX_NUMBER, lt=MAX_NUMBER)]

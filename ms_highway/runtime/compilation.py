@@ -135,6 +135,8 @@ def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
     return result, perf_counter() - start
 
 
+# Many items, shared among devices
+
 AXIS = "items"  # of a mesh of devices
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
 WIDE_CHUNK = 256  # items that an accelerator computes together

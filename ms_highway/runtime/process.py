@@ -1,4 +1,4 @@
-"""Watch over the process: end it on Ctrl-C, refuse to compute in a fork where JAX would wait for ever, tell progress.
+"""Watch over the process: end it on Ctrl-C, refuse to compute in a fork of it, and report progress.
 
 **Ctrl-C** ends the command at once, with one sentence, whatever it is doing. Python itself raises
 ``KeyboardInterrupt`` in the main thread between two lines of Python: only after a compilation or a batch has ended. In
@@ -7,7 +7,8 @@ compute: a thread that then needs the interpreter is unwound out of C++ code tha
 aborts. So a thread waits for the signal and ends the process. All results are written under temporary names and moved
 when they are whole, so that only unwritten results are lost.
 
-**Forks** are noted by a hook from the first import of the package on, without importing JAX.
+**Forks**: in a process that was forked after JAX had begun, JAX would wait for ever. A hook notes forks from the first
+import of the package on, without importing JAX.
 """
 
 import os
@@ -60,14 +61,6 @@ def is_command() -> bool:
     return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv
 
 
-Progress: TypeAlias = Callable[[str], object]
-"""Called with a message when a part of a computation begins."""
-
-
-def silent(message: str) -> None:
-    """Report nothing."""
-
-
 _forked = False  # whether this process was forked from one in which JAX had begun
 
 
@@ -94,3 +87,11 @@ def refuse_after_fork() -> None:
     if _forked:
         remedy = "start it with context='forkserver' or 'spawn', or before JAX begins in the process that starts it"
         raise RuntimeError(f"JAX cannot compute in a process forked from one in which it had begun; {remedy}")
+
+
+Progress: TypeAlias = Callable[[str], object]
+"""Called with a message when a part of a computation begins."""
+
+
+def silent(message: str) -> None:
+    """Report nothing."""

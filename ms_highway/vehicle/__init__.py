@@ -16,7 +16,6 @@ __all__ = [
     "RoutedVehicle",
     "ScriptedVehicle",
     "bicycle",
-    "human",
     "planning",
     "road_view",
     "states_of",

@@ -1,4 +1,4 @@
-"""Drive vehicles by a controller that plays a game, and like humans, for a reward learned from their driving."""
+"""Define vehicles that a controller drives in a game, and vehicles that drive like humans, for a learned reward."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Draw the figures of a comparison from its records of steps and their summary, and reward against computation."""
+"""Draw the figures of a comparison from its records of steps and their summary, and those of a frontier."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -164,6 +164,8 @@ class Human(Peer):
         return super().choose()
 
 
+# Starts in recordings
+
 LONG_ENOUGH = 2.5  # s, shortest track of a vehicle
 CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: largest final offset from its middle, and smallest lateral motion
 
