@@ -160,9 +160,7 @@ Models for Efficient Planning" (ICRA 2021), released. The seconds were measured 
 other controllers.
 """
 
-NO_RESULTS_REMEDY = (
-    "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
-)
+NO_PAGE = "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
 
 
 @dataclass(frozen=True)
@@ -217,7 +215,7 @@ def read_results(directory: Path) -> Results:
     results = ResultsDirectory(directory)
     settings = results.settings() if (directory / SETTINGS_FILE).is_file() else {}
     if "asked" not in settings:
-        raise ValueError(f"{directory} holds no results of a comparison; {NO_RESULTS_REMEDY}")
+        raise ValueError(f"{directory} holds no results of a comparison; {NO_PAGE}")
     records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")

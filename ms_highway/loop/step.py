@@ -36,6 +36,38 @@ DECELERATION = 8.0  # m/s^2, hard braking on a dry road
 STRAIGHTENING_TIME = 0.5  # s, in which a braking car aligns with the road
 
 
+class Rest(NamedTuple):
+    """What is left of a plan.
+
+    Attributes:
+        plan: scaled, from this step on; beyond its end, its last controls are repeated.
+        steps: number of its controls that are left, this step's included; with 0, the robot brakes.
+        rungs: of every human in this plan.
+        start: plan from which the next one may start: this plan or, if it is an escape, the one that it replaced.
+    """
+
+    plan: Plan
+    steps: Index
+    rungs: Rungs
+    start: Plan
+
+
+class Followed(NamedTuple):
+    """What drives in a step.
+
+    Attributes:
+        now: what is followed; its first control is executed. If the robot brakes, the rungs are those of the step's own
+            plan.
+        kept: start of the next plan, and what is followed if that plan fails or is late: `now`, or a late plan, whose
+            first control counts as executed.
+        status: place of the status in `STATUSES`.
+    """
+
+    now: Rest
+    kept: Rest
+    status: Index
+
+
 class Carry(NamedTuple):
     """What a robot carries from step to step.
 
@@ -124,38 +156,6 @@ def fallback_status(finite: bool | Flag, left: Index, horizon: int) -> tuple[Any
     """
     goes_on, failed = left > 1, 1 - finite  # arithmetic, which is the same for numbers and for arrays of JAX
     return failed * (BRAKING - goes_on * (BRAKING - PREVIOUS_PLAN)), finite * horizon + failed * goes_on * (left - 1)
-
-
-class Rest(NamedTuple):
-    """What is left of a plan.
-
-    Attributes:
-        plan: scaled, from this step on; beyond its end, its last controls are repeated.
-        steps: number of its controls that are left, this step's included; with 0, the robot brakes.
-        rungs: of every human in this plan.
-        start: plan from which the next one may start: this plan or, if it is an escape, the one that it replaced.
-    """
-
-    plan: Plan
-    steps: Index
-    rungs: Rungs
-    start: Plan
-
-
-class Followed(NamedTuple):
-    """What drives in a step.
-
-    Attributes:
-        now: what is followed; its first control is executed. If the robot brakes, the rungs are those of the step's own
-            plan.
-        kept: start of the next plan, and what is followed if that plan fails or is late: `now`, or a late plan, whose
-            first control counts as executed.
-        status: place of the status in `STATUSES`.
-    """
-
-    now: Rest
-    kept: Rest
-    status: Index
 
 
 def no_rest(horizon: int, humans: int) -> Rest:

@@ -35,6 +35,7 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("sweep merger --out out --seeds 0", "argument --seeds: '0' is no whole number from 1 to 1,000,000"),
         ("frontier --lambdas 3:1:1", "argument --lambdas: lambdas are '3:1:1'; give a number like 0.1, or LOW:HIGH"),
         ("compare --out /proc/x/y", "/proc/x/y cannot be written: No such file or directory; "),
+        ("compare --out /proc/version", "/proc/version cannot be written: it is no directory; "),
         ("bench --json .", ". cannot be written: it is a directory or a device; "),
     ],
 )

@@ -106,11 +106,11 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
     run(f"{COMPARE} {begun}")
     pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
     before = steps.read_text()
-    run(f"{COMPARE} {begun} --format pdf")
+    run(f"{COMPARE} {begun} --format svg")
     assert steps.read_text() == before
     assert (begun / "stay_back_bars.png").exists()  # of the same records
     for name in FIGURES:
-        assert (begun / f"stay_back_{name}.pdf").stat().st_size > 8000
+        assert (begun / f"stay_back_{name}.svg").read_text().count("<path") > 20
     assert not parts.exists()
 
 
@@ -213,7 +213,7 @@ def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(
     assert [path.name for path in out.parent.iterdir()] == [out.name]
 
 
-def test_figures_are_written_in_every_format_and_are_not_empty():
+def test_curves_and_frontiers_are_written_in_every_format_and_are_not_empty():
     kept = pd.read_csv(KEPT / "summary.csv")
     drawn = curve(kept[kept["run"] == "curve"], "merger"), frontier(pd.read_csv(KEPT / "regrets.csv"), "merger", 30)
     for figure in drawn:

@@ -14,6 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 import ms_highway
 from ms_highway import always
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario, environment_id, registry
+from ms_highway.envs.agents import AGENTS
 from ms_highway.envs.controllers import ControllerSettings
 from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
 from ms_highway.game.dynamics import keep_velocity
@@ -67,7 +68,7 @@ def test_nested_configurations_merge_and_a_new_type_replaces():
     assert env.config["controller"] == {"type": "learned", "lambda": 3}
     env.configure({"controller": NAIVE | {"belief": True}, "human_reward": {"speed": 2.0, "off_road": -100.0}})
     assert env.config["controller"] == NAIVE | {"belief": True}
-    env.configure({"controller": "naive", "human_reward": {"speed": 3.0}})
+    env.reset(options={"config": {"controller": "naive", "human_reward": {"speed": 3.0}}})
     assert env.config["controller"] == NAIVE  # a short name stands for the whole
     assert env.config["human_reward"] == {"speed": 3.0}
 
@@ -218,14 +219,15 @@ def add_own_scenario(name):
 @pytest.mark.parametrize(
     ("what", "add", "taken"),
     [
-        ("a rule", lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)), "tom"),
-        ("a human driver", lambda name: ms_highway.add_driver(name, keep_velocity), "learned"),
-        ("an agent", lambda name: ms_highway.add_agent(name, np.zeros_like), "never"),
-        ("a scenario", add_own_scenario, "merger"),
+        ("a rule", lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)), ("learned", "tom", "never", "coasts")),
+        ("a human driver", lambda name: ms_highway.add_driver(name, keep_velocity), ("learned", "tom", "coasts")),
+        ("an agent", lambda name: ms_highway.add_agent(name, np.zeros_like), ("learned", "tom", "never")),
+        ("a scenario", add_own_scenario, ("merger",)),
     ],
 )
-def test_what_is_added_needs_an_unused_name_of_one_word(what, add, taken):
-    for name in (taken, "two words", "Upper"):
+def test_what_is_added_needs_an_unused_name_of_one_word(what, add, taken, monkeypatch):
+    monkeypatch.setitem(AGENTS, "coasts", None)
+    for name in (*taken, "two words", "Upper"):
         with pytest.raises(ValueError, match=f"{what} cannot be called '{name}'; choose one word in lower case"):
             add(name)
 

@@ -20,7 +20,9 @@ CHOOSING = {"type": "HumanModelAction", "lambda": 0.1}
 DRIVING = {"type": "ContinuousAction"}
 
 
-@pytest.mark.parametrize(("scenario", "action"), [("merger", CHOOSING), ("dense_merge", DRIVING)])
+@pytest.mark.parametrize(
+    ("scenario", "action"), [("merger", {"type": "Autopilot"}), ("merger", CHOOSING), ("dense_merge", DRIVING)]
+)
 def test_gymnasiums_checker_passes_without_a_warning(scenario, action):
     env = make(scenario, render_mode="rgb_array", action=action, ladder=["naive", "turn"], duration=0.3)
     check_env(env.unwrapped)  # a warning would be an error

@@ -35,6 +35,13 @@ def test_physical_semantics_limit_a_scenario_of_the_paper_too():
     assert (float(planner.grip), planner.horizon) == (GRIP, 5)
 
 
+def test_switching_estimates_gains_in_a_physical_scene():
+    infos = drive(make("merger-v1", "switching:0.1", ladder=["naive", "turn"], duration=0.3)).infos
+    assert {info["status"] for info in infos} == {"planned"}
+    assert not any(info["choice_failed"] for info in infos)
+    assert infos[-1]["gains"]
+
+
 def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
     steps = simulated(Comparison({"stay-back-v1": ["learned:1e9", "learned:1"]}, 12))  # one program for both
     assert {*steps["model"][steps["controller"] == "learned:1e9"]} == {"naive"}  # at such a price

@@ -29,6 +29,9 @@ def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_value
     *_, (_, last) = learn(learning, courses, kept, device_mesh())
     assert (kept / "1-0.npz").read_bytes() == before
     jax.tree.map(np.testing.assert_array_equal, last.network, done[-1][1].network)
+    (kept / "1-0.npz").write_bytes(before[:100])
+    with pytest.raises(ValueError, match=r"1-0\.npz cannot be read"):
+        next(learn(learning, courses, kept, device_mesh()))
 
 
 @pytest.mark.slow

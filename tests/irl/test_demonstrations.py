@@ -69,7 +69,7 @@ def test_the_driver_drives_the_episodes_of_a_minari_data_set_again_with_its_sett
 
 
 @pytest.mark.usefixtures("files")
-def test_loaded_recordings_hold_the_observed_states_to_which_the_actions_lead_among_as_many_cars_as_asked_for():
+def test_loaded_recordings_are_the_observed_states_and_follow_from_the_actions():
     dataset = minari.load_dataset(NAME)
     action_type = dataset.recover_environment().unwrapped.action_type
     for recording, episode, others in zip(load_demonstrations(NAME), dataset, DENSITIES.values(), strict=True):
@@ -100,6 +100,9 @@ def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_
     with h5py.File(files / "main_data.hdf5", "a") as file:
         file["episode_1/observations"][7, 2, 3] = np.nan
     with pytest.raises(ValueError, match=rf"{NAME} cannot be used \(episode 1 is not finite at step 7, car 2\)"):
+        load_demonstrations(NAME)
+    (files / "main_data.hdf5").write_bytes(b"no HDF5")
+    with pytest.raises(ValueError, match=f"{NAME} cannot be used .*record it again"):
         load_demonstrations(NAME)
     shutil.rmtree(files)
     with pytest.raises(ValueError, match=f"there is no data set {NAME}"):

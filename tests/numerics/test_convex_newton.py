@@ -43,7 +43,7 @@ def climbed(steepness, waves, limit):
     return controls, hill.earned(controls) - hill.earned(start)
 
 
-def test_steps_reach_the_top_of_a_concave_reward_within_limits_climb_any_other_and_are_nan_where_it_is():
+def test_steps_climb_any_reward_within_the_limits_and_are_nan_where_the_reward_is():
     top = np.linalg.solve(np.eye(12) + 40 * PATH[0].T @ PATH[0], 40 * PATH[0].T @ np.ones(6)).reshape(6, 2)
     rewards = np.float32([[20, 0, 10], [20, 0, 0.1], [0, 5, 10], [np.nan, 0, 10]])
     found, gained = climbed(*rewards.T)

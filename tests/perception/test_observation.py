@@ -59,7 +59,7 @@ def drive(scene, steps=80):
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_in_all_scenes_routes_are_drivable_and_stay_the_same_positions_are_true_and_shapes_are_constant(scene):
+def test_observed_routes_are_drivable_and_constant_and_observed_positions_are_true(scene):
     before = last = None
     for seen, pose, lane, positions in drive(scene):
         route, (left, right) = seen.route, seen.edges

@@ -19,7 +19,7 @@ SLOW = pytest.mark.slow
 
 
 def mostly_slow(scenes):
-    """The first scene, and the others as parameters of slow tests."""
+    """The first scene of the file, and the others as parameters of slow tests."""
     first, *others = scenes
     return [first, *(pytest.param(scene, marks=SLOW) for scene in others)]
 
