@@ -3,7 +3,8 @@
 From the situation of a human, networks estimate how much more the robot earns per step if a rung, instead of the
 cheapest one, predicts this human, while the same rung predicts all nearer humans. The price of the time that the human
 adds to a plan is subtracted. A gap may open only if two humans yield together. Therefore, the rule adds up the values
-from the nearest human outwards, and predicts as many humans by more than the cheapest rung as have the highest sum.
+of each rung from the nearest human outwards, and takes the rung and the number of humans with the highest sum. The
+cheapest rung predicts the other humans.
 """
 
 import json
@@ -41,7 +42,7 @@ MIN_NOISE = 0.02  # least standard deviation of a gain
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LearnedValue(Rule):
-    """Take the rung with the highest value for the nearest humans, as many as have the highest total value.
+    """Take the rung and the number of the nearest humans with the highest total value.
 
     Attributes:
         costs: planning time of each rung.
@@ -69,9 +70,10 @@ class LearnedValue(Rule):
             return unestimated(memory, memory.rungs)
         values, gains, failed = jax.vmap(self._values)(describe(game, outcome.after), jnp.asarray(memory.rungs))
         rank = nearness(game, outcome.after)
-        worth = values[:, 1:].max(axis=1) - values[:, 0]
-        count = jnp.argmax(jnp.concatenate([jnp.zeros(1), jnp.cumsum(worth[jnp.argsort(rank)][:TOGETHER])]))
-        rungs = jnp.where(rank < count, 1 + values[:, 1:].argmax(axis=1), 0)
+        worth = (values - values[:, :1])[jnp.argsort(rank)][:TOGETHER]
+        totals = jnp.cumsum(worth, axis=0)  # of the nearest humans under each rung
+        fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
+        rungs = jnp.where(rank <= fewer, rung, 0)
         if not self.cautious:
             top, little = gains[:, -1], MIN_NOISE * (1 - rank / game.number)
             gains = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))

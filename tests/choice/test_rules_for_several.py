@@ -106,6 +106,18 @@ def test_higher_prices_of_planning_choose_cheaper_models(game):
         assert decision.memory.rungs.tolist() == [rung] * 4
 
 
+def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highest(game):
+    """Theory of mind gains 1 for the nearest human, and loses for every other one; turn gains the same for each."""
+    inputs = len(SHIPPED.centre)
+    place = np.zeros((1, inputs, 1), np.float32)
+    place[0, -1] = 0.01  # of the share of humans who are nearer, so that tanh is linear
+    for gain, rungs in ((0.4, [TURN] * 4), (0.2, [TOM, NAIVE, NAIVE, NAIVE])):
+        gains = np.float32([[[0.0, -800.0, 0.0, 0.0]]]), np.float32([[gain, 1.0, 0.0, 0.0]])
+        network = (place, np.zeros((1, 1), np.float32)), gains
+        whole = {"centre": np.zeros(inputs, np.float32), "spread": np.ones(inputs, np.float32)}
+        assert chosen(replace(SHIPPED.rule(RUNGS, COSTS, 0.0), network=network, **whole), game) == rungs
+
+
 def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
     certain, doubtful = over_naive((0.0, 0.1)), over_naive((0.0, 0.1), doubt=1.0)
     assert chosen(certain, game) == [TOM] * 4
