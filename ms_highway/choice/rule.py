@@ -1,6 +1,8 @@
 """Define the interface of rules, which choose the model of every human for the coming step; and two simple rules.
 
 `Order` takes the models of a fixed order, `Nearest` predicts the nearest humans by the top of the ladder.
+
+All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on the rule's ladder.
 """
 
 from collections.abc import Callable

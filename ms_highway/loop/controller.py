@@ -166,7 +166,7 @@ never_yields: DriverFunction = partial(unmoved_control, yields=False)
 always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
 HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yields, "always": always_yields}
-"""Drivers of humans who do not plan, by name: functions, and classes of highway-env vehicles."""
+"""Human drivers by name. They do not plan: each is a function, or a class of highway-env vehicles."""
 
 
 def function_names() -> list[str]:

@@ -159,7 +159,7 @@ def fallback_status(finite: bool | Flag, left: Index, horizon: int) -> tuple[Any
 
 
 def no_rest(horizon: int, humans: int) -> Rest:
-    """Return what is left before the first plan."""
+    """Return the `Rest` before the first plan: no control is left."""
     still = np.zeros((1 + humans, horizon, 2), np.float32)
     nothing = Plan(still[0], still[1:])
     return Rest(nothing, np.int32(0), np.zeros(humans, np.int32), nothing)
@@ -174,12 +174,12 @@ def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Follow
         before: what the last step kept.
         late: whether the plan is too late for this step; a finite one is kept for the next step.
     """
-    xp, left, begin = plan.robot.__array_namespace__(), one_step_later(before.plan), one_step_later(before.start)
+    xp, left, later_start = plan.robot.__array_namespace__(), one_step_later(before.plan), one_step_later(before.start)
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
     def choose(follows: Flag) -> tuple[Index, Rest]:
         status, steps = fallback_status(follows, before.steps, len(plan.robot))
-        chosen, start = (jax.tree.map(partial(xp.where, follows), plan, old) for old in (left, begin))
+        chosen, start = (jax.tree.map(partial(xp.where, follows), plan, old) for old in (left, later_start))
         own = xp.where(follows | (steps == 0), rungs, before.rungs)
         return status, Rest(chosen, steps, own, start)
 

@@ -1,4 +1,4 @@
-"""State what is optimised over the controls of a plan (`Objective`), and climb it by Newton's method.
+"""Define the `Objective` of the controls of a plan, and maximise it by Newton's method.
 
 `damped_solve` is a Newton step that needs no eigenvalues.
 """
@@ -59,7 +59,7 @@ class Objective(NamedTuple):
     def search_line(
         self, controls: Controls, step: Controls, shares: Float[Any, "shares"]
     ) -> tuple[ManyControls, Float[Any, "shares"]]:
-        """Return the controls after shares of a step, within the limits, and what they earn."""
+        """Return the controls after shares of a step, limited by `bounded`, and the value of `earned` for each."""
         candidates = self.bounded(controls + shares[:, None, None] * step)
         return candidates, jax.vmap(self.earned)(candidates)
 

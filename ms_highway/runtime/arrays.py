@@ -1,4 +1,7 @@
-"""Name arrays by their shapes, loop over rows, and read structures of numbers from JSON."""
+"""Name arrays by their shapes, loop over rows, and read structures of numbers from JSON.
+
+All types except `SameArray` may be of NumPy or JAX, which a type checker cannot tell apart.
+"""
 
 import re
 from collections.abc import Callable

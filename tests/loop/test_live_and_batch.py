@@ -124,13 +124,15 @@ def test_a_driver_with_a_budget_measures_the_time_of_its_decisions(scene):
     steps = [driver.step(starts[0]) for _ in range(2)]
     assert 0 < driver.rule.deciding < 1
     assert [step.status for step in steps] == ["planned"] * 2
-    assert np.isfinite(steps[1].gains).any(axis=0).tolist() == [game.number > 1, False, True]
+    assert steps[0].models == ("naive",) * game.number
+    first = game.number > 1  # with one human, no gain is told of the model in use
+    assert np.isfinite(steps[1].gains).all(axis=0).tolist() == [first, False, True]
     again = Driver(game, rule, budget=10.0)
     assert again.step(starts[0]).compile_seconds > again.rule.deciding  # which compiles nothing, but measures again
 
 
 def weaves(game, state):
-    """Drive as a human who depends on the robot's place, and who steers more than tyres hold."""
+    """Return a control that depends on the robot's position, and that steers more than tyres hold."""
     return keep_velocity(game.world, state[0]) + jnp.stack([jnp.float32(0.03), 0.1 * (state[1, 0] - state[0, 0])])
 
 

@@ -33,7 +33,7 @@ def objective(reward, curvature, limit=10.0):
 @jax.jit
 @jax.vmap
 def climbed(steepness, waves, limit):
-    """The controls after steps up a hill with waves, and what they gain."""
+    """Return the controls after Newton steps on a hill with waves, and the reward that these steps gain."""
 
     def reward(path):
         return waves * jnp.sum(jnp.cos(3 * path)) - steepness * jnp.sum((path - 1.0) ** 2)

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 
 def ran(*words, status=0, **options):
-    """Run Python with these words on its command line; return what it prints, or how it is refused."""
+    """Run Python with these arguments; return its standard output or, if it should fail, its standard error."""
     done = subprocess.run([sys.executable, *words], capture_output=True, text=True, **options)
     assert done.returncode == status, done.stderr
     return done.stderr if status else done.stdout
