@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import Bool, Float
 
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
@@ -51,6 +52,17 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
     )
 
 
+def _distance(scene: Scene, own: Motion, bodies: Bodies) -> Float[jax.Array, "bodies points *times"]:
+    """Return the `ellipse_distance` D - 1 from the points of the car's body to other bodies."""
+    points = body_points(jnp.asarray(scene.car_size), scene.corner)
+    return ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
+
+
+def touches(scene: Scene, own: Motion, others: Motion) -> Bool[jax.Array, "*times"]:
+    """Return whether any point of the car's body has D < 1; arguments as for `collision_risk`."""
+    return (_distance(scene, own, bodies_around(scene, others)) < 0).any(axis=(0, 1))
+
+
 def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = False) -> tuple[Times, Times]:
     """Return the risk of a collision, and the indicator of a collision: 1 where any point has D < 1, else 0.
 
@@ -68,12 +80,11 @@ def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = Fal
         smooth: whether the indicator is smooth.
     """
     bodies = bodies_around(scene, others)
-    points = body_points(jnp.asarray(scene.car_size), scene.corner)
-    distance = ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
+    distance = _distance(scene, own, bodies)
     close = bodies.share * jnp.exp(-bodies.sharpness * distance)
     if smooth:
-        touches = SMOOTH_FACTOR * jnp.maximum(SMOOTH_MARGIN - distance, 0.0) ** 3
+        touching = SMOOTH_FACTOR * jnp.maximum(SMOOTH_MARGIN - distance, 0.0) ** 3
     else:
-        touches = jax.lax.stop_gradient(distance < 0).astype(close.dtype)
-    risk, indicator = jnp.sum(jnp.stack([close, touches], axis=2), axis=(0, 1))
+        touching = jax.lax.stop_gradient(distance < 0).astype(close.dtype)
+    risk, indicator = jnp.sum(jnp.stack([close, touching], axis=2), axis=(0, 1))
     return risk, indicator if smooth else (indicator > 0).astype(close.dtype)

@@ -13,7 +13,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.collision_risk import collision_risk
+from ms_highway.game.collision_risk import touches
 from ms_highway.game.dynamics import Motion, coast, observe, step
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
@@ -50,16 +50,16 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         control: scaled, about to be executed.
     """
     others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE_STEPS))
-    clearance = jax.vmap(lambda way: _clearance(game, way, others))
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
-    _, ways = manoeuvres(game, after, ESCAPE_STEPS - 1, ACCELERATIONS)
-    kept = clearance(jnp.concatenate([jnp.broadcast_to(after, (len(ways), 1, 4)), ways], axis=1)).max()
-    controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS, ACCELERATIONS)
-    clear = clearance(escapes)
+    both = jax.vmap(lambda car: manoeuvres(game, car, ESCAPE_STEPS, ACCELERATIONS))(jnp.stack([state[0], after]))
+    (controls, _), (escapes, later) = both
+    kept = jnp.concatenate([jnp.broadcast_to(after, later[:, :1].shape), later[:, :-1]], axis=1)
+    clearance = jax.vmap(lambda way: _clearance(game, way, others))(jnp.concatenate([escapes, kept]))
+    of_escapes, of_kept = jnp.split(clearance, 2)
     earned = jax.vmap(lambda way: jnp.sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
-    best = jnp.argmax(jnp.where(clear == clear.max(), earned, -jnp.inf))
+    best = jnp.argmax(jnp.where(of_escapes == of_escapes.max(), earned, -jnp.inf))
     steps = np.minimum(np.arange(game.planner.horizon), ESCAPE_STEPS - 1)
-    return Escape(controls[best][steps], clear.max() > kept)
+    return Escape(controls[best][steps], of_escapes.max() > of_kept.max())
 
 
 def _within_road(game: Game, others: Motion) -> Motion:
@@ -78,5 +78,5 @@ def _clearance(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> 
         car_size=jnp.asarray(scene.car_size) + CLEARANCE,
         obstacle_size=jnp.asarray(scene.obstacle_size) + CLEARANCE,
     )
-    free, wide = (collision_risk(checked, own, others)[1] == 0 for checked in (scene, wider))
-    return jnp.sum(jnp.cumprod(free)) + wide.all()
+    free, clear = (~touches(checked, own, others) for checked in (scene, wider))
+    return jnp.sum(jnp.cumprod(free)) + clear.all()
