@@ -18,6 +18,7 @@ from ms_highway.envs.demonstration import DemonstrationEnv
 from ms_highway.game.scenario import Scenario
 from ms_highway.game.scenarios import (
     CROSSING_CROWD,
+    CROSSING_CROWD_V1,
     DENSE_MERGE,
     DENSE_MERGE_V1,
     GIVE_WAY,
@@ -34,6 +35,7 @@ __all__ = [
     "PAPER_SCENARIOS",
     "SCENARIOS",
     "CrossingCrowdEnv",
+    "CrossingCrowdV1Env",
     "DemonstrationEnv",
     "DenseMergeEnv",
     "DenseMergeV1Env",
@@ -104,6 +106,12 @@ class CrossingCrowdEnv(InteractionEnv):
     scenario = CROSSING_CROWD
 
 
+class CrossingCrowdV1Env(InteractionEnv):
+    """The robot crosses one stream of humans to join another one; plans of a second, within tyres."""
+
+    scenario = CROSSING_CROWD_V1
+
+
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
     environment.scenario.name: environment
     for environment in (
@@ -116,6 +124,7 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
         MergerV1Env,
         GiveWayV1Env,
         DenseMergeV1Env,
+        CrossingCrowdV1Env,
     )
 }
 """The environments by the names of their scenarios."""

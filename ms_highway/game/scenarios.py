@@ -122,23 +122,6 @@ def _merge_among_several(
 DENSE_MERGE = _merge_among_several("dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),))
 """The robot's lane ends, and most gaps in the stream beside it are too short for a car unless a human yields."""
 
-DENSE_MERGE_V1 = _physical(
-    DENSE_MERGE,
-    10,
-    steps=60,
-    ladder=("naive", "tom"),
-    robot_weights={**DENSE_MERGE.robot_weights, "collision_risk": -4},
-    cones=_lane_end(2.5),
-    streams=(Stream(-0.1 * UNIT, spacing=(7.0, 13.0)),),
-    caution=1.0,
-    careless=0.0,
-)
-"""All humans yield to a car that merges. The robot is careful: it enters only gaps that it expects to open.
-
-Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
-nearly all.
-"""
-
 CROSSING_CROWD = _merge_among_several(
     "crossing_crowd",
     100,
@@ -150,3 +133,32 @@ CROSSING_CROWD = _merge_among_several(
 
 At first, the humans in the middle lane matter: the robot has to get between them before the cones. Later, those in the
 left lane do; they drive faster, so that the robot meets others there than its neighbours at the start."""
+
+CAREFUL: dict[str, Any] = {
+    "ladder": ("naive", "tom"),
+    "robot_weights": {**DENSE_MERGE.robot_weights, "collision_risk": -4},
+    "caution": 1.0,
+    "careless": 0.0,
+}
+"""What version 1 of scenes with several humans has in common.
+
+All humans yield to a car that merges. The robot is careful: it enters only gaps that it expects to open.
+"""
+
+CLOSE = 7.0, 13.0  # m, spacing in the streams of version 1
+
+DENSE_MERGE_V1 = _physical(
+    DENSE_MERGE, 10, steps=60, cones=_lane_end(2.5), streams=(Stream(-0.1 * UNIT, spacing=CLOSE),), **CAREFUL
+)
+"""Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
+nearly all."""
+
+CROSSING_CROWD_V1 = _physical(
+    CROSSING_CROWD,
+    10,
+    cones=_lane_end(2.0),
+    streams=tuple(replace(stream, spacing=CLOSE) for stream in CROSSING_CROWD.streams),
+    **CAREFUL,
+)
+"""Spacing and cones were chosen so that naive plans succeed in two thirds of the episodes, and theory of mind in nearly
+all."""
