@@ -1,7 +1,7 @@
 """The environments: scenarios of a robot with one human or several, and one to record driving in.
 
-``import ms_highway`` registers these ids with Gymnasium: ``ms-highway/stay-back-v1``, ``merger-v1``, ``give-way-v1``
-and ``dense-merge-v1``, in which cars keep to what tyres hold; the same scenes at version 0; ``crossing-crowd-v0`` and
+``import ms_highway`` registers these ids with Gymnasium: ``ms-highway/stay-back-v1``, ``merger-v1``, ``give-way-v1``,
+``dense-merge-v1`` and ``crossing-crowd-v1``, in which cars keep to what tyres hold; the same scenes at version 0;
 ``demonstration-v0``; and those of other packages. Imports `ms_highway.vehicle` and the packages below it.
 """
 
@@ -107,7 +107,7 @@ class CrossingCrowdEnv(InteractionEnv):
 
 
 class CrossingCrowdV1Env(InteractionEnv):
-    """The robot crosses one stream of humans to join another one; plans of a second, within tyres."""
+    """A careful robot crosses one stream of humans, who yield, to join another; plans of a second, within tyres."""
 
     scenario = CROSSING_CROWD_V1
 

@@ -12,12 +12,11 @@ JAX. To start::
 
 or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 
-* Environments: ``ms-highway/stay-back-v1``, ``merger-v1`` and ``give-way-v1``, within what tyres hold; the same at
-  version 0, the paper's; ``dense-merge-v1``, its easier version 0 and ``crossing-crowd-v0``, with several humans, see
-  `InteractionEnv`;
-  ``demonstration-v0``, traffic to record driving in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``,
-  recorded traffic with its planning problems, see `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that
-  and highway-env's own.
+* Environments: ``ms-highway/stay-back-v1``, ``merger-v1`` and ``give-way-v1``, with one human, and ``dense-merge-v1``
+  and ``crossing-crowd-v1``, with several, all within what tyres hold; the same scenes at version 0, of which those with
+  one human are the paper's, see `InteractionEnv`; ``demonstration-v0``, traffic to record driving in, see
+  `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with its planning problems, see
+  `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that and highway-env's own.
 * One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a scenario, `add_feature` a
   feature of rewards.
 * Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and `HumanVehicle`, for roads of
@@ -73,6 +72,7 @@ _ENVIRONMENTS = {
     "dense-merge-v0": "envs:DenseMergeEnv",
     "dense-merge-v1": "envs:DenseMergeV1Env",
     "crossing-crowd-v0": "envs:CrossingCrowdEnv",
+    "crossing-crowd-v1": "envs:CrossingCrowdV1Env",
     "demonstration-v0": "envs:DemonstrationEnv",
     "recorded-v0": "recorded:RecordedEnv",
 }

@@ -32,6 +32,7 @@ SCENARIO_NAMES = (
     "merger-v1",
     "give-way-v1",
     "dense-merge-v1",
+    "crossing-crowd-v1",
 )
 """Keys of `ms_highway.envs.ENVIRONMENTS`, repeated so that help needs no JAX."""
 
@@ -68,7 +69,7 @@ keys; the most useful ones are:
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
   grip=8                  total acceleration that tyres hold [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8 in
                           -v1)
-  humans=6                number of humans, 2 to 20, in dense_merge, dense-merge-v1 and crossing_crowd
+  humans=6                number of humans, 2 to 20, in scenes with several (dense-merge-v1, crossing-crowd-v1)
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never, keep their
                           velocity; always, make room for the robot; or mixed, each human never or always
   human_driver=NAME       what drives the humans instead: a driver that --import adds by ms_highway.add_driver

@@ -256,8 +256,9 @@ def learn(options: argparse.Namespace) -> None:
     so far chooses. Networks are fitted to the reward that each model earns beyond the cheapest one, in several rounds.
     One file serves all lambdas and costs.
 
-    Among several humans (dense-merge-v1, dense_merge, crossing_crowd), each model predicts the nearest one, two, three
-    and four humans; the value of a human is the reward that it adds. Such a file serves scenes with several humans.
+    Among several humans (dense-merge-v1, crossing-crowd-v1, dense_merge, crossing_crowd), each model predicts the
+    nearest one, two, three and four humans; the value of a human is the reward that it adds. Such a file serves
+    scenes with several humans.
 
     Starts are drawn anew, not by the numbered seeds of environments, so that `ms-highway frontier` can measure the
     regret of learned:LAMBDA:FILE on held-out starts. The same --seed gives the same values. Rollouts are kept beside
@@ -266,7 +267,7 @@ def learn(options: argparse.Namespace) -> None:
     Examples:
       ms-highway values learn merger give_way --out values.npz
       ms-highway compare merger --controllers tom learned:1:values.npz
-      ms-highway values learn dense-merge-v1 --states 300 --out crowd.npz
+      ms-highway values learn dense-merge-v1 crossing-crowd-v1 --states 300 --out crowd.npz
       ms-highway --import zipper values learn zipper --out zipper.npz
     """
     from shutil import rmtree
