@@ -15,6 +15,8 @@ from ms_highway.envs.game_env import Timing
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.scenario import COMMON_WEIGHTS
+from ms_highway.planning.human_models import PredictedHuman
+from ms_highway.planning.ladders import MODELS
 
 CHOOSING = {"type": "HumanModelAction", "lambda": 0.1}
 DRIVING = {"type": "ContinuousAction"}
@@ -76,6 +78,14 @@ def test_gradient_steps_suit_the_horizon_and_longer_ones_give_one_warning():
     with pytest.warns(UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot") as warned:
         make("merger", horizon=10, step_size=0.03)
     assert [each.category for each in warned].count(UserWarning) == 1
+
+
+def test_a_model_without_finite_predictions_is_warned_of_in_the_first_step_and_the_robot_brakes(monkeypatch):
+    lost = type("Lost", (PredictedHuman,), {"name": "lost", "predict": lambda *_: np.full((5, 2), np.nan)})
+    monkeypatch.setitem(MODELS, "lost", lost())
+    env = make("merger", "lost")
+    with pytest.warns(UserWarning, match="model 'lost' predicts a curvature of nan 1/m, so that no plan follows"):
+        assert drive(env, steps=1).infos[0]["status"] == "braking"
 
 
 def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked():

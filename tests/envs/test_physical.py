@@ -7,6 +7,7 @@ import pytest
 from episodes import drive, make
 
 from ms_highway.envs import SCENARIOS
+from ms_highway.experiments.runner import episode
 from ms_highway.game.scenario import GRIP, title
 
 PHYSICAL = [name for name, scenario in SCENARIOS.items() if scenario.semantics == "physical"]
@@ -34,25 +35,13 @@ def test_physical_semantics_limit_a_scenario_of_the_paper_too():
     assert (float(planner.grip), planner.horizon) == (GRIP, 5)
 
 
-def test_switching_estimates_gains_in_a_physical_scene():
-    infos = drive(make("merger-v1", "switching:0.1", ladder=["naive", "turn"], duration=0.3)).infos
-    assert {info["status"] for info in infos} == {"planned"}
-    assert not any(info["choice_failed"] for info in infos)
-    assert infos[-1]["gains"]
-
-
 def driven(scenario, controllers, starts):
     """Return a row for each step of episodes from the same starts."""
-    rows = []
-    for controller in controllers:
-        env = make(scenario, controller)
-        for seed in range(starts):
-            _, _, rewards, infos = drive(env, seed)
-            rows += [
-                {**info, "controller": controller, "seed": seed, "reward": reward}
-                for reward, info in zip(rewards, infos, strict=True)
-            ]
-    return pd.DataFrame(rows)
+    robots = {controller: make(scenario, controller) for controller in controllers}
+    steps = (
+        (name, seed, step) for name, env in robots.items() for seed in range(starts) for step in episode(env, seed)
+    )
+    return pd.DataFrame([step | {"controller": name, "seed": seed} for name, seed, step in steps])
 
 
 def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
@@ -80,7 +69,7 @@ def test_in_dense_merge_naive_plans_fail_and_a_choice_that_seldom_thinks_succeed
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["merger-v1", "give-way-v1"])
 def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision(name):
-    steps = driven(name, ["naive", "tom", "learned:1"], 12)
-    assert not steps["collision"].any()
+    steps = driven(name, ["naive", "tom", "learned:1", "switching:0.1"], 12)
+    assert not steps[["collision", "choice_failed"]].any(axis=None)
     rewards = steps.groupby("controller")["reward"].mean()
     assert rewards["learned:1"] - rewards["naive"] > 0.97 * (rewards["tom"] - rewards["naive"])

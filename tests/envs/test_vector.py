@@ -1,19 +1,15 @@
 """Many environments at once in JAX equal single environments."""
 
-from dataclasses import dataclass
-
 import gymnasium as gym
 import jax
 import numpy as np
 import pytest
 from episodes import TWO
 from gymnasium.vector import AutoresetMode
-from jax import numpy as jnp
 
-from ms_highway import FunctionalEnv, PredictedHuman
+from ms_highway import FunctionalEnv
 from ms_highway.envs import scenario_name
 from ms_highway.game.starts import TracedRandom
-from ms_highway.planning.ladders import MODELS
 
 CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}, "ladder": ["naive", "turn"]}
 LEARNED = {"controller": "learned:1", "ladder": ["naive", "turn"]}
@@ -74,30 +70,6 @@ def test_episodes_begin_anew_as_gymnasium_says(mode):
                 ours.step(actions)
             mine, other = (envs.reset(options={"reset_mask": ended})[0] for envs in (ours, singles))
             np.testing.assert_allclose(mine, other, atol=1e-5)
-
-
-@dataclass(frozen=True)
-class Lost(PredictedHuman):
-    name = "lost"
-
-    def predict(self, game, state, start=None):
-        return jnp.full((game.planner.horizon, 2), jnp.nan)
-
-
-def test_a_model_without_finite_predictions_is_warned_of_and_paid_for_as_in_single_environments(monkeypatch):
-    monkeypatch.setitem(MODELS, "lost", Lost())
-    config = CHOOSING | {"ladder": ["naive", "lost"], "costs": {"naive": 0.01, "lost": 0.1}}
-    with pytest.warns(UserWarning, match="model 'lost' predicts a curvature of nan 1/m, so that no plan follows"):
-        ours, singles = both("merger-v1", config, number=1)
-    ours.reset(seed=0), singles.reset(seed=0)
-    with pytest.warns(UserWarning, match="'lost'"):  # in the first step
-        singles.step(np.zeros(1, int)), ours.step([0])
-    for action in (1, 0, 1):
-        mine, other = ours.step([action]), singles.step(np.array([action]))
-        np.testing.assert_allclose(mine[1], other[1], atol=2e-3)
-        for info in (mine[4], other[4]):
-            assert info["status"] == ("previous plan" if action else "planned")
-            assert info["counted_seconds"] == pytest.approx([0.1 if action else 0.01])
 
 
 def test_pure_functions_can_be_jitted_and_vmapped_and_equal_the_environment():
