@@ -1,7 +1,7 @@
 """The environments: scenarios of a robot with one human or several, and one to record driving in.
 
 ``import ms_highway`` registers these ids with Gymnasium: ``ms-highway/stay-back-v1``, ``merger-v1``, ``give-way-v1``,
-``dense-merge-v1`` and ``crossing-crowd-v1``, in which cars keep to what tyres hold; the same scenes at version 0;
+``dense-merge-v1`` and ``crossing-crowd-v1``, in which cars keep to what tyres hold; version 0 of each;
 ``demonstration-v0``; and those of other packages. Imports `ms_highway.vehicle` and the packages below it.
 """
 

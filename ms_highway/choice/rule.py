@@ -33,7 +33,8 @@ SHIPPED_COSTS = {  # s
 which the model predicts one of them and naive the others.
 
 These are means over episodes on one core, including the search for a way out: of Merger v1 and Give Way v1 with one
-human, and with several of Dense Merge (six episodes) and Dense Merge v1 (20)."""
+human, and with several of Dense Merge (six episodes) and Dense Merge v1 (20). The search for a way out took longer when
+they were measured."""
 
 NOT_ESTIMATED = -np.inf
 """Gain of a rung for which none was estimated. It is not NaN, as NaN would trigger ``jax_debug_nans``."""

@@ -69,7 +69,7 @@ keys; the most useful ones are:
   control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
   grip=8                  total acceleration that tyres hold [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8 in
                           -v1)
-  humans=6                number of humans, 2 to 20, in scenes with several (dense-merge-v1, crossing-crowd-v1)
+  humans=6                number of humans, 2 to 20, in scenes with several (Dense Merge and Crossing Crowd)
   yielding=never          what humans do beside the robot: usual, plan for their reward (default); never, keep their
                           velocity; always, make room for the robot; or mixed, each human never or always
   human_driver=NAME       what drives the humans instead: a driver that --import adds by ms_highway.add_driver

@@ -49,10 +49,10 @@ def compare(options: argparse.Namespace) -> None:
     paper's two lambdas, and also learned:1. stay-back-v1, merger-v1 and give-way-v1 are the same scenes within what
     tyres hold.
 
-    In dense-merge-v1 and crossing-crowd-v1, and in dense_merge and crossing_crowd, which are easier, a controller
-    chooses a model for each of several humans. A model's name stands for all humans; nearest:K predicts the K
-    nearest humans by tom and the others naively; budget:MILLISECONDS chooses what gains most within this time of
-    planning and deciding per step.
+    In dense-merge-v1 and crossing-crowd-v1, and in the easier dense_merge and crossing_crowd, there are several humans,
+    and a controller chooses a model for each. A model's name stands for all humans; nearest:K predicts the K nearest
+    humans by tom and the others naively; budget:MILLISECONDS chooses what gains most within this time of planning and
+    deciding per step.
 
     Any controller with +belief at the end, such as tom+belief, infers whether naive, idm, turn or tom predicts each
     human, and plans naively where a model would count on a response that the human does not show.

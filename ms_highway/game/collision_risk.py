@@ -59,7 +59,7 @@ def _distance(scene: Scene, own: Motion, bodies: Bodies) -> Float[jax.Array, "bo
 
 
 def touches(scene: Scene, own: Motion, others: Motion) -> Bool[jax.Array, "*times"]:
-    """Return whether any point of the car's body has D < 1; arguments as for `collision_risk`."""
+    """Return whether the car touches another body, ``D < 1`` at any point of its own; see `collision_risk`."""
     return (_distance(scene, own, bodies_around(scene, others)) < 0).any(axis=(0, 1))
 
 

@@ -134,7 +134,7 @@ CROSSING_CROWD = _merge_among_several(
 At first, the humans in the middle lane matter: the robot has to get between them before the cones. Later, those in the
 left lane do; they drive faster, so that the robot meets others there than its neighbours at the start."""
 
-CAREFUL: dict[str, Any] = {
+SEVERAL_V1: dict[str, Any] = {
     "ladder": ("naive", "tom"),
     "robot_weights": {**DENSE_MERGE.robot_weights, "collision_risk": -4},
     "caution": 1.0,
@@ -145,20 +145,26 @@ CAREFUL: dict[str, Any] = {
 All humans yield to a car that merges. The robot is careful: it enters only gaps that it expects to open.
 """
 
-CLOSE = 7.0, 13.0  # m, spacing in the streams of version 1
+CLOSE_SPACING = 7.0, 13.0  # m, spacing in the streams of version 1
 
 DENSE_MERGE_V1 = _physical(
-    DENSE_MERGE, 10, steps=60, cones=_lane_end(2.5), streams=(Stream(-0.1 * UNIT, spacing=CLOSE),), **CAREFUL
+    DENSE_MERGE, 10, steps=60, cones=_lane_end(2.5), streams=(Stream(-0.1 * UNIT, spacing=CLOSE_SPACING),), **SEVERAL_V1
 )
-"""Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
-nearly all."""
+"""The stream is denser than in version 0, and the cones are farther away.
+
+Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
+nearly all.
+"""
 
 CROSSING_CROWD_V1 = _physical(
     CROSSING_CROWD,
     10,
     cones=_lane_end(2.0),
-    streams=tuple(replace(stream, spacing=CLOSE) for stream in CROSSING_CROWD.streams),
-    **CAREFUL,
+    streams=tuple(replace(stream, spacing=CLOSE_SPACING) for stream in CROSSING_CROWD.streams),
+    **SEVERAL_V1,
 )
-"""Spacing and cones were chosen so that naive plans succeed in two thirds of the episodes, and theory of mind in nearly
-all."""
+"""Both streams are denser than in version 0, and the cones are farther away.
+
+Spacing and cones were chosen so that naive plans succeed in two thirds of the episodes, and theory of mind in nearly
+all.
+"""

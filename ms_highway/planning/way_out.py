@@ -51,8 +51,9 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """
     others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE_STEPS))
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
-    both = jax.vmap(lambda car: manoeuvres(game, car, ESCAPE_STEPS, ACCELERATIONS))(jnp.stack([state[0], after]))
-    (controls, _), (escapes, later) = both
+    drive = jax.vmap(lambda car: manoeuvres(game, car, ESCAPE_STEPS, ACCELERATIONS))
+    (controls, _), (escapes, later) = drive(jnp.stack([state[0], after]))
+    # The control is the first step of the ways that keep it.
     kept = jnp.concatenate([jnp.broadcast_to(after, later[:, :1].shape), later[:, :-1]], axis=1)
     clearance = jax.vmap(lambda way: _clearance(game, way, others))(jnp.concatenate([escapes, kept]))
     of_escapes, of_kept = jnp.split(clearance, 2)

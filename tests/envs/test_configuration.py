@@ -233,7 +233,7 @@ def test_what_is_added_needs_an_unused_name_of_one_word(what, add, taken, monkey
 
 
 def test_learned_values_warn_only_where_they_were_not_learned():
-    for scenario in ("merger", "merger-v1", "crossing_crowd"):
+    for scenario in ("merger", "merger-v1", "crossing_crowd", "crossing-crowd-v1"):
         make(scenario, "learned:0.1")  # a warning would be an error
     told = "not in merger-v1, horizon 15.*`ms-highway values learn merger-v1 --set horizon=15"
     with pytest.warns(UserWarning, match=f"the values of computation were learned in .*{told}"):

@@ -80,12 +80,16 @@ def test_gradient_steps_suit_the_horizon_and_longer_ones_give_one_warning():
     assert [each.category for each in warned].count(UserWarning) == 1
 
 
-def test_a_model_without_finite_predictions_is_warned_of_in_the_first_step_and_the_robot_brakes(monkeypatch):
+def test_a_model_without_finite_predictions_is_warned_of_in_the_first_step_and_paid_for(monkeypatch):
     lost = type("Lost", (PredictedHuman,), {"name": "lost", "predict": lambda *_: np.full((5, 2), np.nan)})
     monkeypatch.setitem(MODELS, "lost", lost())
-    env = make("merger", "lost")
+    env = make("merger", action=CHOOSING, ladder=["naive", "lost"], costs={"naive": 0.01, "lost": 0.1})
+    env.reset(seed=0)
     with pytest.warns(UserWarning, match="model 'lost' predicts a curvature of nan 1/m, so that no plan follows"):
-        assert drive(env, steps=1).infos[0]["status"] == "braking"
+        env.step(0)
+    for action, status, seconds in ((1, "previous plan", 0.1), (0, "planned", 0.01)):
+        info = env.step(action)[-1]
+        assert (info["status"], info["counted_seconds"]) == (status, pytest.approx(seconds))
 
 
 def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked():

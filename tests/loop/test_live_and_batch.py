@@ -161,7 +161,8 @@ def test_models_failures_beliefs_ways_out_and_drivers_of_humans_are_alike_live_a
     schedules = np.array(schedules)[:, :, : game.number]
     drivers = [[1 + DRIVERS.index(function) if function else PLANS] * game.number for function in functions]
     loop = Loop(game, Order(schedules[0], MODELS), way_out=True, belief=True, drivers=DRIVERS)
-    records = simulated(loop, starts[[*places]], 9, schedules, drivers)
+    with pytest.warns(UserWarning, match="human model 'failing' predicts"):
+        records = simulated(loop, starts[[*places]], 9, schedules, drivers)
     driven = {}
     for episode, name in enumerate(EPISODES):
         function = functions[episode]
