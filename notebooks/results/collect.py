@@ -22,7 +22,8 @@ from ms_highway.visualization.html_page import results_table
 KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
 LIMITS = ("limit_50", "limit_9", "limit_6")
-RUNS = ("physical", "compare", "released", "curve", "worth", "crowd", "frontier", *LIMITS)
+CROWDS = "dense_merge_v1", "crossing_crowd_v1"
+RUNS = ("physical", "compare", "released", "curve", "worth", *CROWDS, "frontier", *LIMITS)
 """Directories in results/."""
 
 OUTCOME = "controller", "reward/step", "90 % interval", "collisions"  # cells of a run that stand beside others
@@ -40,6 +41,7 @@ PHYSICAL = {  # in the project's README
 }
 REWARD, COLLISIONS = "reward per step (90 % interval)", "episodes with a collision"
 SHOWN_COLUMNS = [REWARD, "plan ms", COLLISIONS]
+SEVERAL_COLUMNS = ["scenario", "controller", REWARD, COLLISIONS, "success", "counted ms"]
 WORTH = {scenario: ["naive", "tom", "tom@6+warm", "learned:10"] for scenario in ("merger", "give_way")}
 LIMITED = {"stay_back": ["turn"], "merger": ["tom"], "give_way": ["tom", "switching:0.01"]}
 
@@ -101,6 +103,7 @@ def tables() -> dict[str, str]:
         "physical": rows_of(physical, PHYSICAL, SHOWN_COLUMNS),
         "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
         "worth": rows_of(overview(worth=""), WORTH, [REWARD, "reward less T", "plan ms"]),
+        "several": pd.concat([overview(**{run: ""})[SEVERAL_COLUMNS] for run in CROWDS]),
         "limits": rows_of(limits, LIMITED, [name for name in limits if "collision" in name]),
         "regrets": regret_cells(kept_table("regrets", "frontier")),
         "road": outcomes(kept_roads(), OUTCOMES + "{reward_per_step:.3f}", ROAD_DRIVERS),
