@@ -1,8 +1,8 @@
 """Keep a way out: execute a control only if the escapes after it are as good as those from now.
 
 Theory of mind counts on humans who respond; it hits a human who does not. A way out is a simple manoeuvre after a
-control, braking or speeding up in this lane or another, that collides with nobody if all others keep their velocity. It
-is passive safety against cars that keep their velocity, as in contingency planning.
+control, braking or speeding up in this lane or another, that collides with nothing if all others keep their velocity.
+It is passive safety against cars that keep their velocity, as in contingency planning.
 """
 
 from dataclasses import replace
@@ -21,6 +21,8 @@ from ms_highway.planning.manoeuvres import manoeuvres
 from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
 ESCAPE_STEPS = 30  # steps of an escape: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster than the limit
+STEPS_AMONG_CARS = 25  # of these, in which other cars count: they do not keep their velocity for long
+NOWHERE = -1e4  # m, x of other cars from then on
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
 CLEARANCE = 0.15  # m, wanted between bodies, as others do not keep their velocity exactly
 
@@ -41,8 +43,8 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     """Return the best escape, and whether it replaces the robot's control, after which no way out is as good.
 
     The best escape is the manoeuvre that collides latest. Among manoeuvres that never collide, those that keep
-    `CLEARANCE` to all others are better; among equals, the one that earns most is. The control, followed by the best
-    manoeuvre after it, is judged over the same `ESCAPE_STEPS` as the escapes, and stays if it is as good.
+    `CLEARANCE` to cars and obstacles are better; among equals, the one that earns most is. The control, followed by the
+    best manoeuvre after it, is judged over the same `ESCAPE_STEPS` as the escapes, and stays if it is as good.
 
     Args:
         game: of the robot.
@@ -50,12 +52,13 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         control: scaled, about to be executed.
     """
     others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE_STEPS))
+    early = others._replace(x=jnp.where(np.arange(ESCAPE_STEPS) < STEPS_AMONG_CARS, others.x, NOWHERE))
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
     drive = jax.vmap(lambda car: manoeuvres(game, car, ESCAPE_STEPS, ACCELERATIONS))
     (controls, _), (escapes, later) = drive(jnp.stack([state[0], after]))
     # The control is the first step of the ways that keep it.
     kept = jnp.concatenate([jnp.broadcast_to(after, later[:, :1].shape), later[:, :-1]], axis=1)
-    clearance = jax.vmap(lambda way: _clearance(game, way, others))(jnp.concatenate([escapes, kept]))
+    clearance = jax.vmap(lambda way: _clearance(game, way, early))(jnp.concatenate([escapes, kept]))
     of_escapes, of_kept = jnp.split(clearance, 2)
     earned = jax.vmap(lambda way: jnp.sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
     best = jnp.argmax(jnp.where(of_escapes == of_escapes.max(), earned, -jnp.inf))
