@@ -165,6 +165,6 @@ CROSSING_CROWD_V1 = _physical(
 )
 """Both streams are denser than in version 0, and the cones are farther away.
 
-Spacing and cones were chosen so that naive plans succeed in two thirds of the episodes, and theory of mind in nearly
-all.
+Spacing and cones were chosen so that naive plans fail in more than a quarter of the episodes, and theory of mind in
+few.
 """
