@@ -53,16 +53,15 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "most", "least"), [("dense-merge-v1", 0.5, 0.95), ("crossing-crowd-v1", 0.85, 0.9)])
-def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds(name, most, least):
-    steps = driven(name, ["naive", "tom", "nearest:2", "learned:1"], 20)
+def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
+    steps = driven("dense-merge-v1", ["naive", "tom", "nearest:2", "learned:1"], 12)
     assert not steps["collision"].any()
     success = steps.groupby(["controller", "seed"])["success"].last().groupby("controller").mean()
-    assert success["naive"] <= most
-    assert min(success["tom"], success["learned:1"]) >= least
+    assert success["naive"] <= 0.5
+    assert min(success["tom"], success["learned:1"]) >= 0.95
     means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
     gained = means["reward"] - means.loc["naive", "reward"]
-    assert gained["learned:1"] > max(least * gained["tom"], gained["nearest:2"])
+    assert gained["learned:1"] > max(0.95 * gained["tom"], gained["nearest:2"])
     counted = means["counted_seconds"] - means.loc["naive", "counted_seconds"]
     assert counted["learned:1"] < 0.2 * counted["tom"]
 
