@@ -95,7 +95,7 @@ class DenseMergeEnv(InteractionEnv):
 
 
 class DenseMergeV1Env(InteractionEnv):
-    """A careful robot has to get into a denser stream, whose humans yield; plans of a second, within tyres."""
+    """A careful robot merges into a dense stream of yielding humans; plans last a second, within tyre grip."""
 
     scenario = DENSE_MERGE_V1
 
@@ -107,7 +107,7 @@ class CrossingCrowdEnv(InteractionEnv):
 
 
 class CrossingCrowdV1Env(InteractionEnv):
-    """A careful robot crosses one stream of humans, who yield, to join another; plans of a second, within tyres."""
+    """A careful robot crosses a stream of yielding humans and joins another; plans last a second, within tyre grip."""
 
     scenario = CROSSING_CROWD_V1
 

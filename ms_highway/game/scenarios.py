@@ -140,7 +140,7 @@ SEVERAL_V1: dict[str, Any] = {
     "caution": 1.0,
     "careless": 0.0,
 }
-"""What version 1 of scenes with several humans has in common.
+"""Settings of version 1 of all scenes with several humans.
 
 All humans yield to a car that merges. The robot is careful: it enters only gaps that it expects to open.
 """

@@ -17,12 +17,12 @@ from ms_highway.game.collision_risk import touches
 from ms_highway.game.dynamics import Motion, coast, observe, step
 from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
+from ms_highway.game.scene import FAR_AWAY
 from ms_highway.planning.manoeuvres import manoeuvres
 from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
 ESCAPE_STEPS = 30  # steps of an escape: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster than the limit
 STEPS_AMONG_CARS = 25  # of these, in which other cars count: they do not keep their velocity for long
-NOWHERE = -1e4  # m, x of other cars from then on
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
 CLEARANCE = 0.15  # m, wanted between bodies, as others do not keep their velocity exactly
 
@@ -52,7 +52,7 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         control: scaled, about to be executed.
     """
     others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE_STEPS))
-    early = others._replace(x=jnp.where(np.arange(ESCAPE_STEPS) < STEPS_AMONG_CARS, others.x, NOWHERE))
+    early = others._replace(x=jnp.where(np.arange(ESCAPE_STEPS) < STEPS_AMONG_CARS, others.x, state[0, 0] - FAR_AWAY))
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
     drive = jax.vmap(lambda car: manoeuvres(game, car, ESCAPE_STEPS, ACCELERATIONS))
     (controls, _), (escapes, later) = drive(jnp.stack([state[0], after]))

@@ -54,7 +54,7 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
 
 @pytest.mark.slow
 def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
-    steps = driven("dense-merge-v1", ["naive", "tom", "nearest:2", "learned:1"], 12)
+    steps = driven("dense-merge-v1", ["naive", "tom", "nearest:2", "learned:1"], 20)
     assert not steps["collision"].any()
     success = steps.groupby(["controller", "seed"])["success"].last().groupby("controller").mean()
     assert success["naive"] <= 0.5
