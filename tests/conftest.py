@@ -53,10 +53,32 @@ def shared_cache() -> None:
 
     JAX's keys hold the program, the compiler's options and the versions, so that the cache needs no other key.
     """
+    optimize(False)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE)
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
     os.environ.setdefault("XLA_FLAGS", XLA_DEFAULTS)
     keep_compilations(CACHE)
+
+
+def optimize(wanted: bool) -> None:
+    """Let JAX optimise what it compiles, here and in the processes that are started, or not."""
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(not wanted)
+    jax.config.update("jax_disable_most_optimizations", not wanted)
+
+
+def forget_compiled() -> None:
+    """Let functions be compiled again, and before they are timed again."""
+    jax.clear_caches()
+    compilation._warm.clear()
+
+
+@pytest.fixture(scope="module")
+def optimized() -> Iterator[None]:
+    """Optimise compiled functions, as users do. Other tests take longer to compile than to drive."""
+    forget_compiled()
+    optimize(True)
+    yield
+    optimize(False)
 
 
 @pytest.fixture(autouse=True)
@@ -88,8 +110,7 @@ def little_memory() -> Iterator[None]:
     """Forget compiled functions if they take much memory; those of all tests would take many gigabytes."""
     yield
     if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MAX_MEMORY:
-        jax.clear_caches()
-        compilation._warm.clear()  # what was compiled has to be compiled before it is timed again
+        forget_compiled()
 
 
 def _shared(variable: str, folder: str, pattern: str) -> Path:

@@ -10,6 +10,8 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.experiments.runner import episode
 from ms_highway.game.scenario import GRIP, title
 
+pytestmark = pytest.mark.usefixtures("optimized")
+
 PHYSICAL = [name for name, scenario in SCENARIOS.items() if scenario.semantics == "physical"]
 
 
@@ -44,6 +46,7 @@ def driven(scenario, controllers, starts):
     return pd.DataFrame([step | {"controller": name, "seed": seed} for name, seed, step in steps])
 
 
+@pytest.mark.slow
 def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
     steps = driven("stay-back-v1", ["naive", "learned:1"], 12)
     episodes = steps.groupby(["controller", "seed"]).agg({"reward": "mean", "collision": "any"})

@@ -14,14 +14,9 @@ from commands import run
 
 import ms_highway
 
+pytestmark = pytest.mark.usefixtures("optimized")
+
 FENCES = json.loads(Path(__file__).with_name("fences.json").read_text())
-SLOW = pytest.mark.slow
-
-
-def mostly_slow(scenes):
-    """The first scene of the file, and the others as parameters of slow tests."""
-    first, *others = scenes
-    return [first, *(pytest.param(scene, marks=SLOW) for scene in others)]
 
 
 def printed(capsys, command):
@@ -60,7 +55,7 @@ def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
             assert error["q90" if kind == "tom" else "q99"] < 1e-4, name
 
 
-@pytest.fixture(scope="module", params=mostly_slow(FENCES["readme"]))
+@pytest.fixture(scope="module", params=FENCES["readme"])
 def compared(request, tmp_path_factory):
     """Return a scenario, and the directory with the episodes of its rows in the README's table."""
     scenario, out = request.param, tmp_path_factory.mktemp("compare")
@@ -68,6 +63,7 @@ def compared(request, tmp_path_factory):
     return scenario, out
 
 
+@pytest.mark.slow
 def test_the_mean_rewards_of_the_readme_are_within_their_intervals(compared):
     scenario, out = compared
     summary = pd.read_csv(out / "summary.csv").set_index("controller")
@@ -76,6 +72,7 @@ def test_the_mean_rewards_of_the_readme_are_within_their_intervals(compared):
     assert not summary["collision_episodes"].any()
 
 
+@pytest.mark.slow
 def test_live_and_simulated_episodes_earn_the_same(compared, tmp_path):
     scenario, live = compared
     run(f"sweep {scenario} --controllers tom learned:1 --seeds 5 --out {tmp_path}")
@@ -95,8 +92,9 @@ def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
     assert collisions == fence["collisions"]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*is out of date")
-@pytest.mark.parametrize("scene", mostly_slow(FENCES["stock"]))
+@pytest.mark.parametrize("scene", FENCES["stock"])
 def test_robots_in_stock_scenes_earn_their_usual_reward_and_crash_no_more_often(scene):
     fence = FENCES["stock"][scene]
     env = ms_highway.drive(gym.make(scene))
@@ -112,7 +110,7 @@ def test_the_recorded_problem_that_ships_is_solved():
     assert reward == pytest.approx(fence["reward"], abs=fence["tolerance"])
 
 
-@SLOW
+@pytest.mark.slow
 def test_recorded_problems_are_solved_as_often_as_the_results_say(us101_directory, tmp_path):
     file = tmp_path / "road.json"
     run(f"bench road recorded --drivers priced --data {us101_directory} --json {file}")
@@ -121,7 +119,7 @@ def test_recorded_problems_are_solved_as_often_as_the_results_say(us101_director
     assert round(16 * driven["success"]) >= FENCES["recorded"]["solved"]
 
 
-@SLOW
+@pytest.mark.slow
 def test_the_shipped_drivers_predict_real_drivers_as_well_as_the_results_say(us101_directory, capsys):
     predictors = printed(capsys, f"irl evaluate --theta us101 --data {us101_directory}")["predictors"]
     for name, errors in FENCES["fde"].items():

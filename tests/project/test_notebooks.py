@@ -44,6 +44,7 @@ def kinds(cell):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_the_committed_one(path, tmp_path):
     notebook, committed = (nbformat.read(path, as_version=4) for _ in range(2))

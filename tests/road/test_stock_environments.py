@@ -12,7 +12,10 @@ from ms_highway.road.stock import replace_ego
 from ms_highway.vehicle import HumanVehicle
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning"),
+    pytest.mark.usefixtures("optimized"),
+]
 
 IDLE = 1
 STOCK = ["highway-fast", "merge-generic", "two-way", "u-turn", "roundabout", "intersection", "exit"]
