@@ -10,8 +10,6 @@ from ms_highway.envs import SCENARIOS
 from ms_highway.experiments.runner import episode
 from ms_highway.game.scenario import GRIP, title
 
-pytestmark = pytest.mark.usefixtures("optimized")
-
 PHYSICAL = [name for name, scenario in SCENARIOS.items() if scenario.semantics == "physical"]
 
 
@@ -47,6 +45,7 @@ def driven(scenario, controllers, starts):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
     steps = driven("stay-back-v1", ["naive", "learned:1"], 12)
     episodes = steps.groupby(["controller", "seed"]).agg({"reward": "mean", "collision": "any"})
@@ -56,6 +55,7 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
     steps = driven("dense-merge-v1", ["naive", "tom", "nearest:2", "learned:1"], 20)
     assert not steps["collision"].any()
@@ -70,6 +70,7 @@ def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_s
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("name", ["merger-v1", "give-way-v1"])
 def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision(name):
     steps = driven(name, ["naive", "tom", "learned:1", "switching:0.1"], 12)

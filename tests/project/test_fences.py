@@ -14,8 +14,6 @@ from commands import run
 
 import ms_highway
 
-pytestmark = pytest.mark.usefixtures("optimized")
-
 FENCES = json.loads(Path(__file__).with_name("fences.json").read_text())
 
 
@@ -56,7 +54,7 @@ def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
 
 
 @pytest.fixture(scope="module", params=FENCES["readme"])
-def compared(request, tmp_path_factory):
+def compared(request, tmp_path_factory, optimized):
     """Return a scenario, and the directory with the episodes of its rows in the README's table."""
     scenario, out = request.param, tmp_path_factory.mktemp("compare")
     run(f"compare {scenario} --controllers {' '.join(FENCES['readme'][scenario])} --seeds 30 --out {out}")
@@ -93,6 +91,7 @@ def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.filterwarnings("ignore:.*is out of date")
 @pytest.mark.parametrize("scene", FENCES["stock"])
 def test_robots_in_stock_scenes_earn_their_usual_reward_and_crash_no_more_often(scene):
@@ -111,6 +110,7 @@ def test_the_recorded_problem_that_ships_is_solved():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 def test_recorded_problems_are_solved_as_often_as_the_results_say(us101_directory, tmp_path):
     file = tmp_path / "road.json"
     run(f"bench road recorded --drivers priced --data {us101_directory} --json {file}")

@@ -12,10 +12,7 @@ from ms_highway.road.stock import replace_ego
 from ms_highway.vehicle import HumanVehicle
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 
-pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning"),
-    pytest.mark.usefixtures("optimized"),
-]
+pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
 IDLE = 1
 STOCK = ["highway-fast", "merge-generic", "two-way", "u-turn", "roundabout", "intersection", "exit"]
@@ -41,6 +38,7 @@ def drive(environment, steps):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize(("name", "config"), [("highway-v0", {"vehicles_count": 10}), ("merge-v0", {})])
 def test_humans_drive_episodes_of_stock_environments_and_compile_nothing_after_the_first_step(name, config, caplog):
     driven = []
@@ -57,6 +55,7 @@ def test_humans_drive_episodes_of_stock_environments_and_compile_nothing_after_t
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("kind", ["HumanVehicle", "CommuterVehicle"])
 def test_a_human_on_a_ramp_merges_before_it_ends(kind):
     for seed in range(3):
@@ -99,6 +98,7 @@ def collisions(name, kind, seeds):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("optimized")
 @pytest.mark.parametrize("name", ["roundabout-v0", "intersection-v0"])
 def test_humans_among_themselves_collide_less_often_than_highway_envs_drivers(name):
     assert collisions(name, HumanVehicle, 4) < collisions(name, IDMVehicle, 4)
