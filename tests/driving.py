@@ -1,16 +1,45 @@
-"""Drive among one human or several, live and in batches, without environments."""
+"""Drive among one human or several, live and in batches, without environments; a ladder, and a model of one's own."""
+
+from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import numpy as np
+from jax import numpy as jnp
 
+from ms_highway.choice.rule import PUBLISHED_COSTS
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.game import swap_roles
+from ms_highway.game.scenario import build_game
+from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import DECIDES, PLANS, Episodes
+from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.human_models import PredictedHuman
+from ms_highway.planning.ladders import ladder
 
 SCENES = {1: "merger", 2: "dense_merge"}
 """Scenarios by number of humans."""
+
+LADDER = ladder(("naive", "turn", "tom"))
+COSTS = Costs.of([*PUBLISHED_COSTS.values()], 1)
+
+
+@dataclass(frozen=True)
+class Brakes(PredictedHuman):
+    """A user-defined model: the human always brakes as hard as that [m/s^2]."""
+
+    name: ClassVar[str] = "brakes"
+    hard: float
+
+    def predict(self, game, state, start=None):
+        return [keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, self.hard])] * game.planner.horizon
+
+
+def dense_merge(humans):
+    """The game of Dense Merge within its limits."""
+    return build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=humans)
 
 
 def move(game, state, controls):

@@ -9,6 +9,7 @@ from ms_highway.envs import environment_id
 from ms_highway.envs.registry import controller_config
 
 TWO = {"humans": 2, "horizon": 5, "costs": "published"}  # a small scene with several humans
+PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
 
 
 class Episode(NamedTuple):

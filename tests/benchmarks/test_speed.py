@@ -7,12 +7,17 @@ from commands import run
 
 
 @pytest.mark.slow
-def test_the_command_times_every_rung_and_switching(tmp_path, capsys):
-    run(f"bench merger --set ladder=naive, --json {tmp_path / 'bench.json'}")
+def test_the_command_times_every_rung_and_switching_live_and_in_batches(tmp_path, capsys):
+    run(f"bench merger --set ladder=naive, --batches 1 20 --json {tmp_path / 'bench.json'}")
     measured = json.loads((tmp_path / "bench.json").read_text())["merger"]
     assert list(measured) == ["naive", "switching:0.6", "switching:0.1"]
-    assert all(set(one) == {"plan_us", "decision_us", "step_us", "environment"} for one in measured.values())
     assert measured["naive"]["decision_us"] == 0 < measured["switching:0.1"]["decision_us"]
+    for one in measured.values():
+        assert 0 < one["plan_us"]["p50"] <= one["plan_us"]["p99"] < 1e6
+        assert min(one["step_us"], one["environment"], one["first_seconds"]) > 0
+        assert one["batch"]["20"] > one["batch"]["1"] > 1
+        assert one["memory_mib"]["20"] >= one["memory_mib"]["1"] > 100
+        assert one["devices"].endswith(" of kind cpu")
     printed = capsys.readouterr().out
     assert "merger: medians, on one core" in printed
     assert f"{measured['naive']['plan_us']['p50']:.0f}" in printed

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from driving import COSTS, LADDER
 from jax import numpy as jnp
 
 from ms_highway.choice.quadratic import Switching, WholeHorizon, expand
@@ -10,16 +11,12 @@ from ms_highway.choice.rule import NOT_ESTIMATED, Outcome, decide, first_memory
 from ms_highway.game.game import swap_players, total_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.numerics.second_derivatives import response
-from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.ladders import ladder
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 
 pytestmark = pytest.mark.usefixtures("stopped_by_nans")
 
-COSTS = Costs(0.0, np.array([0.09, 0.17, 0.37]))
 decide_quickly = jit_quickly(decide)
-LADDER = ladder(("naive", "turn", "tom"))
 ROBOT, HUMAN = PLAN = np.float32(np.random.default_rng(0).normal(0, 0.2, (2, 5, 2)))
 
 

@@ -5,17 +5,16 @@ from dataclasses import dataclass, field, replace
 import jax
 import numpy as np
 import pytest
+from driving import LADDER
 from jax import numpy as jnp
 
 from ms_highway.choice.budget import Budget
 from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.rule import Decision, Nearest, Outcome, Rule, decide, first_memory
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.ladders import ladder
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 
-RUNGS = ladder(("naive", "turn", "tom"))
 NAIVE, TURN, TOM = range(3)
 LANE = 100 / 30  # m
 COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]))
@@ -57,9 +56,9 @@ def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately
 
 
 def test_theory_of_mind_predicts_the_nearest_humans(game):
-    assert chosen(Nearest(0, RUNGS), game) == [NAIVE] * 4
-    assert chosen(Nearest(2, RUNGS), game) == [TOM, NAIVE, NAIVE, TOM]
-    assert chosen(Nearest(9, RUNGS), game) == [TOM] * 4
+    assert chosen(Nearest(0, LADDER), game) == [NAIVE] * 4
+    assert chosen(Nearest(2, LADDER), game) == [TOM, NAIVE, NAIVE, TOM]
+    assert chosen(Nearest(9, LADDER), game) == [TOM] * 4
 
 
 @jax.tree_util.register_dataclass
@@ -68,7 +67,7 @@ class KnownGains(Rule):
     """A rule with given gains."""
 
     gains: np.ndarray
-    ladder: tuple = field(default=RUNGS, metadata={"static": True})
+    ladder: tuple = field(default=LADDER, metadata={"static": True})
 
     def decide(self, game, memory, outcome):
         return Decision(memory, jnp.asarray(self.gains), jnp.bool(False))
@@ -91,7 +90,7 @@ def over_naive(gains, price=0.0, doubt=0.0):
     expected = np.zeros_like(biases)
     expected[:, :2] = gains
     expected[:, 1] += doubt * np.resize([1, -1], len(biases))
-    return replace(SHIPPED.rule(RUNGS, COSTS, price), network=(*hidden, (0 * weights, expected)))
+    return replace(SHIPPED.rule(LADDER, COSTS, price), network=(*hidden, (0 * weights, expected)))
 
 
 def test_a_budget_without_expected_gains_is_spent_on_the_nearest_humans(game):
@@ -115,7 +114,7 @@ def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highes
         gains = np.float32([[[0.0, -800.0, 0.0, 0.0]]]), np.float32([[gain, 1.0, 0.0, 0.0]])
         network = (place, np.zeros((1, 1), np.float32)), gains
         whole = {"centre": np.zeros(inputs, np.float32), "spread": np.ones(inputs, np.float32)}
-        assert chosen(replace(SHIPPED.rule(RUNGS, COSTS, 0.0), network=network, **whole), game) == rungs
+        assert chosen(replace(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole), game) == rungs
 
 
 def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
@@ -127,7 +126,7 @@ def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
 
 
 def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder_and_one_rung_leaves_nothing_to_choose(game):
-    rules = (SHIPPED.rule(RUNGS[:size], Costs(0.0, COSTS.each[:size]), 10.0) for size in (3, 2, 1))
+    rules = (SHIPPED.rule(LADDER[:size], Costs(0.0, COSTS.each[:size]), 10.0) for size in (3, 2, 1))
     whole, part, nothing = (decided(rule, game) for rule in rules)
     np.testing.assert_allclose(whole.gains[:, :2], part.gains, rtol=1e-4)
     assert nothing.memory.rungs.tolist() == [NAIVE] * 4

@@ -1,13 +1,12 @@
 """Commands as users type them."""
 
-import subprocess
 import sys
 import warnings
 from pathlib import Path
 
 import pandas as pd
 import pytest
-from commands import run
+from commands import python, run
 
 from ms_highway.cli.main import main
 from ms_highway.envs.registry import CONTROLLERS
@@ -73,8 +72,5 @@ def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_pa
 @pytest.mark.slow
 def test_a_missing_platform_is_refused_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
-    command = [sys.executable, "-m", "ms_highway", *f"{NAIVE} {tmp_path}".split()]
-    ran = subprocess.run(command, capture_output=True, text=True)
-    assert ran.returncode == 2
-    (line,) = ran.stderr.splitlines()
+    (line,) = python(*f"-m ms_highway {NAIVE} {tmp_path}".split(), status=2).stderr.splitlines()
     assert "JAX_PLATFORMS is 'cuda'" in line

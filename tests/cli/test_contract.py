@@ -2,11 +2,10 @@
 
 import os
 import re
-import subprocess
-import sys
 from contextlib import suppress
 
 import pytest
+from commands import python
 
 from ms_highway.cli import irl, options
 from ms_highway.cli.main import COMMANDS, main, parse
@@ -29,12 +28,12 @@ print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'scipy'} 
 
 def test_help_describes_every_command_and_loads_no_package_that_computes_or_draws():
     wide = {**os.environ, "COLUMNS": "300"}
-    run = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, check=True, env=wide)
-    before, *texts = run.stdout.split("usage: ms-highway")
+    told = python("-c", HELP, env=wide).stdout
+    before, *texts = told.split("usage: ms-highway")
     assert (before, len(texts)) == ("", 1 + len(COMMANDS))
     assert min(map(len, texts)) > 250
-    assert max(map(len, run.stdout.splitlines())) <= 120
-    assert run.stdout.endswith("loaded: []\n")
+    assert max(map(len, told.splitlines())) <= 120
+    assert told.endswith("loaded: []\n")
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -7,14 +7,13 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
-from episodes import make
+from episodes import PIXELS, make
 
 import ms_highway
 from ms_highway.vehicle import states_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
-PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
 DRIVEN = "intersection-v0"
 NAMES = (DRIVEN, "merger", "dense_merge", "ms-highway/demonstration-v0", "ms-highway/recorded-v0")
 

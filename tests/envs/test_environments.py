@@ -1,11 +1,9 @@
 """The environments as Gymnasium users meet them."""
 
-import subprocess
-import sys
-
 import gymnasium as gym
 import numpy as np
 import pytest
+from commands import python
 from episodes import drive, make
 from gymnasium.utils.env_checker import check_env
 
@@ -158,18 +156,11 @@ if __name__ == "__main__":
 """
 
 
-def run(*arguments):
-    """Run Python in another process, which has to succeed."""
-    done = subprocess.run([sys.executable, *arguments], timeout=600, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done
-
-
 @pytest.mark.slow
 def test_forked_and_other_workers_of_a_vector_environment_find_and_step_the_environment(tmp_path):
     script = tmp_path / "vector.py"
     script.write_text(VECTOR)
-    assert run(script).stderr == ""
+    assert python(script, timeout=600).stderr == ""
 
 
 @pytest.mark.parametrize(
@@ -199,7 +190,7 @@ for name in [name for name in gym.registry if name.startswith("ms-highway/")]:
 
 @pytest.mark.slow
 def test_no_environment_begins_to_compute_before_its_first_step():
-    assert run("-c", UNBEGUN).stderr == ""
+    assert python("-c", UNBEGUN).stderr == ""
 
 
 FORKED = """
@@ -233,7 +224,7 @@ worker.join()
 
 @pytest.mark.slow
 def test_a_worker_forked_after_jax_had_begun_raises_an_error_instead_of_waiting_for_ever():
-    assert run("-c", FORKED).stdout.count("start it with context='forkserver' or 'spawn'") == 2
+    assert python("-c", FORKED, timeout=600).stdout.count("start it with context='forkserver' or 'spawn'") == 2
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 from commands import run
-from episodes import make
+from episodes import PIXELS, make
 
 from ms_highway import drive
 from ms_highway.envs.graphics import TEXT_WIDTH
@@ -40,9 +40,6 @@ def test_a_frame_shows_cars_plan_and_model_in_their_colours():
         assert pixels(frame, color) > 500
     assert pixels(frame, MODEL_COLORS["turn"]) > 2000
     assert pixels(frame, MODEL_COLORS["tom"]) == 0
-
-
-PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
 
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")

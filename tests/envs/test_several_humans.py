@@ -5,26 +5,17 @@ import pytest
 from episodes import drive, make
 
 
-@pytest.mark.slow
-def test_a_robot_under_theory_of_mind_merges_into_the_stream_before_the_cones():
-    _, states, _, infos = drive(make("dense_merge", "tom"))
-    assert infos[-1]["success"]
-    assert not infos[0]["success"]
-    assert abs(states[-1, 0, 1] - states[-1, 1:, 1].mean()) < 0.8
-    assert not any(info["collision"] for info in infos)
-    for info in infos:
-        assert info["models"] == ("tom", "tom")
-        assert (info["humans_turn"], info["humans_tom"], info["model"]) == (0, 2, "tom")
-        assert info["counted_seconds"] == pytest.approx(0.09 + 2 * (0.37 - 0.09))
-
-
 def test_an_agent_that_chooses_a_model_for_each_human_pays_for_their_time():
-    env = make("dense_merge", action={"type": "HumanModelAction", "lambda": 2.0}, ladder=["naive", "turn"])
+    names = ["naive", "turn"]
+    env = make("dense_merge", action={"type": "HumanModelAction", "lambda": 2.0}, ladder=names)
     env.reset(seed=0)
-    _, reward, *_, info = env.step(np.array([0, 1]))
-    assert info["models"] == ("naive", "turn")
-    assert info["rewards"]["computation"] == pytest.approx(-2 * 0.17)
-    assert sum(info["rewards"].values()) == pytest.approx(reward)
+    for rungs, seconds in (([0, 1], 0.17), ([1, 1], 0.09 + 2 * (0.17 - 0.09))):
+        _, reward, *_, info = env.step(np.array(rungs))
+        assert info["models"] == tuple(names[rung] for rung in rungs)
+        assert (info["humans_turn"], info["model"], info["success"]) == (sum(rungs), "turn", False)
+        assert info["counted_seconds"] == pytest.approx(seconds)
+        assert info["rewards"]["computation"] == pytest.approx(-2 * seconds)
+        assert sum(info["rewards"].values()) == pytest.approx(reward)
 
 
 @pytest.mark.parametrize("beliefs", ["learned", "true"])

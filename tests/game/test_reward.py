@@ -19,17 +19,13 @@ NARROW = replace(MERGER, cones=((0.0, 2.0),))
 features_of = jit_quickly(features)
 
 
-def test_rewards_are_linear_in_features_in_every_batch_shape(played):
+def test_rewards_are_linear_in_features_that_do_not_depend_on_the_unit_of_length_in_every_batch_shape(played):
     game, state = played(NARROW)
-    expected = np.asarray(features_of(game.scene, game.robot, state)) @ game.robot.weights
+    same, in_units = played(NARROW, unit=1.0)
+    found = np.asarray(features_of(game.scene, game.robot, state))
+    np.testing.assert_allclose(features_of(same.scene, same.robot, in_units), found, rtol=2e-4, atol=1e-6)
     earned = jit_quickly(reward)(game.scene, game.robot, np.tile(state, (2, 1, 1, 1)))
-    np.testing.assert_allclose(earned, np.full((2, 1), expected), rtol=1e-6)
-
-
-def test_features_do_not_depend_on_the_unit_of_length(played):
-    games = played(NARROW), played(NARROW, unit=1.0)
-    in_metres, in_units = (features_of(game.scene, game.robot, state) for game, state in games)
-    np.testing.assert_allclose(in_metres, in_units, rtol=2e-4, atol=1e-6)
+    np.testing.assert_allclose(earned, np.full((2, 1), found @ game.robot.weights), rtol=1e-6)
 
 
 def test_the_slope_of_every_feature_equals_differences_and_indicators_have_none(played):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from driving import dense_merge
 
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import move, swap_roles
@@ -14,7 +15,7 @@ from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.human_models import Naive
 
-GAME = build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=1)
+GAME = dense_merge(1)
 SCENE = replace(GAME.scene, obstacles=GAME.scene.obstacles[:1])
 (CONE,) = SCENE.obstacles
 CAR, CAR_WIDTH = SCENE.car_size

@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from driving import move
+from driving import COSTS, LADDER, move
 
 from ms_highway.choice.quadratic import Switching
-from ms_highway.choice.rule import PUBLISHED_COSTS, Nearest, Order, always
+from ms_highway.choice.rule import Nearest, Order, always
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.loop.driver import Driver, fixed
@@ -18,8 +18,7 @@ from ms_highway.planning.human_models import Naive
 from ms_highway.planning.ladders import MODELS, ladder
 from ms_highway.planning.plans import Plan
 
-LADDER = ladder(("naive", "turn", "tom"))
-SWITCHING = Switching(Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in LADDER])), 0.0, LADDER)
+SWITCHING = Switching(COSTS, 0.0, LADDER)
 
 
 @pytest.mark.usefixtures("stopped_by_nans")

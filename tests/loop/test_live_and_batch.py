@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 import pytest
-from driving import SCENES, drive, simulated
+from driving import LADDER, SCENES, Brakes, drive, simulated
 from jax import numpy as jnp
 
 from ms_highway.choice.belief import RESPONDING
@@ -24,19 +24,6 @@ from ms_highway.loop.step import STATUSES
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
-
-PAPERS = ladder(["naive", "turn", "tom"])
-
-
-@dataclass(frozen=True)
-class Timid(PredictedHuman):
-    """A user-defined model: the human always brakes by 2 m/s^2."""
-
-    name: ClassVar[str] = "timid"
-
-    def predict(self, game, state, start=None):
-        control = keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, 2.0])
-        return jnp.tile(control, (game.planner.horizon, 1))
 
 
 @dataclass(frozen=True)
@@ -70,14 +57,14 @@ def rules(humans):
     """All rules that choose models, by name."""
     costs = Costs.of([0.09, 0.17, 0.37], humans)
     values = load_values("shipped", "several" if humans > 1 else "pair")
-    one_step = OneStepGains(Switching(costs, 0.0, PAPERS))
+    one_step = OneStepGains(Switching(costs, 0.0, LADDER))
     return {
-        "switching": Switching(costs, 0.1, PAPERS),
-        "whole horizon": WholeHorizon(costs, 0.1, PAPERS),
-        "learned": values.rule(PAPERS, costs, 1.0),
+        "switching": Switching(costs, 0.1, LADDER),
+        "whole horizon": WholeHorizon(costs, 0.1, LADDER),
+        "learned": values.rule(LADDER, costs, 1.0),
         "budget": Budget(one_step, costs, seconds=0.6, deciding=0.01),
-        "budget of values": Budget(values.rule(PAPERS, costs, 0.0), costs, seconds=0.7, deciding=0.01),
-        "nearest": Nearest(1, PAPERS),
+        "budget of values": Budget(values.rule(LADDER, costs, 0.0), costs, seconds=0.7, deciding=0.01),
+        "nearest": Nearest(1, LADDER),
     }
 
 
@@ -104,12 +91,12 @@ def test_rules_decide_alike_live_and_in_batches_and_differently_from_each_other(
     game, starts = scene
     named, chosen = rules(game.number), set()
     for which, (name, rule) in enumerate(named.items()):
-        records = simulated(Loop(game, OneOf(tuple(named.values()), np.int32(which), PAPERS)), starts)
+        records = simulated(Loop(game, OneOf(tuple(named.values()), np.int32(which), LADDER)), starts)
         chosen.add(records.rungs.tobytes())
         for episode, start in enumerate(starts):
             _, driven = live = drive(Driver(game, rule), start, 5)
             assert not any(step.choice_failed for step in driven), name
-            agree(records, episode, live, PAPERS)
+            agree(records, episode, live, LADDER)
             for gains, step in zip(records.gains[episode], driven, strict=True):
                 known = np.isfinite(step.gains)
                 np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2, err_msg=name)
@@ -136,8 +123,8 @@ def weaves(game, state):
     return keep_velocity(game.world, state[0]) + jnp.stack([jnp.float32(0.03), 0.1 * (state[1, 0] - state[0, 0])])
 
 
-MODELS = (*ladder(["naive", "idm", "turn", "tom@3+warm"]), Timid(), Failing())
-NAIVE, IDM, TURN, TOM, TIMID, FAILING = range(6)
+MODELS = (*ladder(["naive", "idm", "turn", "tom@3+warm"]), Brakes(2.0), Failing())
+NAIVE, IDM, TURN, TOM, BRAKES, FAILING = range(6)
 ALWAYS_TOM = [[TOM, TOM]] * 9
 MIXED = [[0, 2], [1, 0], [2, 3], [3, 3], [3, 1], [4, 0], [1, 4], [3, 2], [4, 3]]
 FAILS = [[rung, rung] for rung in (NAIVE, *[FAILING] * 6, NAIVE, FAILING)]

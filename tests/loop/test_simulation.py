@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.benchmarks.speed import speed
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
 from ms_highway.experiments.batch import make_batch, simulated
 from ms_highway.experiments.comparison import MEASURED, Comparison
@@ -29,18 +28,6 @@ def driven(comparison, scenario, controller):
     return pd.DataFrame(rows).assign(controller=controller).set_index(KEYS)
 
 
-@pytest.fixture(scope="module")
-def records():
-    return simulated(COMPARISON)
-
-
-def test_records_have_the_columns_of_an_experiment_but_measured_times(records):
-    assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
-    assert len(records) == len(CONTROLLERS) * 4 * 40
-    assert records["controller"].drop_duplicates().tolist() == CONTROLLERS
-    assert set(records["status"]) == {"planned"}
-
-
 def agree(found, expected):
     np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
     np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-3)
@@ -48,10 +35,10 @@ def agree(found, expected):
         assert (found[name] == expected[name]).all()
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS[1:])
-def test_whole_episodes_agree_with_the_environment_step_by_step(records, controller):
-    expected = driven(COMPARISON, "merger", controller)
-    agree(records.set_index(KEYS).loc[expected.index], expected)
+def test_episodes_agree_with_the_environment_step_by_step_and_have_the_columns_of_an_experiment_but_measured_times():
+    records = simulated(COMPARISON)
+    agree(records.set_index(KEYS), pd.concat(driven(COMPARISON, "merger", controller) for controller in CONTROLLERS))
+    assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
 
 
 @pytest.mark.slow
@@ -101,15 +88,3 @@ def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(monkeypatch):
 def test_a_batch_without_controllers_is_refused():
     with pytest.raises(ValueError, match="no controllers for 'give_way'"):
         make_batch(COMPARISON, "give_way")
-
-
-@pytest.mark.slow
-def test_the_speed_of_environment_and_batches_is_measured(monkeypatch):
-    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0")  # little is computed
-    ((name, result),) = speed("merger", ["switching:1"], {"ladder": ["naive"]}, [1, 20])
-    assert name == "switching:1"
-    assert 0 < result["plan_us"]["p50"] <= result["plan_us"]["p99"] < 1e6
-    assert result["environment"] > 1
-    assert result["batch"]["20"] > result["batch"]["1"] > 1
-    assert result["devices"].endswith(" of kind cpu")
-    assert result["memory_mib"]["20"] >= result["memory_mib"]["1"] > 100

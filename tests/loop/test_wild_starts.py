@@ -6,16 +6,14 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
+from driving import COSTS, LADDER
 
 from ms_highway.choice.quadratic import Switching
-from ms_highway.choice.rule import PUBLISHED_COSTS
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.game.scenarios import MERGER, STAY_BACK
 from ms_highway.loop.driver import Driver, fixed
 from ms_highway.loop.step import DECELERATION, braking_control
-from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.ladders import ladder
 
 LIMIT = np.array(PHYSICAL_LIMIT)
 
@@ -34,9 +32,7 @@ def wild(state):
 def test_switching_drives_from_wild_starts(played):
     """Five steps from every start, with a random human: enough to go up the ladder and all the way down."""
     game, normal = played(replace(MERGER, cones=STAY_BACK.cones), control_limit=PHYSICAL_LIMIT)
-    rungs = ladder(("naive", "turn", "tom"))
-    costs = Costs(0.0, np.array([PUBLISHED_COSTS[model.name] for model in rungs]))
-    controller = Driver(game, Switching(costs, 0.1, rungs))
+    controller = Driver(game, Switching(COSTS, 0.1, LADDER))
     random, models, estimated = np.random.default_rng(1), set(), set()
     for state in wild(normal):
         controller.reset()

@@ -1,12 +1,11 @@
 """Compiled computations: their size, and JAX set up for low latency."""
 
 import os
-import subprocess
-import sys
 
 import jax
 import numpy as np
 import pytest
+from commands import python
 
 from ms_highway.envs import SCENARIOS
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, plan
@@ -34,9 +33,8 @@ print(*np.asarray(plan(*arguments).robot).ravel().tolist())
 
 def run_with_low_latency(**environment):
     clean = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    command = [sys.executable, "-c", IN_A_PROCESS_OF_ITS_OWN]
-    run = subprocess.run(command, capture_output=True, text=True, check=True, env=clean | environment)
-    flags, fused, devices, controls = run.stdout.splitlines()
+    done = python("-c", IN_A_PROCESS_OF_ITS_OWN, env=clean | environment)
+    flags, fused, devices, controls = done.stdout.splitlines()
     return flags, fused == "True", int(devices), np.array(controls.split(), dtype=float)
 
 

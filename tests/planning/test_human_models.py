@@ -6,10 +6,9 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from jax import numpy as jnp
+from driving import Brakes
 
 import ms_highway
-from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_players, total_reward
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import TheoryOfMind
@@ -66,29 +65,13 @@ def test_theory_of_mind_steps_along_the_total_derivative(played):
     np.testing.assert_allclose(plan(TheoryOfMind(), once, state).robot, 0.03 * expected, rtol=1e-2, atol=1e-4)
 
 
-def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
-    """In plans for Merger, the human brakes for a robot that counts on it, and the robot steers in."""
-    game, state = played("merger")
-    naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
-    assert tom.humans[0, :, 1].mean() < naive.humans[0, :, 1].mean()
-    assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
-
-
-@dataclass(frozen=True)
-class Brakes(ms_highway.PredictedHuman):
-    name = "brakes"
-
-    def predict(self, game, state, start=None):
-        return [keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, 50.0])] * game.planner.horizon
-
-
 def test_a_registered_model_predicts_in_si_units_and_there_is_a_warning_if_limits_cut_that(played):
     game, state = played("merger")
-    acceleration = plan(Brakes(), game, state).humans[..., 1] * game.planner.control_scale[1]
+    acceleration = plan(Brakes(50.0), game, state).humans[..., 1] * game.planner.control_scale[1]
     np.testing.assert_allclose(acceleration, 0.2 * state[1, 3] - 50.0, rtol=1e-5)  # friction is made up for
     limited, _ = played("merger", control_limit=(0.2, 8.0))
     with pytest.warns(UserWarning, match=r"'brakes' predicts an acceleration of -46 m/s\^2.*limits.*to -8"):
-        CompiledPlans(limited, [Brakes()]).warm_up(checked_state(state))
+        CompiledPlans(limited, [Brakes(50.0)]).warm_up(checked_state(state))
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
+from driving import dense_merge
 
 from ms_highway.game.dynamics import coast
 from ms_highway.game.game import constant_velocity, discomfort, move, move_all
-from ms_highway.game.scenario import build_game
-from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.manoeuvres import into_gaps
 from ms_highway.planning.plans import RESTART_MARGIN, best_start, cold_start
 from ms_highway.runtime.compilation import jit_quickly
 
 SPEED = 20.0  # m/s
-GAME = build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=2)
+GAME = dense_merge(2)
 TARGET = float(GAME.scene.target_lane)
 
 

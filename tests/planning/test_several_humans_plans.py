@@ -6,12 +6,11 @@ from typing import ClassVar
 import jax
 import numpy as np
 import pytest
-from jax import numpy as jnp
+from driving import Brakes
 
-from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import move, move_all, pair, swap_roles
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, most_steps
-from ms_highway.planning.human_models import PredictedHuman, TheoryOfMind
+from ms_highway.planning.human_models import TheoryOfMind
 from ms_highway.planning.joint import Interaction, mixed_bends
 from ms_highway.planning.ladders import PACKAGE_MODELS, ladder
 from ms_highway.planning.plans import cold_start
@@ -25,15 +24,7 @@ class Answering(TheoryOfMind):
     name: ClassVar[str] = "answering"
 
 
-@dataclass(frozen=True)
-class Brakes(PredictedHuman):
-    name: ClassVar[str] = "brakes"
-
-    def predict(self, game, state, start=None):
-        return [keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, 3.0])] * game.planner.horizon
-
-
-LADDER = (*ladder(PACKAGE_MODELS), Brakes(), Answering())
+LADDER = (*ladder(PACKAGE_MODELS), Brakes(3.0), Answering())
 NAIVE, IDM, TURN, TOM, BRAKES, ANSWERING = range(len(LADDER))
 
 

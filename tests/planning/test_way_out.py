@@ -5,18 +5,17 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
+from driving import dense_merge
 
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.features import features
-from ms_highway.game.scenario import build_game
-from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.compilation import jit_quickly
 
 STEPS = 45
 
 
-GAME = build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=3)
+GAME = dense_merge(3)
 escape = partial(jit_quickly(keep_way_out), GAME)
 
 

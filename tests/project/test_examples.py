@@ -2,11 +2,10 @@
 
 import json
 import re
-import subprocess
-import sys
 from textwrap import indent
 
 import pytest
+from commands import python
 from test_pages import EXAMPLES, PAGES
 
 ALONE = LEARNING, PEERS, IN_JAX = "learn_to_choose", "train_peers", "train_in_jax"
@@ -23,13 +22,6 @@ for example in sys.argv[1:]:
 pytestmark = pytest.mark.slow
 
 
-def ran(*words, status=0, **options):
-    """Run Python with these arguments; return its standard output or, if it should fail, its standard error."""
-    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, **options)
-    assert done.returncode == status, done.stderr
-    return done.stderr if status else done.stdout
-
-
 def place(example):
     return str(PAGES / "examples" / f"{example}.py")
 
@@ -38,8 +30,8 @@ def place(example):
 def printed(tmp_path_factory):
     """Return what each example prints, by name. All run in another process, as they add to the package's registries."""
     names = [name for name in EXAMPLES if name not in ALONE]
-    texts = ran("-c", PROGRAM, *map(place, names), cwd=tmp_path_factory.mktemp("examples"))
-    return dict(zip(names, texts.split("----\n")[:-1], strict=True))
+    done = python("-c", PROGRAM, *map(place, names), cwd=tmp_path_factory.mktemp("examples"))
+    return dict(zip(names, done.stdout.split("----\n")[:-1], strict=True))
 
 
 def test_every_example_runs_and_prints_what_its_text_says(printed):
@@ -54,24 +46,24 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
 
 @pytest.mark.parametrize("scenario", ["merger-v1", "dense_merge --set humans=2 --set duration=1"])
 def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_values_and_naive(scenario):
-    _, *lines = ran(place(IN_JAX), *f"{scenario} --updates 1 --environments 8".split()).splitlines()
+    _, *lines = python(place(IN_JAX), *f"{scenario} --updates 1 --environments 8".split()).stdout.splitlines()
     assert [line.split()[0] for line in lines] == ["agent", "random", "learned:1", "naive"]
 
 
 def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_naive_and_learned_values(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
     agent = str(tmp_path / "agent.zip")
-    table = ran(place(LEARNING), *f"merger-v1 --steps 800 --episodes 1 --out {agent}".split())
-    _, *lines = table.partition("reward per step less that")[2].splitlines()
+    done = python(place(LEARNING), *f"merger-v1 --steps 800 --episodes 1 --out {agent}".split())
+    _, *lines = done.stdout.partition("reward per step less that")[2].splitlines()
     assert [line.split()[0] for line in lines] == [agent, "random", "naive", "learned"]
 
 
 def test_trained_peers_drive_in_their_own_scene_and_are_refused_in_others(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
-    ran(place(PEERS), *f"merge-v0 --steps 300 --to {tmp_path}".split())
+    python(place(PEERS), *f"merge-v0 --steps 300 --to {tmp_path}".split())
     agents = [str(tmp_path / f"{algorithm}-merge-v0-0.zip") for algorithm in ("dqn", "ppo")]
     bench, figures = "-m ms_highway bench road", tmp_path / "road.json"
-    ran(*f"{bench} merge-v0 --seeds 1 --json {figures} --drivers".split(), *agents)
+    python(*f"{bench} merge-v0 --seeds 1 --json {figures} --drivers".split(), *agents)
     assert list(json.loads(figures.read_text())["merge-v0"]) == agents
-    refused = ran(*f"{bench} intersection-v0 --drivers {agents[0]}".split(), status=2)
-    assert "the agent's observation space is Box" in refused
+    refused = python(*f"{bench} intersection-v0 --drivers {agents[0]}".split(), status=2)
+    assert "the agent's observation space is Box" in refused.stderr

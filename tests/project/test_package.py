@@ -2,13 +2,12 @@
 
 import os
 import shutil
-import subprocess
-import sys
 import sysconfig
 from importlib.metadata import Distribution
 from pathlib import Path
 
 import pytest
+from commands import python
 from test_pages import ROOT
 
 IMPORTED = """
@@ -20,10 +19,6 @@ assert {"highway-v0", "ms-highway/merger-v0", "ms-highway/demonstration-v0"} <= 
 from ms_highway import *
 assert "jax" in sys.modules and HumanVehicle is vehicle.HumanVehicle
 """
-
-
-def python(*words, **options):
-    subprocess.run([sys.executable, *words], check=True, **options)
 
 
 def install(target, *what):

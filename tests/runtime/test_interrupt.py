@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+from commands import python
 
 from ms_highway.runtime.process import INTERRUPTED
 
@@ -76,5 +77,4 @@ except KeyboardInterrupt:
 @pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
     """In Python 3.11, threads that an interrupted `Thread.join` waits for count as ended, and outlive Python."""
-    ran = subprocess.run([sys.executable, "-c", LONG], capture_output=True, text=True, timeout=300)
-    assert (ran.stdout, ran.returncode) == ("[]\n", 0), ran.stderr
+    assert python("-c", LONG, timeout=300).stdout == "[]\n"

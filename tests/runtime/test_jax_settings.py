@@ -1,12 +1,11 @@
 """Compiled functions that are kept on disk, and single precision everywhere."""
 
 import os
-import subprocess
-import sys
 
 import jax
 import numpy as np
 import pytest
+from commands import python
 
 from ms_highway.runtime.jax_settings import keep_compilations
 
@@ -72,8 +71,4 @@ assert main(["sweep", "merger", "--controllers", "tom", "--seeds", "2", "--out",
 
 @pytest.mark.slow
 def test_everything_drives_in_single_precision_where_a_program_computes_in_double(tmp_path):
-    program = [sys.executable, "-c", DOUBLE_PRECISION]
-    ran = subprocess.run(
-        program, cwd=tmp_path, env={**os.environ, "JAX_ENABLE_X64": "1"}, capture_output=True, text=True
-    )
-    assert ran.returncode == 0, ran.stderr
+    python("-c", DOUBLE_PRECISION, cwd=tmp_path, env={**os.environ, "JAX_ENABLE_X64": "1"})
