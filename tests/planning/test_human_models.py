@@ -65,6 +65,14 @@ def test_theory_of_mind_steps_along_the_total_derivative(played):
     np.testing.assert_allclose(plan(TheoryOfMind(), once, state).robot, 0.03 * expected, rtol=1e-2, atol=1e-4)
 
 
+def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
+    """In plans for Merger, the human brakes for a robot that counts on it, and the robot steers in."""
+    game, state = played("merger")
+    naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
+    assert tom.humans[0, :, 1].mean() < naive.humans[0, :, 1].mean()
+    assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
+
+
 def test_a_registered_model_predicts_in_si_units_and_there_is_a_warning_if_limits_cut_that(played):
     game, state = played("merger")
     acceleration = plan(Brakes(50.0), game, state).humans[..., 1] * game.planner.control_scale[1]
