@@ -67,18 +67,19 @@ def optimize(wanted: bool) -> None:
 
 
 def forget_compiled() -> None:
-    """Let functions be compiled again, and before they are timed again."""
+    """Forget what is compiled and warm, so that functions are compiled again before they are timed."""
     jax.clear_caches()
     compilation._warm.clear()
 
 
 @pytest.fixture(scope="module")
 def optimized() -> Iterator[None]:
-    """Optimise compiled functions, as users do. Other tests take longer to compile than to drive."""
+    """Optimise what is compiled from the first such test of a file on, as for users; other tests drive too little."""
     forget_compiled()
     optimize(True)
     yield
     optimize(False)
+    forget_compiled()
 
 
 @pytest.fixture(autouse=True)

@@ -33,8 +33,9 @@ SHIPPED_COSTS = {  # s
 which the model predicts one of them and naive the others.
 
 These are means over episodes on one core, including the search for a way out: of Merger v1 and Give Way v1 with one
-human, and with several of Dense Merge (six episodes) and Dense Merge v1 (20). That search became faster afterwards:
-with several humans, the means are multiplied by the ratio of the times of 12 episodes after and before."""
+human, and with several of Dense Merge (six episodes) and Dense Merge v1 (20). That search became faster afterwards.
+Each mean with several humans is therefore multiplied by a ratio: the time of 12 episodes with the faster search over
+their time with the slower one."""
 
 NOT_ESTIMATED = -np.inf
 """Gain of a rung for which none was estimated. It is not NaN, as NaN would trigger ``jax_debug_nans``."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from ms_highway.game.collision_risk import touches
 from ms_highway.game.dynamics import Motion, coast, observe, step
@@ -19,7 +19,7 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
 from ms_highway.game.scene import FAR_AWAY
 from ms_highway.planning.manoeuvres import manoeuvres
-from ms_highway.runtime.arrays import Control, Controls, Flag, State
+from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
 ESCAPE_STEPS = 30  # steps of an escape: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster than the limit
 STEPS_AMONG_CARS = 25  # of these, in which other cars count: they do not keep their velocity for long
@@ -31,8 +31,8 @@ class Escape(NamedTuple):
     """What to drive from a state.
 
     Attributes:
-        controls: scaled, over the planner's horizon: of the best escape, whose last control is repeated beyond
-            `ESCAPE_STEPS`, if it replaces the planned control; else the planned control, repeated.
+        controls: scaled, over the planner's horizon. If ``replaces``, those of the best escape, the last one repeated
+            beyond `ESCAPE_STEPS`; otherwise the planned control, repeated.
         replaces: whether the first one replaces the planned control.
     """
 
@@ -46,7 +46,7 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     The best escape is the manoeuvre that collides latest. Among manoeuvres that never collide, those that keep
     `CLEARANCE` to cars and obstacles are better; among equals, the one that earns most is. The control, followed by the
     best manoeuvre after it, is judged over the same `ESCAPE_STEPS` as the escapes, and stays if it is as good. Escapes
-    are only searched for where no manoeuvre after the control keeps `CLEARANCE`.
+    are only searched for where no manoeuvre after the control keeps `CLEARANCE`; under `jax.vmap`, they always are.
 
     Args:
         game: of the robot.
@@ -59,20 +59,18 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
     _, later = manoeuvres(game, after, ESCAPE_STEPS, ACCELERATIONS)
     # The control is the first step of the ways that keep it.
     kept = jnp.concatenate([jnp.broadcast_to(after, later[:, :1].shape), later[:, :-1]], axis=1)
-    clear = ~_touching(game, kept, early, CLEARANCE).any(axis=1)
+    best_kept = _steps_free(game, kept, early).max()
 
     def search() -> Escape:
         controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS, ACCELERATIONS)
-        free = ~_touching(game, jnp.concatenate([escapes, kept]), early, 0.0)
-        of_escapes, of_kept = jnp.split(jnp.sum(jnp.cumprod(free, axis=1), axis=1), 2)
-        of_escapes += ~_touching(game, escapes, early, CLEARANCE).any(axis=1)
+        of_escapes = _steps_free(game, escapes, early)
         earned = jax.vmap(lambda way: jnp.sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
         best = jnp.argmax(jnp.where(of_escapes == of_escapes.max(), earned, -jnp.inf))
         steps = np.minimum(np.arange(game.planner.horizon), ESCAPE_STEPS - 1)
-        return Escape(controls[best][steps], of_escapes.max() > of_kept.max())
+        return Escape(controls[best][steps], of_escapes.max() > best_kept)
 
     unchanged = Escape(jnp.tile(control, (game.planner.horizon, 1)), jnp.zeros((), bool))
-    return jax.lax.cond(clear.any(), lambda: unchanged, search)
+    return jax.lax.cond(best_kept > ESCAPE_STEPS, lambda: unchanged, search)
 
 
 def _within_road(game: Game, others: Motion) -> Motion:
@@ -83,14 +81,17 @@ def _within_road(game: Game, others: Motion) -> Motion:
     return others._replace(y=jnp.clip(others.y, low, high))
 
 
-def _touching(
-    game: Game, ways: Float[jax.Array, "ways steps 4"], others: Motion, clearance: float
-) -> Bool[jax.Array, "ways steps"]:
-    """Return whether a car comes closer than a distance [m] to cars or obstacles, in each step of each way."""
+def _steps_free(game: Game, ways: Float[jax.Array, "ways steps 4"], others: Motion) -> Int[jax.Array, "ways"]:
+    """Return the number of steps before a car collides on each way, one more if it keeps `CLEARANCE` to everything."""
     scene = game.scene
     wider = replace(
         scene,
-        car_size=jnp.asarray(scene.car_size) + clearance,
-        obstacle_size=jnp.asarray(scene.obstacle_size) + clearance,
+        car_size=jnp.asarray(scene.car_size) + CLEARANCE,
+        obstacle_size=jnp.asarray(scene.obstacle_size) + CLEARANCE,
     )
-    return jax.vmap(lambda way: touches(wider, observe(way), others))(ways)
+
+    def count(way: Float[jax.Array, "steps 4"]) -> Index:
+        free, clear = (~touches(checked, observe(way), others) for checked in (scene, wider))
+        return jnp.sum(jnp.cumprod(free)) + clear.all()
+
+    return jax.vmap(count)(ways)
