@@ -13,7 +13,7 @@ def run(command: str) -> None:
 
 
 def python(*words: str, status: int = 0, **options: Any) -> subprocess.CompletedProcess[str]:
-    """Run Python in another process, which has to end with this status, and return what it has written."""
+    """Run Python in another process, assert its exit status, and return its output."""
     done = subprocess.run([sys.executable, *words], capture_output=True, text=True, **options)
     assert done.returncode == status, done.stdout + done.stderr
     return done

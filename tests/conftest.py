@@ -60,21 +60,21 @@ def shared_cache() -> None:
     keep_compilations(CACHE)
 
 
-def optimize(wanted: bool) -> None:
-    """Let JAX optimise what it compiles, here and in the processes that are started, or not."""
-    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(not wanted)
-    jax.config.update("jax_disable_most_optimizations", not wanted)
+def optimize(on: bool) -> None:
+    """Switch the optimisations of JAX's compiler on or off, in this process and in those that it starts."""
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(not on)
+    jax.config.update("jax_disable_most_optimizations", not on)
 
 
 def forget_compiled() -> None:
-    """Forget what is compiled and warm, so that functions are compiled again before they are timed."""
+    """Clear all compiled functions, so that the next call compiles them and warms them up again."""
     jax.clear_caches()
     compilation._warm.clear()
 
 
 @pytest.fixture(scope="module")
 def optimized() -> Iterator[None]:
-    """Optimise what is compiled from the first such test of a file on, as for users; other tests drive too little."""
+    """Compile with optimisations, as users do, up to the end of the file. Tests that drive long episodes need this."""
     forget_compiled()
     optimize(True)
     yield

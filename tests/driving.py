@@ -1,4 +1,4 @@
-"""Drive among one human or several, live and in batches, without environments; a ladder, and a model of one's own."""
+"""Drive among one human or several, live and in batches, without environments; share a ladder, a model and a game."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -28,17 +28,17 @@ COSTS = Costs.of([*PUBLISHED_COSTS.values()], 1)
 
 @dataclass(frozen=True)
 class Brakes(PredictedHuman):
-    """A user-defined model: the human always brakes as hard as that [m/s^2]."""
+    """A user-defined model: the human brakes by a constant deceleration [m/s^2]."""
 
     name: ClassVar[str] = "brakes"
-    hard: float
+    deceleration: float
 
     def predict(self, game, state, start=None):
-        return [keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, self.hard])] * game.planner.horizon
+        return [keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, self.deceleration])] * game.planner.horizon
 
 
 def dense_merge(humans):
-    """The game of Dense Merge within its limits."""
+    """Build the game of Dense Merge with its limits."""
     return build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=humans)
 
 

@@ -1,15 +1,22 @@
 """Episodes of the environments: how tests make and drive them."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import pytest
 
 from ms_highway.envs import environment_id
 from ms_highway.envs.registry import controller_config
 
 TWO = {"humans": 2, "horizon": 5, "costs": "published"}  # a small scene with several humans
 PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
+
+
+def drives_long(test: Callable[..., None]) -> Any:
+    """Mark a test as slow, and compile with optimisations in it."""
+    return pytest.mark.slow(pytest.mark.usefixtures("optimized")(test))
 
 
 class Episode(NamedTuple):

@@ -41,7 +41,7 @@ class Escape(NamedTuple):
 
 
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
-    """Return the best escape if no way out after the robot's control is as good.
+    """Return the best escape if it is better than every way out after the robot's control, or else the control.
 
     The best escape is the manoeuvre that collides latest. Among manoeuvres that never collide, those that keep
     `CLEARANCE` to cars and obstacles are better; among equals, the one that earns most is. The control, followed by the

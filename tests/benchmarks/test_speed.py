@@ -5,6 +5,8 @@ import json
 import pytest
 from commands import run
 
+KEYS = {"plan_us", "decision_us", "step_us", "environment", "batch", "memory_mib", "first_seconds", "devices"}
+
 
 @pytest.mark.slow
 def test_the_command_times_every_rung_and_switching_live_and_in_batches(tmp_path, capsys):
@@ -13,6 +15,7 @@ def test_the_command_times_every_rung_and_switching_live_and_in_batches(tmp_path
     assert list(measured) == ["naive", "switching:0.6", "switching:0.1"]
     assert measured["naive"]["decision_us"] == 0 < measured["switching:0.1"]["decision_us"]
     for one in measured.values():
+        assert set(one) == KEYS
         assert 0 < one["plan_us"]["p50"] <= one["plan_us"]["p99"] < 1e6
         assert min(one["step_us"], one["environment"], one["first_seconds"]) > 0
         assert one["batch"]["20"] > one["batch"]["1"] > 1

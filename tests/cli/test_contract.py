@@ -28,12 +28,12 @@ print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'scipy'} 
 
 def test_help_describes_every_command_and_loads_no_package_that_computes_or_draws():
     wide = {**os.environ, "COLUMNS": "300"}
-    told = python("-c", HELP, env=wide).stdout
-    before, *texts = told.split("usage: ms-highway")
+    output = python("-c", HELP, env=wide).stdout
+    before, *texts = output.split("usage: ms-highway")
     assert (before, len(texts)) == ("", 1 + len(COMMANDS))
     assert min(map(len, texts)) > 250
-    assert max(map(len, told.splitlines())) <= 120
-    assert told.endswith("loaded: []\n")
+    assert max(map(len, output.splitlines())) <= 120
+    assert output.endswith("loaded: []\n")
 
 
 @pytest.mark.parametrize("name", COMMANDS)

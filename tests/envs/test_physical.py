@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
-from episodes import drive, make
+from episodes import drive, drives_long, make
 
 from ms_highway.envs import SCENARIOS
 from ms_highway.experiments.runner import episode
@@ -44,8 +44,7 @@ def driven(scenario, controllers, starts):
     return pd.DataFrame([step | {"controller": name, "seed": seed} for name, seed, step in steps])
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
     steps = driven("stay-back-v1", ["naive", "learned:1"], 12)
     episodes = steps.groupby(["controller", "seed"]).agg({"reward": "mean", "collision": "any"})
@@ -54,8 +53,7 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
     assert episodes.loc["learned:1", "reward"].min() > 2.6
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
     steps = driven("dense-merge-v1", ["naive", "tom", "nearest:2", "learned:1"], 20)
     assert not steps["collision"].any()
@@ -69,8 +67,7 @@ def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_s
     assert counted["learned:1"] < 0.2 * counted["tom"]
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 @pytest.mark.parametrize("name", ["merger-v1", "give-way-v1"])
 def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision(name):
     steps = driven(name, ["naive", "tom", "learned:1", "switching:0.1"], 12)

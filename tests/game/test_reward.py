@@ -19,7 +19,7 @@ NARROW = replace(MERGER, cones=((0.0, 2.0),))
 features_of = jit_quickly(features)
 
 
-def test_rewards_are_linear_in_features_that_do_not_depend_on_the_unit_of_length_in_every_batch_shape(played):
+def test_rewards_are_linear_in_features_in_every_batch_shape_and_features_do_not_depend_on_the_unit_of_length(played):
     game, state = played(NARROW)
     same, in_units = played(NARROW, unit=1.0)
     found = np.asarray(features_of(game.scene, game.robot, state))

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 import pytest
-from driving import LADDER, SCENES, Brakes, drive, simulated
+from driving import COSTS, LADDER, SCENES, Brakes, drive, simulated
 from jax import numpy as jnp
 
 from ms_highway.choice.belief import RESPONDING
@@ -55,7 +55,7 @@ class OneOf(Rule):
 
 def rules(humans):
     """All rules that choose models, by name."""
-    costs = Costs.of([0.09, 0.17, 0.37], humans)
+    costs = Costs.of(COSTS.each, humans)
     values = load_values("shipped", "several" if humans > 1 else "pair")
     one_step = OneStepGains(Switching(costs, 0.0, LADDER))
     return {
@@ -124,7 +124,7 @@ def weaves(game, state):
 
 
 MODELS = (*ladder(["naive", "idm", "turn", "tom@3+warm"]), Brakes(2.0), Failing())
-NAIVE, IDM, TURN, TOM, BRAKES, FAILING = range(6)
+NAIVE, TOM, FAILING = 0, 3, 5  # among these
 ALWAYS_TOM = [[TOM, TOM]] * 9
 MIXED = [[0, 2], [1, 0], [2, 3], [3, 3], [3, 1], [4, 0], [1, 4], [3, 2], [4, 3]]
 FAILS = [[rung, rung] for rung in (NAIVE, *[FAILING] * 6, NAIVE, FAILING)]

@@ -39,6 +39,7 @@ def test_episodes_agree_with_the_environment_step_by_step_and_have_the_columns_o
     records = simulated(COMPARISON)
     agree(records.set_index(KEYS), pd.concat(driven(COMPARISON, "merger", controller) for controller in CONTROLLERS))
     assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
+    assert set(records["status"]) == {"planned"}
 
 
 @pytest.mark.slow

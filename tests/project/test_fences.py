@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from commands import run
+from episodes import drives_long
 
 import ms_highway
 
@@ -90,8 +91,7 @@ def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
     assert collisions == fence["collisions"]
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 @pytest.mark.filterwarnings("ignore:.*is out of date")
 @pytest.mark.parametrize("scene", FENCES["stock"])
 def test_robots_in_stock_scenes_earn_their_usual_reward_and_crash_no_more_often(scene):
@@ -109,8 +109,7 @@ def test_the_recorded_problem_that_ships_is_solved():
     assert reward == pytest.approx(fence["reward"], abs=fence["tolerance"])
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 def test_recorded_problems_are_solved_as_often_as_the_results_say(us101_directory, tmp_path):
     file = tmp_path / "road.json"
     run(f"bench road recorded --drivers priced --data {us101_directory} --json {file}")

@@ -6,6 +6,7 @@ import re
 
 import nbformat
 import pytest
+from episodes import drives_long
 from nbclient import NotebookClient
 from test_pages import NOTEBOOKS
 
@@ -43,8 +44,7 @@ def kinds(cell):
     return [kind for kind in shown if kind in ("image/png", "text/html")]
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_the_committed_one(path, tmp_path):
     notebook, committed = (nbformat.read(path, as_version=4) for _ in range(2))

@@ -6,6 +6,7 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
+from episodes import drives_long
 from highway_env.vehicle.behavior import IDMVehicle
 
 from ms_highway.road.stock import replace_ego
@@ -37,8 +38,7 @@ def drive(environment, steps):
             return
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 @pytest.mark.parametrize(("name", "config"), [("highway-v0", {"vehicles_count": 10}), ("merge-v0", {})])
 def test_humans_drive_episodes_of_stock_environments_and_compile_nothing_after_the_first_step(name, config, caplog):
     driven = []
@@ -54,8 +54,7 @@ def test_humans_drive_episodes_of_stock_environments_and_compile_nothing_after_t
     assert len(driven) > 2 * 4 * 8
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 @pytest.mark.parametrize("kind", ["HumanVehicle", "CommuterVehicle"])
 def test_a_human_on_a_ramp_merges_before_it_ends(kind):
     for seed in range(3):
@@ -97,8 +96,7 @@ def collisions(name, kind, seeds):
     return found
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("optimized")
+@drives_long
 @pytest.mark.parametrize("name", ["roundabout-v0", "intersection-v0"])
 def test_humans_among_themselves_collide_less_often_than_highway_envs_drivers(name):
     assert collisions(name, HumanVehicle, 4) < collisions(name, IDMVehicle, 4)
