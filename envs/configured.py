@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
@@ -218,7 +217,7 @@ class ConfiguredEnv(AbstractEnv):
         """Return the actions available now: all discrete actions, or highway-env's selection of meta-actions."""
         space = self.action_space
         if isinstance(space, spaces.MultiDiscrete):
-            return [*product(*map(range, space.nvec))]
+            return [*np.ndindex(*space.nvec)]
         if isinstance(space, spaces.Discrete) and not isinstance(self.action_type, DiscreteMetaAction):
             return range(space.n)
         return super().get_available_actions()

@@ -132,10 +132,9 @@ def finite(space: spaces.Space) -> spaces.Space:
         return spaces.Tuple([finite(part) for part in space])
     if type(space) is spaces.Space:
         raise ValueError("TimeToCollision needs a car with target speeds; give the action 'DiscreteMetaAction'")
-    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
-        return space
-    end = np.finfo(space.dtype).max
-    return spaces.Box(np.maximum(space.low, -end), np.minimum(space.high, end), dtype=space.dtype.type)
+    if isinstance(space, spaces.Box):
+        return spaces.Box(np.nan_to_num(space.low), np.nan_to_num(space.high), dtype=space.dtype.type)
+    return space
 
 
 def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | None) -> None:
