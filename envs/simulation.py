@@ -90,11 +90,11 @@ def stack_episodes(drawn: Sequence[Episodes]) -> Episodes:
 
 
 class EnvState(NamedTuple):
-    """The state of a `FunctionalEnv`; every array has a first axis of length 1, as functions of batches take it.
+    """The state of environments, along a first axis of every array; its length is 1 in a `FunctionalEnv`.
 
     Attributes:
         now: what the episode carries from step to step.
-        episodes: the numbers that were drawn for it.
+        episodes: the numbers that were drawn for them.
         step: number of steps done.
     """
 
@@ -180,25 +180,25 @@ class FunctionalEnv:
             raise ValueError(f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}")
         if isinstance(space, Discrete | MultiDiscrete):
             action = jnp.clip(action, 0, len(self.loop.rule.ladder) - 1)
-        given = self.given(state.episodes.schedules, state.step, state.now.state, action[None])
+        given = self.given(state, action[None])
         now, records = step_episodes(replace(self.loop, chunk=1), state.episodes, state.now, given)
         state = state._replace(now=now, step=state.step + 1)
         info = {"collision": records.collision[0], "states": records.states[0]}
         observation, reward, terminated, truncated = (part[0] for part in self.outcome(records, state.step))
         return state, observation, reward, terminated, truncated, info
 
-    def given(self, schedules: Any, steps: Any, now: State, actions: Any) -> Given:
+    def given(self, state: EnvState, actions: Any) -> Given:
         """Return the models of the humans, or the robot's controls, for a step of n environments.
 
         Args:
-            schedules: of the episodes [n, steps, humans].
-            steps: number of steps done [n].
-            now: states of all cars [n, cars, 4].
+            state: of the environments, with a first axis of length n.
             actions: of the agent, n of its action space.
         """
-        scheduled = schedules[np.arange(len(schedules)), steps.clip(max=self.steps - 1)]
+        schedules = state.episodes.schedules
+        scheduled = schedules[np.arange(len(schedules)), state.step.clip(max=self.steps - 1)]
         if self.agent_drives:
-            controls = executed_controls(self.environment.action_type, self.loop.game.world, actions, now[:, 0])
+            robots = state.now.state[:, 0]
+            controls = executed_controls(self.environment.action_type, self.loop.game.world, actions, robots)
             return Given(scheduled, controls=controls.astype(np.float32))
         if isinstance(self.environment.action_type, HumanModelAction):
             scheduled = actions.reshape(scheduled.shape).astype(np.int32)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from math import ceil
 from typing import Any
 
 import jax
@@ -11,19 +12,16 @@ import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from jax import numpy as jnp
 
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, refuse_unknown
-from ms_highway.envs.simulation import FunctionalEnv, stack_episodes
-from ms_highway.loop.batch import Given, Now, begin_episodes, choose_episodes, step_episodes
+from ms_highway.envs.simulation import EnvState, FunctionalEnv, stack_episodes
+from ms_highway.loop.batch import Given, Now, begin_episodes, step_episodes
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import cores
-
-NEVER_RESET = -1  # number of steps before the first reset
 
 
 class InteractionVectorEnv(VectorEnv):
@@ -65,17 +63,12 @@ class InteractionVectorEnv(VectorEnv):
         self.single_observation_space, self.single_action_space = functions.observation_space, functions.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.episode_steps, loop = functions.steps, functions.loop
+        self.episode_steps = functions.steps
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
-        self._episodes = stack_episodes([functions.draw(np.random.default_rng())] * num_envs)  # until the first reset
-        self._states, self._steps = self._episodes.starts.copy(), np.full(num_envs, NEVER_RESET)
-        self._begins, self._collided, self._ended = np.zeros((3, num_envs), bool)
-        groups = min(cores(), num_envs)
-        size = -(-num_envs // (groups * loop.together)) * loop.together  # whole chunks; the last environment fills up
-        places = [np.arange(first, first + size) for first in range(0, num_envs, size)]
-        self._groups, self._threads = np.minimum(places, num_envs - 1), ThreadPoolExecutor(len(places))
-        begun = jax.eval_shape(partial(begin_episodes, loop), self._states[self._groups[0]])
-        self._carried = [jax.tree.map(lambda part: np.zeros(part.shape, part.dtype), begun)] * len(places)
+        self._state: Any = None  # before the first reset, then an `EnvState`
+        self._ended, self._collided = np.ones(num_envs, bool), np.zeros(num_envs, bool)
+        self._groups = min(cores(), ceil(num_envs / functions.loop.together))
+        self._threads = ThreadPoolExecutor(self._groups)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Config | None = None
@@ -96,7 +89,7 @@ class InteractionVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             what = f"options['reset_mask'] is {mask.tolist()}"
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
-        if (self._steps[~mask] == NEVER_RESET).any():
+        if self._state is None and not mask.all():
             raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
         if isinstance(seed, (int, np.integer)):
             seed = [int(seed) + place for place in range(self.num_envs)]
@@ -106,8 +99,7 @@ class InteractionVectorEnv(VectorEnv):
         for place, own in enumerate(seeds):
             if own is not None and mask[place]:
                 self._randoms[place] = seeding.np_random(int(own))[0]
-        self._renew(mask)
-        return self._functions.observe(self._states, self._steps), {}
+        return self._renew(mask), {}
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step all environments; reset those whose episode has ended as the autoreset mode says.
@@ -116,11 +108,8 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for actions outside the action space, before the first reset, and after the end of an episode in
                 the mode without automatic resets.
         """
-        waiting = self._steps == NEVER_RESET
-        if self.autoreset_mode is AutoresetMode.DISABLED:
-            waiting |= self._ended
-        if waiting.any():
-            places = np.flatnonzero(waiting).tolist()
+        if self._ended.any() and (self._state is None or self.autoreset_mode is AutoresetMode.DISABLED):
+            places = np.flatnonzero(self._ended).tolist()
             raise ValueError(f"environments must be reset before they can step: {places}")
         actions, space = np.asarray(actions), self.action_space
         possible = actions.shape == space.shape and actions.dtype.kind in "biuf" and np.isfinite(actions).all()
@@ -130,9 +119,8 @@ class InteractionVectorEnv(VectorEnv):
         if not possible:
             raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
         stepped, records = ~self._ended, self._advance(actions)
-        self._steps += 1
         self._collided |= records.collision
-        seen, rewards, terminated, truncated = self._functions.outcome(records, self._steps)
+        seen, rewards, terminated, truncated = self._functions.outcome(records, self._state.step)
         rewards = np.where(stepped, rewards, 0.0).astype(np.float64)
         terminated, truncated, values = terminated & stepped, truncated & stepped, self._info(records)
         self._ended, info, renewed = terminated | truncated, _masked(values, stepped), ~stepped
@@ -144,36 +132,49 @@ class InteractionVectorEnv(VectorEnv):
             info = _masked(values, ~renewed)
             info |= _masked({"final_obs": final, "final_info": _masked(values, renewed)}, renewed)
         if renewed.any():
-            self._renew(renewed)
-            seen = self._functions.observe(self._states, self._steps)
+            seen = self._renew(renewed)
         return seen, rewards, terminated, truncated, info
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads."""
         self._threads.shutdown()
 
-    def _renew(self, mask: np.ndarray) -> None:
-        """Draw new episodes of some environments."""
-        new = stack_episodes([self._functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)])
-        for old, part in zip(jax.tree.leaves(self._episodes), jax.tree.leaves(new), strict=True):
-            old[mask] = part
-        self._states[mask], self._steps[mask], self._begins[mask] = new.starts, 0, True
+    def _renew(self, mask: np.ndarray) -> np.ndarray:
+        """Draw new episodes of some environments; return the observations of all."""
+        functions = self._functions
+        episodes = stack_episodes([functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)])
+        number, starts = len(episodes), episodes.starts
+        filled = np.resize(starts, (self.num_envs, *starts.shape[1:]))  # so that one program serves any number
+        now = jax.tree.map(lambda part: np.array(part)[:number], _begin(functions.loop, filled))
+        new = EnvState(now, episodes, np.zeros(number, int))
+        if self._state is None:
+            self._state = new
+        for old, rows in zip(jax.tree.leaves(self._state), jax.tree.leaves(new), strict=True):
+            old[mask] = rows
         self._ended[mask] = self._collided[mask] = False
+        return functions.observe(self._state.now.state, self._state.step)
 
     def _advance(self, actions: np.ndarray) -> Records:
-        """Step all groups, each in a thread of its own."""
-        functions, episodes = self._functions, self._episodes
-        given = functions.given(episodes.schedules, self._steps, self._states, actions)
-        everything = replace(episodes, starts=self._states, schedules=None), self._begins, given
+        """Step all environments, chunk by chunk, on all cores.
 
-        def advance(number: int) -> Records:
-            own, begins, given = jax.tree.map(lambda part: np.asarray(part)[self._groups[number]], everything)
-            self._carried[number], records = _step_chunks(functions.loop, own, self._carried[number], begins, given)
-            return jax.tree.map(np.asarray, records)
+        Chunks are sorted by model, as a chunk computes each model that one of its humans uses. The first environments
+        fill the last chunks up.
+        """
+        functions, loop, state = self._functions, self._functions.loop, self._state
+        given = functions.given(state, actions)
+        everything = replace(state.episodes, schedules=None), state.now, given
+        order = np.argsort(given.scheduled.max(axis=1), kind="stable")
+        rounds = ceil(self.num_envs / (self._groups * loop.together))
+        groups = np.resize(order, (rounds, self._groups, loop.together)).swapaxes(0, 1)
 
-        parts = list(self._threads.map(advance, range(len(self._groups))))
-        records = jax.tree.map(lambda *part: np.concatenate(part)[: self.num_envs], *parts)
-        self._states, self._begins = records.states, np.zeros_like(self._begins)
+        def advance(places: np.ndarray) -> tuple[Now, Records]:
+            own, now, given = jax.tree.map(lambda part: np.asarray(part)[places], everything)
+            return jax.tree.map(np.asarray, _step_chunks(loop, own, now, given))
+
+        results = list(self._threads.map(advance, groups))
+        _, back = np.unique(groups, return_index=True)
+        now, records = jax.tree.map(lambda *parts: np.concatenate(np.concatenate(parts))[back], *results)
+        self._state = state._replace(now=now, step=state.step + 1)
         return records
 
     def _info(self, records: Records) -> dict[str, Any]:
@@ -194,15 +195,13 @@ def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
     return values | {f"_{name}": mask for name in values}
 
 
+_begin = jit_quickly(begin_episodes)
+
+
 @jit_quickly
-def _step_chunks(loop: Loop, own: Episodes, now: Now, begins: Any, given: Given) -> tuple[Now, Records]:
-    """Step environments chunk by chunk, sorted by model, as a chunk computes each model that one of its humans uses."""
-    now = choose_episodes(begins, begin_episodes(loop, own.starts), now)
-    order = jnp.argsort(given.scheduled.max(axis=1), stable=True)
-    chunks = jax.tree.map(lambda part: part[order].reshape(-1, loop.together, *part.shape[1:]), (own, now, given))
-    results = jax.lax.map(lambda items: step_episodes(loop, *items), chunks)
-    back = jnp.argsort(order)
-    return jax.tree.map(lambda part: part.reshape(-1, *part.shape[2:])[back], results)
+def _step_chunks(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
+    """Step environments [chunks, together], chunk by chunk."""
+    return jax.lax.map(lambda items: step_episodes(loop, *items), (own, now, given))
 
 
 def __getattr__(name: str) -> Any:
