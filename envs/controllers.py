@@ -124,13 +124,13 @@ class OrderSettings(ControllerSettings, frozen=True):
             if not is_model(name):
                 raise ValueError(f"{PLACE} names {name!r}; the human models are {model_names()}")
 
-    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+    def table(self, start: Start) -> np.ndarray:
         """Return the names of the humans' models in every step, [steps, humans] or, the same for all, [steps, 1]."""
         return np.array(self.names())[:, None]
 
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
-        table = self.table(start.steps, start.humans, start.random)
+        table = self.table(start)
         names = list(dict.fromkeys(table.ravel().tolist()))
         return Order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
 
@@ -203,25 +203,25 @@ class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
         """See `ControllerSettings.names`."""
         return tuple(name for step in self.models for name in step.split("/"))
 
-    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+    def table(self, start: Start) -> np.ndarray:
         """See `OrderSettings.table`.
 
         Raises:
             ValueError: if a step names several models, but not one for each human.
         """
         rows = [step.split("/") for step in self.models]
-        if wrong := {len(row) for row in rows} - {1, humans}:
+        if wrong := {len(row) for row in rows} - {1, start.humans}:
             remedy = "name one for all of them in a step, or one for each"
-            raise ValueError(f"{PLACE}['models'] has {min(wrong)} models for {humans} humans; {remedy}")
-        return np.array([row * (humans // len(row)) for row in rows])
+            raise ValueError(f"{PLACE}['models'] has {min(wrong)} models for {start.humans} humans; {remedy}")
+        return np.array([row * (start.humans // len(row)) for row in rows])
 
 
 class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
     """A model per step, repeated to the end of the episode."""
 
-    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+    def table(self, start: Start) -> np.ndarray:
         """See `OrderSettings.table`."""
-        return np.resize(super().table(steps, humans, random), (steps, humans))
+        return np.resize(super().table(start), (start.steps, start.humans))
 
 
 class RandomSettings(OrderSettings, frozen=True, tag="random"):
@@ -247,7 +247,7 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
         """See `ControllerSettings.names`."""
         return tuple(name for name, share in self.shares.items() if share > 0)
 
-    def table(self, steps: int, humans: int, random: np.random.Generator) -> np.ndarray:
+    def table(self, start: Start) -> np.ndarray:
         """See `OrderSettings.table`."""
         shares = np.array([self.shares[name] for name in self.names()])
-        return random.choice(self.names(), size=(steps, humans), p=shares / shares.sum())
+        return start.random.choice(self.names(), size=(start.steps, start.humans), p=shares / shares.sum())

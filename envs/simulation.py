@@ -75,11 +75,12 @@ def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSett
         random: source of the draws.
     """
     start, weights = environment.draw_episode(random)
-    drivers, shape = environment.draw_drivers(random), (environment.episode_steps, environment.settings.humans)
-    rungs = np.full(shape, DECIDES, np.int32)
+    drivers, steps = environment.draw_drivers(random), environment.episode_steps
+    rungs = np.full((steps, environment.settings.humans), DECIDES, np.int32)
     if isinstance(settings, OrderSettings):
-        names, table = [model.name for model in loop.models], settings.table(*shape, random)  # type: ignore[arg-type]
-        rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(shape[0]), len(table) - 1)]
+        names = [model.name for model in loop.models]
+        table = settings.table(environment.settings.start({}, steps, random))  # type: ignore[arg-type]
+        rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(steps), len(table) - 1)]
     price = np.nan_to_num(np.float32(settings.price))  # an order has none
     return Episodes(start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers)
 
