@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from ms_highway.envs.registry import priced_types
 from ms_highway.experiments.comparison import models_of
 from ms_highway.experiments.summary import CONFIDENCE
-from ms_highway.planning.ladders import PAPER_MODELS, cheapest_first
+from ms_highway.planning.ladders import PAPER_MODELS
 from ms_highway.road.constants import MODELS
 
 NAME_WIDTH = 32  # characters, to which longer names are shortened in print
@@ -180,18 +180,17 @@ def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
 
     Args:
         title: traffic and number of episodes.
-        drivers: figures of ``bench road --json`` by driver; files of earlier versions may lack some.
+        drivers: figures of ``bench road --json`` by driver.
     """
-    rungs = cheapest_first([*MODELS, *(rung for one in drivers.values() for rung in one.get("rungs", ()))])
     rows = []
     for driver, one in drivers.items():
         succeeded = binomtest(round(one["success"] * one["episodes"]), one["episodes"])
         low, high = succeeded.proportion_ci(CONFIDENCE, "wilson")
-        shares = " / ".join(f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in rungs) if one.get("rungs") else None
-        percent = {name: 100 * one.get(name, 0.0) or None for name in ("off_road", "late")}
+        shares = " / ".join(f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in MODELS) if one["rungs"] else None
+        percent = {name: 100 * one[name] or None for name in ("off_road", "late")}
         row = {**one, **percent, "driver": driver, "success": 100 * one["success"], "shares": shares}
         rows.append(row | {"low": 100 * low, "high": 100 * high})
-    return grid(title, texts(_with_shares(DRIVERS, rungs), rows))
+    return grid(title, texts(_with_shares(DRIVERS, MODELS), rows))
 
 
 def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
