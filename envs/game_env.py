@@ -8,27 +8,18 @@ import numpy as np
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import Obstacle
-from jax import numpy as jnp
-from jaxtyping import Float
 
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.game.features import features
 from ms_highway.game.game import Game
-from ms_highway.game.reward import Reward
 from ms_highway.game.scenario import CONE_SIZE
-from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle import states_of
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
 
-
-@jax.jit
-def evaluate(scene: Scene, driver: Reward, states: State) -> Float[jax.Array, "2 features"]:
-    """Compute the features phi of car 0's state and their terms in its reward, in one transfer."""
-    phi = features(scene, driver, states)
-    return jnp.stack([phi, phi * driver.weights])
+compiled_features = jax.jit(features)
 
 
 def straight_road(game: Game) -> RoadNetwork:
@@ -98,8 +89,8 @@ class GameEnv(ConfiguredEnv):
             car.hit = False
         super()._simulate(action)
         robot = self.game.robot
-        phi, terms = np.asarray(evaluate(self.game.scene, robot, self.car_states.astype(np.float32))).tolist()
-        self._terms = dict(zip(robot.names, terms, strict=True))
+        phi = np.asarray(compiled_features(self.game.scene, robot, self.car_states.astype(np.float32)))
+        self._terms = dict(zip(robot.names, (phi * np.asarray(robot.weights)).tolist(), strict=True))
         self.collision = bool(phi[robot.names.index("collision")])
 
     def _reward(self, action: Any) -> float:
