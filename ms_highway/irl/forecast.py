@@ -12,8 +12,8 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import predict_with
 from ms_highway.irl.recording import Recording
-from ms_highway.irl.snapshots import STEPS, snapshots_at
-from ms_highway.planning.learned_driving import PAST_STEPS
+from ms_highway.irl.snapshots import snapshots_at
+from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 
 ROOM = 16  # cars are padded to a multiple of this, so that functions are compiled for few numbers of cars
 WITHIN = 2 * np.log(2)  # squared radius, in standard deviations, that holds half of a bivariate normal distribution

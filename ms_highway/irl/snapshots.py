@@ -12,11 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Recording, Rows, numbered
-from ms_highway.planning.learned_driving import PAST_STEPS
+from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 from ms_highway.runtime.arrays import Vector
-
-STEPS = 50
-"""Number of steps of 0.1 s for which drivers are predicted."""
 
 HORIZONS = (1, 2, 3, 5)
 """Seconds after which predictions are compared with recordings."""
@@ -124,9 +121,3 @@ def snapshots_at(
     for time in np.flatnonzero(predicted.any(axis=1)):
         past, future = np.split(states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1])
         yield Snapshots(past, future, sizes, *road, predicted[time], track, group)
-
-
-def lane_numbers(lanes: Cars, y: Cars) -> CarNumbers:
-    """Return the number of the lane whose centre is nearest to each lateral position."""
-    xp = y.__array_namespace__()
-    return xp.argmin(xp.abs(y[..., None] - lanes[..., None, :]), axis=-1)
