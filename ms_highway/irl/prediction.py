@@ -105,7 +105,7 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
         remedy = "learn it from real recordings with `ms-highway irl fit`, or use us101, which comes with the package"
         raise ValueError(f"this reward has nothing learned seconds ahead for the predictor {name}; {remedy}")
     if name == "model":
-        return Mixture(predict_drivers(snapshots, learned.bare), learned.spread)
+        return Mixture(predict_drivers(snapshots, learned), learned.spread)
     peer = learned.peers[name]
     return Mixture(predict_peer(name, snapshots, peer.parameters), peer.spread)
 

@@ -93,10 +93,10 @@ def test_a_driver_who_drifts_to_the_next_lane_is_expected_there():
     drifting = following()
     drifting.states[:, 0, 2] = -0.06
     drifting.states[:, 0, 1] += 1.0 - 0.9 * 0.1 * np.arange(61)  # in the snapshot, half way to the next lane
-    modes = predict_drivers(snapshot(drifting, 2), DRIVERS.bare)
+    modes = predict_drivers(snapshot(drifting, 2), DRIVERS)
     assert modes.probability[0].argmax() == 1
     assert modes.path[0, 1, -1, 1] == pytest.approx(0.0, abs=0.7)
-    assert predict_drivers(snapshot(following(), 5), DRIVERS.bare).probability[0].argmax() == 0
+    assert predict_drivers(snapshot(following(), 5), DRIVERS).probability[0].argmax() == 0
 
 
 def test_the_fitted_spread_holds_as_many_drivers_as_it_says():
