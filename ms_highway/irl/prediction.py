@@ -16,11 +16,12 @@ import numpy as np
 from jax import numpy as jnp
 from msgspec import structs
 
+from ms_highway.game.dynamics import coast
 from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers
-from ms_highway.game.scenario import TIME_STEP
+from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.game.scene import Leader
 from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
-from ms_highway.irl.recording import CarFlags, Cars, CarStates, straight_on
+from ms_highway.irl.recording import CarFlags, Cars, CarStates
 from ms_highway.irl.snapshots import AT, SCALES, Snapshots
 from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.planning.learned_driving import (
@@ -119,8 +120,8 @@ def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) 
         parameters: of IDM, by name; where there are none, highway-env's.
     """
     if name == "constant_velocity":
-        now = snapshots.drivers(snapshots.now)[:, None]
-        path = straight_on(now, now[..., 3] * TIME_STEP * np.arange(1, STEPS + 1))[..., :2]
+        motion = coast(PAPER_DYNAMICS, snapshots.drivers(snapshots.now), STEPS)
+        path = jnp.stack([motion.x, motion.y], axis=-1)
     else:
         idm = read(parameters, IdmParameters) if parameters else HIGHWAY_ENV_IDM
         path = snapshots.drivers(np.moveaxis(np.asarray(_idm_paths(idm, snapshots)), 1, 2))

@@ -14,11 +14,11 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.dynamics import Motion, keep_velocity, observe, rollout
+from ms_highway.game.dynamics import Motion, keep_velocity, observe, rollout, step
 from ms_highway.game.features import depth_off_road, motion_features
 from ms_highway.game.game import Game, move
 from ms_highway.game.reward import FEATURES, features_for
-from ms_highway.game.scenario import PAPER_DYNAMICS, PHYSICAL_LIMIT, TIME_STEP, driving_game
+from ms_highway.game.scenario import PAPER_DYNAMICS, PHYSICAL_LIMIT, driving_game
 from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.irl.recording import (
     CarStates,
@@ -29,7 +29,6 @@ from ms_highway.irl.recording import (
     Rows,
     States,
     numbered,
-    straight_on,
     track_of,
 )
 from ms_highway.runtime.arrays import Vector
@@ -101,7 +100,7 @@ def _extrapolated(states: CarStates) -> CarStates:
     """Return the states, in which each car goes on at constant velocity after it was last seen."""
     states = states.copy()
     for before, after in itertools.pairwise(states):
-        kept = straight_on(before, before[:, 3] * TIME_STEP)
+        kept = step(PAPER_DYNAMICS, before, keep_velocity(PAPER_DYNAMICS, before))
         after[:] = np.where(np.isnan(after).any(axis=-1, keepdims=True), kept, after)
     return states
 
