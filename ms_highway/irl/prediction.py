@@ -129,22 +129,18 @@ def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) 
 
 
 def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
-    """Fit the parameters and the spread of every peer, by name."""
-    peers = {}
-    for name in [*PREDICTORS][1:]:
-        parameters = structs.asdict(fit_idm(snapshots)) if name == "fitted_idm" else {}
-        spread = fit_spread(predict_peer(name, snapshots, parameters), snapshots.recorded)
-        peers[name] = FittedPeer(parameters, spread)
-    return peers
+    """Fit the spread of every peer, by name, and the parameters of IDM that predict best, in closed loop.
 
-
-def fit_idm(snapshots: Snapshots) -> IdmParameters:
-    """Fit the parameters of IDM that predict best, in closed loop, all cars of a snapshot together.
-
-    Minimises the mean of `robust_errors` by L-BFGS over the logarithms of the parameters.
+    Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS over the logarithms of the
+    parameters.
     """
     first, data = np.log(jax.tree.leaves(FIRST_IDM)[:7]), jax.device_put(snapshots)
-    return IdmParameters(*np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist())
+    best = np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist()
+    parameters = {"constant_velocity": {}, "idm": {}, "fitted_idm": structs.asdict(IdmParameters(*best))}
+    return {
+        name: FittedPeer(own, fit_spread(predict_peer(name, snapshots, own), snapshots.recorded))
+        for name, own in parameters.items()
+    }
 
 
 @jit_quickly
