@@ -128,6 +128,7 @@ class Drivers(Structure):
                 raise ValueError(f"{part} of drivers lack or have unknown {', '.join(sorted(wrong))}")
 
 
+@pytree
 class FittedPeer(Structure):
     """A predictor of the literature, fitted to the same drivers.
 
@@ -140,6 +141,7 @@ class FittedPeer(Structure):
     spread: Spread
 
 
+@pytree
 class LearnedDrivers(Drivers):
     """What `ms-highway irl fit` learns of real drivers.
 
@@ -153,8 +155,3 @@ class LearnedDrivers(Drivers):
     spread: Spread
     deviations: dict[str, Finite]
     peers: dict[str, FittedPeer]
-
-    @property
-    def bare(self) -> Drivers:
-        """The drivers without the rest; JAX takes them as arguments."""
-        return Drivers(self.weights, self.prior, self.changing, self.intention)

@@ -11,9 +11,8 @@ from ms_highway.game.learned_reward import LearnedReward, shipped_drivers
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import predict_with
-from ms_highway.irl.recording import Recording
-from ms_highway.irl.snapshots import STEPS, snapshots_at
-from ms_highway.planning.learned_driving import PAST_STEPS
+from ms_highway.irl.snapshots import Snapshots
+from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 
 ROOM = 16  # cars are padded to a multiple of this, so that functions are compiled for few numbers of cars
 WITHIN = 2 * np.log(2)  # squared radius, in standard deviations, that holds half of a bivariate normal distribution
@@ -92,12 +91,11 @@ def predict(
     ):
         if not right:
             raise ValueError(f"{name} cannot be {value!r}; give positive finite numbers as `help(predict)` says")
-    centres, numbers = np.sort(centres), np.arange(cars + -cars % ROOM)
-    road = centres, lane_width, speed_limit
-    recording = Recording("now", "now", past, np.array([], int), np.broadcast_to(bodies, (cars, 2)), *road)
-    wanted = np.zeros((len(past), len(numbers)), dtype=bool)
-    wanted[-1] = True
-    (snapshot,) = snapshots_at(recording, wanted, centres, numbers, 0)
+    missing = 0, -cars % ROOM
+    near = np.pad(past, ((PAST_STEPS + 1 - len(past), STEPS), missing, (0, 0)), constant_values=np.nan)
+    bodies = np.pad(np.broadcast_to(bodies, (cars, 2)), (missing, (0, 0)), constant_values=1.0)
+    road, numbers = (np.sort(centres), lane_width, speed_limit), np.arange(len(bodies))
+    snapshot = Snapshots(near[:-STEPS], near[-STEPS:], bodies, *road, numbers >= 0, numbers, 0)
     drivers = learned.drivers if isinstance(learned, LearnedReward) else learned or shipped_drivers()
     modes, spread = predict_with(predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers)
     weights, means = np.asarray(modes.probability)[:cars], np.asarray(modes.path)[:cars, :, :steps]

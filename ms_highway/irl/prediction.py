@@ -8,6 +8,7 @@ The peers are constant velocity and the Intelligent Driver Model (IDM). By IDM, 
 and steer to the centre of their first lane, as highway-env's vehicles do.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -15,20 +16,21 @@ import numpy as np
 from jax import numpy as jnp
 from msgspec import structs
 
+from ms_highway.game.dynamics import coast
 from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers
-from ms_highway.game.scenario import TIME_STEP
+from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.game.scene import Leader
 from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
-from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, straight_on
-from ms_highway.irl.snapshots import AT, SCALES, STEPS, Snapshots, lane_numbers
+from ms_highway.irl.recording import CarFlags, Cars, CarStates
+from ms_highway.irl.snapshots import AT, SCALES, Snapshots
 from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.planning.learned_driving import (
     FREE_GAP,
+    STEPS,
     STEPS_PER_SECOND,
-    Surroundings,
-    TraitLogarithms,
+    lane_centre,
     leader_of,
-    moved,
+    roll_out,
     seen_states,
     shown_traits,
 )
@@ -104,7 +106,7 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
         remedy = "learn it from real recordings with `ms-highway irl fit`, or use us101, which comes with the package"
         raise ValueError(f"this reward has nothing learned seconds ahead for the predictor {name}; {remedy}")
     if name == "model":
-        return Mixture(predict_drivers(snapshots, learned.bare), learned.spread)
+        return Mixture(predict_drivers(snapshots, learned), learned.spread)
     peer = learned.peers[name]
     return Mixture(predict_peer(name, snapshots, peer.parameters), peer.spread)
 
@@ -118,8 +120,8 @@ def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) 
         parameters: of IDM, by name; where there are none, highway-env's.
     """
     if name == "constant_velocity":
-        now = snapshots.drivers(snapshots.now)[:, None]
-        path = straight_on(now, now[..., 3] * TIME_STEP * np.arange(1, STEPS + 1))[..., :2]
+        motion = coast(PAPER_DYNAMICS, snapshots.drivers(snapshots.now), STEPS)
+        path = jnp.stack([motion.x, motion.y], axis=-1)
     else:
         idm = read(parameters, IdmParameters) if parameters else HIGHWAY_ENV_IDM
         path = snapshots.drivers(np.moveaxis(np.asarray(_idm_paths(idm, snapshots)), 1, 2))
@@ -127,22 +129,18 @@ def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) 
 
 
 def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
-    """Fit the parameters and the spread of every peer, by name."""
-    peers = {}
-    for name in [*PREDICTORS][1:]:
-        parameters = structs.asdict(fit_idm(snapshots)) if name == "fitted_idm" else {}
-        spread = fit_spread(predict_peer(name, snapshots, parameters), snapshots.recorded)
-        peers[name] = FittedPeer(parameters, spread)
-    return peers
+    """Fit the spread of every peer, by name, and the parameters of IDM that predict best, in closed loop.
 
-
-def fit_idm(snapshots: Snapshots) -> IdmParameters:
-    """Fit the parameters of IDM that predict best, in closed loop, all cars of a snapshot together.
-
-    Minimises the mean of `robust_errors` by L-BFGS over the logarithms of the parameters.
+    Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS over the logarithms of the
+    parameters.
     """
     first, data = np.log(jax.tree.leaves(FIRST_IDM)[:7]), jax.device_put(snapshots)
-    return IdmParameters(*np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist())
+    best = np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist()
+    parameters = {"constant_velocity": {}, "idm": {}, "fitted_idm": structs.asdict(IdmParameters(*best))}
+    return {
+        name: FittedPeer(own, fit_spread(predict_peer(name, snapshots, own), snapshots.recorded))
+        for name, own in parameters.items()
+    }
 
 
 @jit_quickly
@@ -173,10 +171,10 @@ def robust_errors(paths: CarStates, future: CarStates, chosen: CarFlags) -> tupl
 @partial(jax.vmap, in_axes=(None, 0))
 def _idm_of_all(parameters: IdmParameters, snapshot: Snapshots) -> CarStates:
     """Return the positions of all cars after each step [50, cars, 2]."""
-    start, lane = seen_states(snapshot.past[-1]), _lane_centre(snapshot, 0)
+    start, lane = seen_states(snapshot.past[-1]), lane_centre(snapshot, 0)
     desired = jnp.clip(jnp.maximum(start[:, 3], parameters.speed), 0.01, snapshot.speed_limit)
     width = snapshot.lane_width + 2 * parameters.margin
-    around = Surroundings(snapshot.sizes * parameters.lengths, width, snapshot.speed_limit)
+    around = replace(snapshot, sizes=snapshot.sizes * parameters.lengths, lane_width=width)
 
     def go(state: CarStates, _: None) -> tuple[CarStates, CarStates]:
         x, y, heading, speed = state.T
@@ -209,7 +207,7 @@ def predict_drivers(snapshots: Snapshots, drivers: Drivers) -> Modes:
 @partial(jax.vmap, in_axes=(None, 0))
 def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     """Return the modes of all cars."""
-    traits, (advantages, exist) = shown_traits(drivers, snapshot, snapshot.past), lane_advantages(snapshot)
+    traits, (advantages, exist) = shown_traits(drivers, snapshot), lane_advantages(snapshot)
     odds = jnp.asarray(drivers.intention.biases) + advantages @ jnp.asarray(drivers.intention.weights)
     odds = jnp.where(exist, odds, -jnp.inf)
     probability = jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
@@ -220,35 +218,12 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     return Modes(probability, jnp.moveaxis(paths, 2, 0)[..., :2])
 
 
-def roll_out(
-    drivers: Drivers, snapshot: Snapshots, traits: TraitLogarithms, side: CarNumbers, around: CarStates | None = None
-) -> CarStates:
-    """Let all cars of one snapshot drive for 5 s; return their states after each step [50, cars, 4].
-
-    Args:
-        drivers: the learned drivers.
-        snapshot: the start.
-        traits: see `shown_traits`.
-        side: number of lanes to the right by which each car changes, -1, 0 or 1; it follows the leader in that lane.
-        around: states of the others before each step [50, cars, 4], among which each car drives alone; by default, all
-            cars drive together.
-    """
-    wanted = _lane_centre(snapshot, side)
-
-    @jax.checkpoint  # or else gradients over 5 s would exhaust the memory
-    def go(now: CarStates, others: CarStates | None) -> tuple[CarStates, CarStates]:
-        after, _ = moved(drivers, snapshot, traits, side, wanted, now, others)
-        return after, after
-
-    return jax.lax.scan(go, seen_states(snapshot.past[-1]), around, length=STEPS)[1]
-
-
 def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     """Return the advantages of the lanes to the left and right [cars, 2, 6], and whether these lanes exist.
 
     The advantages are those that `ms_highway.game.learned_drivers.Intention` weighs.
     """
-    states, centre = seen_states(snapshot.past[-1]), _lane_centre(snapshot, 0)
+    states, centre = seen_states(snapshot.past[-1]), lane_centre(snapshot, 0)
     _, y, heading, speed = states.T
     drift = speed * jnp.sin(heading)
     times = TIME_STEP * (np.arange(STEPS_PER_SECOND + 1) - STEPS_PER_SECOND / 2)
@@ -262,7 +237,7 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
         return near * (leader.speed - speed)
 
     def advantages(right: int) -> tuple[jax.Array, CarFlags]:
-        beside = _lane_centre(snapshot, right)
+        beside = lane_centre(snapshot, right)
         other = leader_of(snapshot, states, states, beside)
         room = jnp.clip(other.gap, 0.0, FREE_GAP) - jnp.clip(own.gap, 0.0, FREE_GAP)
         sideways = [right * (y - centre) / snapshot.lane_width, right * drift, right * drifted]
@@ -271,9 +246,3 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
 
     found, exist = zip(*map(advantages, (-1, 1)), strict=True)
     return jnp.stack(found, axis=1), jnp.stack(exist, axis=1)
-
-
-def _lane_centre(snapshot: Snapshots, side: int | CarNumbers) -> Cars:
-    """Return the centre of the lane that many lanes to the right of each car's lane, at most of the outermost one."""
-    lane = lane_numbers(snapshot.lanes, seen_states(snapshot.past[-1])[:, 1])
-    return snapshot.lanes[jnp.clip(lane + side, 0, len(snapshot.lanes) - 1)]

@@ -123,13 +123,6 @@ class Rows:
         return jax.tree.map(lambda numbers: numbers[chosen], self)
 
 
-def straight_on(states: States, distance: Float[Any, "*times"]) -> States:
-    """Return the states of cars after they have gone a distance [m] at constant speed and heading; NumPy or JAX."""
-    xp, heading = states.__array_namespace__(), states[..., 2]
-    still = xp.zeros_like(heading)
-    return states + distance[..., None] * xp.stack([xp.cos(heading), xp.sin(heading), still, still], axis=-1)
-
-
 class Track(NamedTuple):
     """States and the controls that lead from each state to the next, by `ms_highway.game.dynamics.step`.
 

@@ -15,11 +15,11 @@ from scipy import optimize, special
 
 from ms_highway.game.learned_drivers import CHANGING, LEARNED, Drivers, Intention, LearnedDrivers, TraitPrior
 from ms_highway.irl.mixture import SIDES, fit_spread
-from ms_highway.irl.prediction import fit_peers, lane_advantages, predict_drivers, robust_errors, roll_out
+from ms_highway.irl.prediction import fit_peers, lane_advantages, predict_drivers, robust_errors
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars
-from ms_highway.irl.snapshots import Snapshots, lane_numbers
+from ms_highway.irl.snapshots import Snapshots
 from ms_highway.numerics.estimation import Parameters, grouped_covariance, minimum, slope_differences
-from ms_highway.planning.learned_driving import shown_traits
+from ms_highway.planning.learned_driving import lane_numbers, roll_out, shown_traits
 from ms_highway.runtime.arrays import Scalar, plain
 from ms_highway.runtime.process import Progress, silent
 
@@ -133,7 +133,7 @@ def _shares(logarithms: Parameters, snapshots: Snapshots) -> Cars:
 
     def one(snapshot: Snapshots) -> tuple[Cars, Cars]:
         learned_from, side = _label(snapshot)
-        traits = shown_traits(drivers, snapshot, snapshot.past)
+        traits = shown_traits(drivers, snapshot)
         path = roll_out(drivers, snapshot, traits, side)[..., :2]
         errors, known = robust_errors(path, snapshot.future, learned_from)
         return jnp.sum(errors, axis=(0, 2)), known.sum(axis=0)

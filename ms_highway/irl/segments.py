@@ -14,11 +14,11 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.dynamics import Motion, keep_velocity, observe
-from ms_highway.game.features import motion_features
+from ms_highway.game.dynamics import Motion, keep_velocity, observe, rollout, step
+from ms_highway.game.features import depth_off_road, motion_features
 from ms_highway.game.game import Game, move
 from ms_highway.game.reward import FEATURES, features_for
-from ms_highway.game.scenario import PHYSICAL_LIMIT, TIME_STEP, driving_game
+from ms_highway.game.scenario import PAPER_DYNAMICS, PHYSICAL_LIMIT, driving_game
 from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.irl.recording import (
     CarStates,
@@ -29,11 +29,9 @@ from ms_highway.irl.recording import (
     Rows,
     States,
     numbered,
-    straight_on,
     track_of,
 )
-from ms_highway.runtime.arrays import Trajectory, Vector
-from ms_highway.runtime.compilation import in_batches, jit_quickly
+from ms_highway.runtime.arrays import Vector
 
 KINK = 0.05  # sine of the heading, below which noise may turn the car to either side
 SATURATED = 0.8  # share of the limits of plans, from which controls count as saturated
@@ -102,7 +100,7 @@ def _extrapolated(states: CarStates) -> CarStates:
     """Return the states, in which each car goes on at constant velocity after it was last seen."""
     states = states.copy()
     for before, after in itertools.pairwise(states):
-        kept = straight_on(before, before[:, 3] * TIME_STEP)
+        kept = step(PAPER_DYNAMICS, before, keep_velocity(PAPER_DYNAMICS, before))
         after[:] = np.where(np.isnan(after).any(axis=-1, keepdims=True), kept, after)
     return states
 
@@ -114,18 +112,11 @@ def regular(segments: Segments) -> Flags:
     is off the road and points along it: ``off_road`` has a kink there, as another corner becomes the outermost, and a
     car that slides along the edge stays at the kink whatever the weight is.
     """
-    at_kink = in_batches(partial(_at_kink, driver_game(segments, {})), segments)
+    paths = rollout(PAPER_DYNAMICS, segments.start, segments.controls)
+    off_road = jax.vmap(partial(depth_off_road, smooth=False))(segments.scenes, paths) > 0
+    at_kink = (off_road & (jnp.abs(paths.sine) < KINK)).any(axis=1)
     saturated = (np.abs(segments.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
-    return ~at_kink & ~saturated
-
-
-@jit_quickly
-@partial(jax.vmap, in_axes=(None, 0))
-def _at_kink(game: Game, segment: Segments) -> jax.Array:
-    """Return whether the driver is off the road and points along it after any step."""
-    path = move(game, segment.start, segment.controls / game.planner.control_scale)
-    off_road = path_features(game, segment, path)[:, FEATURES.index("off_road")] > 0
-    return jnp.any(off_road & (jnp.abs(Motion(*path).sine) < KINK))
+    return ~np.asarray(at_kink) & ~saturated
 
 
 def driver_game(segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
@@ -144,22 +135,13 @@ def with_segment(game: Game, segment: Segments) -> Game:
     return replace(game, scene=segment.scenes, robot=replace(game.robot, speed_limit=segment.speed_limit))
 
 
-def path_features(game: Game, segment: Segments, path: Trajectory) -> Float[jax.Array, "K features"]:
-    """Return the features of `driver_game` at each step of a driver's path in one segment."""
-    here = with_segment(game, segment)
-
-    def at_step(own: jax.Array, others: jax.Array) -> jax.Array:
-        return jnp.stack(motion_features(here.scene, here.robot, Motion(*own), observe(others)))
-
-    return jax.vmap(at_step, in_axes=(1, 1))(path, segment.others)
-
-
 def summed_features(game: Game, segment: Segments, controls: Controls) -> Float[jax.Array, "features"]:
     """Return the features of the game and of comfort, summed over a segment's steps under scaled controls.
 
     The features of comfort are ``-sum d^2 / 2``, with d the deviation from the controls that keep the velocity.
     """
-    start = jnp.asarray(segment.start)
-    features = path_features(game, segment, move(game, start, controls)).sum(axis=0)
+    here, start = with_segment(game, segment), jnp.asarray(segment.start)
+    path = Motion(*move(game, start, controls))
+    features = jnp.stack(motion_features(here.scene, here.robot, path, observe(segment.others))).sum(axis=1)
     deviation = controls - keep_velocity(game.dynamics, start) / game.planner.control_scale
     return jnp.concatenate([features, -jnp.sum(deviation**2, axis=0) / 2])

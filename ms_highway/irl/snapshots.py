@@ -3,7 +3,7 @@
 Predictors start from snapshots; `ms_highway.irl.seconds_ahead` learns drivers from them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -12,11 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Recording, Rows, numbered
-from ms_highway.planning.learned_driving import PAST_STEPS
+from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 from ms_highway.runtime.arrays import Vector
-
-STEPS = 50
-"""Number of steps of 0.1 s for which drivers are predicted."""
 
 HORIZONS = (1, 2, 3, 5)
 """Seconds after which predictions are compared with recordings."""
@@ -94,39 +91,18 @@ def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
     rows = list[Snapshots]()
     cars = max((MIN_CARS, *(item.states.shape[1] for item in recordings)))
     for recording, group, first_track, lanes in numbered(recordings):
+        missing = cars - recording.states.shape[1]
+        states = np.pad(recording.states, ((PAST_STEPS, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
+        sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
         track, predicted = np.full(cars, -1), np.zeros((len(recording.states), cars), dtype=bool)
         track[recording.drivers] = first_track + np.arange(len(recording.drivers))
         for car in recording.drivers:
             seen = np.flatnonzero(recording.seen[:, car])
             predicted[seen[0] : max(seen[-1] - SHORTEST + 1, 0) : APART, car] = True
-        rows += snapshots_at(recording, predicted, lanes, track, group)
+        road = lanes, recording.lane_width, recording.speed_limit
+        for time in np.flatnonzero(predicted.any(axis=1)):
+            past, future = np.split(states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1])
+            rows.append(Snapshots(past, future, sizes, *road, predicted[time], track, group))
     if not rows:
         raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {SHORTEST / 10:g} s")
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)
-
-
-def snapshots_at(
-    recording: Recording, predicted: CarFlags, lanes: Vector, track: CarNumbers, group: int
-) -> Iterator[Snapshots]:
-    """Yield the snapshots of a recording in which cars are to be predicted.
-
-    Args:
-        recording: to cut.
-        predicted: whether to predict each car at each time [times, cars]; may have more cars than the recording.
-        lanes: see `Snapshots`.
-        track: see `Snapshots`.
-        group: see `Snapshots`.
-    """
-    missing = predicted.shape[1] - recording.states.shape[1]
-    states = np.pad(recording.states, ((PAST_STEPS, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
-    sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
-    road = lanes, recording.lane_width, recording.speed_limit
-    for time in np.flatnonzero(predicted.any(axis=1)):
-        past, future = np.split(states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1])
-        yield Snapshots(past, future, sizes, *road, predicted[time], track, group)
-
-
-def lane_numbers(lanes: Cars, y: Cars) -> CarNumbers:
-    """Return the number of the lane whose centre is nearest to each lateral position."""
-    xp = y.__array_namespace__()
-    return xp.argmin(xp.abs(y[..., None] - lanes[..., None, :]), axis=-1)

@@ -8,8 +8,7 @@ they matter little while driving in a lane.
 """
 
 from collections.abc import Mapping
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -21,6 +20,7 @@ from ms_highway.game.learned_drivers import Drivers, RewardTraits
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 from ms_highway.game.scene import Leader, leaders
 from ms_highway.geometry.curve import namespace
+from ms_highway.runtime.arrays import Scalar
 
 AnyCars = Float[Any, "*cars"]
 
@@ -89,8 +89,8 @@ def held_curvature(weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars
 
 # Driving, with the traits that a driver has shown
 
-PAST_STEPS = 30
-"""Steps of 0.1 s before a moment from which the traits of drivers are inferred."""
+PAST_STEPS, STEPS = 30, 50
+"""Steps of 0.1 s before a moment, from which the traits of drivers are inferred, and after it, in which they drive."""
 
 STEPS_PER_SECOND = 10
 """Steps of a second."""
@@ -104,26 +104,12 @@ MAX_DEVIATION = 1.5  # of the logarithm of a trait from the median's
 UNSEEN_DISTANCE = 1e4  # m behind, where cars that are not seen are put
 
 Cars = Float[Any, "cars"]
-States = Float[Any, "cars 4"]
+States = Float[Any, "*times cars 4"]
+Sides = Int[Any, "cars"]
 TraitLogarithms = Float[Any, "cars 3"]
-Estimate = tuple[Float[Any, "3"], Float[Any, "3 3"]]  # mean and covariance
 
 
-class Surroundings(NamedTuple):
-    """Road and cars; snapshots of recordings have the same attributes.
-
-    Attributes:
-        sizes: length and width of every car [cars, 2].
-        lane_width: of a lane [m].
-        speed_limit: of the road [m/s].
-    """
-
-    sizes: Float[Any, "cars 2"]
-    lane_width: Any
-    speed_limit: Any
-
-
-def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 4"]:
+def seen_states(states: States) -> States:
     """Return the states, with cars that are not seen standing far behind."""
     return jnp.where(
         jnp.isfinite(states).all(axis=-1, keepdims=True),
@@ -132,92 +118,92 @@ def seen_states(states: Float[Any, "*times cars 4"]) -> Float[Any, "*times cars 
     )
 
 
-def leader_of(around: Any, states: States, others: States, lane: Cars) -> Leader:
+def lane_centre(snapshot: Any, side: int | Sides) -> Cars:
+    """Return the centre of the lane that many lanes to the right of each car's lane, at most of the outermost one."""
+    lane = lane_numbers(snapshot.lanes, seen_states(snapshot.past[-1])[:, 1])
+    return snapshot.lanes[jnp.clip(lane + side, 0, len(snapshot.lanes) - 1)]
+
+
+def lane_numbers(lanes: Float[Any, "lanes"], y: Cars) -> Sides:
+    """Return the number of the lane whose centre is nearest to each lateral position."""
+    return jnp.argmin(jnp.abs(y[:, None] - lanes), axis=-1)
+
+
+def leader_of(snapshot: Any, states: States, others: States, lane: Cars) -> Leader:
     """Return the nearest of the others ahead of each car, in the lane around a lateral position for each."""
-    not_itself, lengths = ~jnp.eye(len(states), dtype=bool), around.sizes[:, 0]
-    place, there = leaders(states[:, 0], lane, others, not_itself, around.lane_width / 2)
+    not_itself, lengths = ~jnp.eye(len(states), dtype=bool), snapshot.sizes[:, 0]
+    place, there = leaders(states[:, 0], lane, others, not_itself, snapshot.lane_width / 2)
     gap = others[place, 0] - states[:, 0] - (lengths + lengths[place]) / 2
     return Leader(jnp.where(there, gap, FREE_GAP), others[place, 3], there)
 
 
-def moved(
-    drivers: Drivers,
-    around: Any,
-    logarithms: TraitLogarithms,
-    side: Int[Any, "cars"],
-    wanted: Cars,
-    now: States,
-    others: States | None,
-) -> tuple[States, Leader]:
-    """Let all cars drive for a step of 0.1 s.
+def roll_out(
+    drivers: Drivers, snapshot: Any, logarithms: TraitLogarithms, side: Sides, around: States | None = None
+) -> Float[Any, "50 cars 4"]:
+    """Let all cars of one snapshot drive for 5 s; return their states after each step.
 
     Args:
-        drivers: that were learned.
-        around: `Surroundings`.
+        drivers: the learned drivers.
+        snapshot: the start, one of `ms_highway.irl.snapshots.Snapshots`.
         logarithms: of the cars' traits, see `shown_traits`.
         side: number of lanes to the right by which each car changes, -1, 0 or 1; a car that changes lanes follows the
             leader in its new lane.
-        wanted: lateral position of the middle of each car's wanted lane [m].
-        now: states of all cars.
-        others: states of possible leaders; None for those of all cars.
-
-    Returns:
-        The states after the step, and the leader of each car before it.
+        around: states of the others before each step, among which each car drives alone; by default, all cars drive
+            together.
     """
+    changes, wanted = side != 0, lane_centre(snapshot, side)
 
     def factor(name: str) -> Cars:
-        return jnp.where(side != 0, drivers.changing.get(name, 1.0), 1.0)
+        return jnp.where(changes, drivers.changing.get(name, 1.0), 1.0)
 
     weights = {name: weight * factor(name) for name, weight in drivers.weights.items()}
-    usual = drivers.prior.traits(logarithms, around.speed_limit)
+    usual = drivers.prior.traits(logarithms, snapshot.speed_limit)
     speeds, headways = usual.desired_speed * factor("desired speed"), usual.headway * factor("typical headway")
     traits = RewardTraits(speeds, headways, usual.patience)
-    x, y, heading, speed = now.T
-    leader = leader_of(around, now, now if others is None else others, jnp.where(side != 0, wanted, y))
-    acceleration = held_acceleration(weights, traits, speed, leader)
-    curvature = held_curvature(weights, y - wanted, heading, speed)
-    faster = jnp.maximum(speed + acceleration * TIME_STEP, 0.0)
-    distance = (speed + faster) / 2 * TIME_STEP
-    ahead, aside = x + distance * jnp.cos(heading), y + distance * jnp.sin(heading)
-    return jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1), leader
+
+    @jax.checkpoint  # or else gradients over 5 s would exhaust the memory
+    def go(now: States, others: States | None) -> tuple[States, States]:
+        x, y, heading, speed = now.T
+        leader = leader_of(snapshot, now, now if others is None else others, jnp.where(changes, wanted, y))
+        acceleration = held_acceleration(weights, traits, speed, leader)
+        curvature = held_curvature(weights, y - wanted, heading, speed)
+        faster = jnp.maximum(speed + acceleration * TIME_STEP, 0.0)
+        distance = (speed + faster) / 2 * TIME_STEP
+        ahead, aside = x + distance * jnp.cos(heading), y + distance * jnp.sin(heading)
+        after = jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1)
+        return after, after
+
+    return jax.lax.scan(go, seen_states(snapshot.past[-1]), around, length=STEPS)[1]
 
 
-def shown_traits(drivers: Drivers, around: Any, past: Float[Any, "times cars 4"]) -> TraitLogarithms:
-    """Return the means of the logarithms of traits, relative to the medians', given the past 3 s.
+def shown_traits(drivers: Drivers, snapshot: Any) -> TraitLogarithms:
+    """Return the means of the logarithms of traits, relative to the medians', given the past 3 s of one snapshot.
 
     For each full second of a car's past, an extended Kalman filter is updated with the car's mean acceleration, which
     `held_acceleration` in the recorded states predicts with the prior's noise. Surprises are clipped to 3 standard
     deviations.
-
-    Args:
-        drivers: that were learned.
-        around: `Surroundings`.
-        past: states of all cars 3 s before, and at each step until now; NaN where a car was not seen.
     """
-    prior, seen, past = drivers.prior, jnp.isfinite(past).all(axis=-1), seen_states(past)
+    prior, seen, past = drivers.prior, jnp.isfinite(snapshot.past).all(axis=-1), seen_states(snapshot.past)
     speeds = past[..., 3]
-    leader = jax.vmap(lambda states: leader_of(around, states, states, states[:, 1]))(past)
-    cars = past.shape[1]
-    covariance = jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (cars, 1, 1))
-    traits = jnp.zeros((cars, 3)), covariance
+    leader = jax.vmap(lambda states: leader_of(snapshot, states, states, states[:, 1]))(past)
 
-    def expected(logarithms: TraitLogarithms, speed: Cars, leader: Leader) -> Float[Any, ""]:
-        usual = prior.traits(logarithms, around.speed_limit)
+    @jax.vmap
+    @jax.value_and_grad
+    def expected(logarithms: TraitLogarithms, speed: Cars, leader: Leader) -> Scalar:
+        usual = prior.traits(logarithms, snapshot.speed_limit)
         return held_acceleration(drivers.weights, usual, speed, leader).mean()
 
-    def update(traits: Estimate, speed: Cars, leader: Leader, gained: Cars, seen: jax.Array) -> Estimate:
-        mean, covariance = traits
-        predicted, slope = jax.value_and_grad(expected)(mean, speed, leader)
-        along = jnp.sum(covariance * slope, axis=1)
-        variance = jnp.sum(slope * along) + prior.noise**2
-        reach, gain = MAX_SURPRISE * jnp.sqrt(variance), along / variance
-        moved = mean + gain * jnp.clip(gained - predicted, -reach, reach)
-        after = jnp.clip(moved, -MAX_DEVIATION, MAX_DEVIATION), covariance - gain[:, None] * along
-        return jax.tree.map(partial(jnp.where, seen), after, traits)
-
+    mean = jnp.zeros((past.shape[1], 3))
+    covariance = jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (len(mean), 1, 1))
     for first in range(0, PAST_STEPS, STEPS_PER_SECOND):
         then, last = slice(first, first + STEPS_PER_SECOND, STRIDE), first + STEPS_PER_SECOND
         gained = (speeds[last] - speeds[first]) / (STEPS_PER_SECOND * TIME_STEP)
-        led = Leader(*(part[then].T for part in leader))
-        traits = jax.vmap(update)(traits, speeds[then].T, led, gained, seen[first : last + 1].all(axis=0))
-    return traits[0]
+        predicted, slope = expected(mean, speeds[then].T, Leader(*(part[then].T for part in leader)))
+        along = jnp.einsum("cij,cj->ci", covariance, slope)
+        variance = jnp.sum(slope * along, axis=1) + prior.noise**2
+        reach = MAX_SURPRISE * jnp.sqrt(variance)
+        gain = jnp.where(seen[first : last + 1].all(axis=0), 1 / variance, 0.0)[:, None] * along
+        moved = mean + gain * jnp.clip(gained - predicted, -reach, reach)[:, None]
+        mean = jnp.clip(moved, -MAX_DEVIATION, MAX_DEVIATION)
+        covariance -= gain[:, :, None] * along[:, None]
+    return mean

@@ -16,7 +16,7 @@ from ms_highway.game.learned_reward import load, shipped
 from ms_highway.irl.evaluation import evaluate, metrics, prediction_errors
 from ms_highway.irl.mixture import Mixture, Modes, density_level, expected_path, fit_spread, log_density
 from ms_highway.irl.prediction import PREDICTORS, predict_drivers, predict_peer, predict_with
-from ms_highway.irl.recording import Recording, straight_on
+from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import cut_snapshots
 
 DRIVERS = shipped("us101").drivers
@@ -24,9 +24,9 @@ LANES = 3.4 * np.arange(6)  # as many as recordings are padded to, so that momen
 
 
 def recorded(*cars, drivers=1):
-    """A recording of cars that keep their velocity for 6 s, of which the first are drivers to predict."""
-    first = np.array(cars, dtype=float)
-    states = straight_on(first, 0.1 * np.arange(61)[:, None] * first[:, 3])
+    """A recording of cars that keep speed and lane for 6 s, of which the first are drivers to predict."""
+    first = np.array(cars, float)
+    states = np.linspace(first, first + 6 * first[:, 3:] * [1, 0, 0, 0], 61)
     sizes = np.tile([5.0, 2.0], (len(cars), 1))
     return Recording("made", "made", states, np.arange(drivers), sizes, LANES, 3.4, 29.0)
 
@@ -93,10 +93,10 @@ def test_a_driver_who_drifts_to_the_next_lane_is_expected_there():
     drifting = following()
     drifting.states[:, 0, 2] = -0.06
     drifting.states[:, 0, 1] += 1.0 - 0.9 * 0.1 * np.arange(61)  # in the snapshot, half way to the next lane
-    modes = predict_drivers(snapshot(drifting, 2), DRIVERS.bare)
+    modes = predict_drivers(snapshot(drifting, 2), DRIVERS)
     assert modes.probability[0].argmax() == 1
     assert modes.path[0, 1, -1, 1] == pytest.approx(0.0, abs=0.7)
-    assert predict_drivers(snapshot(following(), 5), DRIVERS.bare).probability[0].argmax() == 0
+    assert predict_drivers(snapshot(following(), 5), DRIVERS).probability[0].argmax() == 0
 
 
 def test_the_fitted_spread_holds_as_many_drivers_as_it_says():
