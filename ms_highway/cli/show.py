@@ -208,9 +208,8 @@ def frontier(options: argparse.Namespace) -> None:
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     orders, behind = pd.DataFrame(), pd.DataFrame()
     with own_results(options) as directory:
-        settings = directory.take_up(asked.common_config())
+        directory.take_up(asked.common_config())
         every = {name: Outcomes(batch, out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()}
-        directory.write_settings(settings)
         record(directory, options)
         for scenario, outcomes in every.items():
             tell(f"{scenario}: compiling, and driving fixed models and controllers")

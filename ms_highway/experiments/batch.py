@@ -6,6 +6,7 @@ late. A budget counts the given seconds for planning, and none for deciding.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from math import isnan
 from typing import Any, TypeAlias
 
@@ -30,7 +31,6 @@ from ms_highway.experiments.comparison import (
     KEYS,
     MEASURED,
     Comparison,
-    EpisodeKey,
     by_column,
     check_table,
     per_episode,
@@ -166,15 +166,17 @@ class Batch:
         shape = records.reward.shape
         return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
 
-    def tables(self, keys: Sequence[Key], records: Records) -> Tables:
-        """Return ``steps``, a row per step, and ``episodes``, see `ms_highway.experiments.comparison.per_episode`.
+    def tables(self, keys: Sequence[Key], mesh: Mesh | None = None) -> Tables:
+        """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row per episode.
+
+        Columns are those of `ms_highway.experiments.comparison.columns` and `per_episode`.
 
         Episodes also have ``price``, the lambda of their controller, empty if it has none.
 
         Raises:
             ValueError: for a reward that is not finite.
         """
-        steps = self.steps_table(keys, records)
+        steps = self.steps_table(keys, self.simulate(keys, mesh))
         episodes = per_episode(steps, self.models)
         prices = {name: self.settings(name).price for name in episodes["controller"].unique()}
         episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
@@ -216,19 +218,19 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
 
 def simulate_parts(
-    comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]], mesh: Mesh | None = None
-) -> Iterator[tuple[int, Tables]]:
-    """Simulate the episodes of numbered parts, one part after the other; yield the number and `Batch.tables` of each.
+    comparison: Comparison, parts: Mapping[str, range], mesh: Mesh | None = None
+) -> Iterator[tuple[str, Tables]]:
+    """Simulate parts of a comparison, one after the other; yield the name and `Batch.tables` of each.
 
     Args:
         comparison: of a single scenario.
-        parts: episodes of each part by its number.
+        parts: places of the episodes in `Comparison.episodes`, by the name of the part.
         mesh: devices that share each part, see `ms_highway.runtime.compilation.device_mesh`; by default, the first.
     """
     batch = make_batch(comparison, *comparison.controllers)
-    for number, part in parts.items():
-        keys = [key[1:] for key in part]
-        yield number, batch.tables(keys, batch.simulate(keys, mesh))
+    for name, part in parts.items():
+        keys = islice(comparison.episodes(), part.start, part.stop)
+        yield name, batch.tables([key[1:] for key in keys], mesh)
 
 
 def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:

@@ -63,7 +63,7 @@ class Outcomes:
         """Return the rows of some episodes, in their order; simulate and keep the unknown ones."""
         lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
-            episodes = self.batch.tables(lacking, self.batch.simulate(lacking, self._mesh))["episodes"]
+            episodes = self.batch.tables(lacking, self._mesh)["episodes"]
             fresh = episodes.set_index(INDEX)[list(KEPT_COLUMNS)]
             self.table = pd.concat([self.table, fresh]) if len(self.table) else fresh
             write_table(self.table.reset_index(), self._file)

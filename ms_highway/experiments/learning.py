@@ -130,9 +130,7 @@ def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh)
     for course in courses:
         numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(course.game)]
         games.append((course.name, course.steps, course.rungs, crc32(b"".join(numbers))))
-    settings = {**asdict(learning), "courses": games}
-    ResultsDirectory(kept).take_up(settings)
-    ResultsDirectory(kept).write_settings(settings)
+    ResultsDirectory(kept).take_up({**asdict(learning), "courses": games})
     values, done = fitted(learning, [], 0), list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, course in enumerate(courses):

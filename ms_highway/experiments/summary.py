@@ -12,7 +12,7 @@ from scipy import stats
 
 from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.experiments.comparison import models_of, per_episode
-from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
+from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, Run
 from ms_highway.experiments.runner import read_steps
 
 CONFIDENCE = 0.9
@@ -213,7 +213,7 @@ def read_results(directory: Path) -> Results:
         ValueError: if it is no such directory, or a file is missing or cannot be read.
     """
     results = ResultsDirectory(directory)
-    settings = results.settings() if (directory / SETTINGS_FILE).is_file() else {}
+    settings = results.settings()
     if "asked" not in settings:
         raise ValueError(f"{directory} holds no results of a comparison; {NO_PAGE}")
     records = read_steps(directory, settings)
