@@ -279,10 +279,10 @@ def learn(options: argparse.Namespace) -> None:
 
     everywhere = {name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS}
     asked = Comparison(everywhere, config=configuration(options))
-    learning, courses = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
+    learning, batches = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
     values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
-    tell(f"{courses[0].name}: compiling")
-    for done, fitted in learn(learning, courses, kept, use_devices(options.devices)):
+    tell(f"{next(iter(asked.controllers))}: compiling")
+    for done, fitted in learn(learning, batches, kept, use_devices(options.devices)):
         tell(done)
         values = fitted or values
     if values is not None:
