@@ -169,7 +169,7 @@ class Batch:
     def tables(self, keys: Sequence[Key], mesh: Mesh | None = None) -> Tables:
         """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row per episode.
 
-        Columns are those of `ms_highway.experiments.comparison.columns` and `per_episode`.
+        Columns are those of `Comparison.columns` without measured times, and those of `per_episode`.
 
         Episodes also have ``price``, the lambda of their controller, empty if it has none.
 

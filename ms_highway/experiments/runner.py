@@ -249,7 +249,8 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     """Run one episode with the robot's own controller; yield a record per step.
 
-    A record has the columns from ``step`` on, see `ms_highway.experiments.comparison.columns`, and all of ``info``.
+    A record has all of ``info``, and the columns of `ms_highway.experiments.comparison.Comparison.columns` from
+    ``step`` on.
     """
     env.reset(seed=seed)
     inner = env.unwrapped
