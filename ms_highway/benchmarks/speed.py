@@ -100,20 +100,20 @@ def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
 
 def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict:
     """Time batches of a comparison's episodes, after a first batch of one chunk per device, which may compile."""
-    mesh = use_devices(devices)  # before JAX begins to compute
-    batch, used = make_batch(comparison, scenario), mesh.devices
+    used = use_devices(devices)  # before JAX begins to compute
+    batch = make_batch(comparison, scenario)
     keys = batch.keys()
-    first = timed(batch.simulate, keys[: batch.loop.together * used.size], mesh)[1]
+    first = timed(batch.simulate, keys[: batch.loop.together * len(used)], used)[1]
     rates, memory = {}, {}
     for size in sizes:
         times: list[float] = []
         while not times or (len(times) < RUNS and sum(times) < SECONDS):
-            times.append(timed(batch.simulate, keys[:size], mesh)[1])
+            times.append(timed(batch.simulate, keys[:size], used)[1])
         rates[str(size)] = size * batch.steps / median(times)
         peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2]  # as Linux reports it
         memory[str(size)] = int(peak.split()[0]) / 1024
-    kind = used.flat[0].device_kind
-    return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{used.size} of kind {kind}"}
+    kind = used[0].device_kind
+    return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{len(used)} of kind {kind}"}
 
 
 # Steadiness
@@ -177,7 +177,7 @@ def changes(
     Raises:
         ValueError: for anything unknown or impossible, and for episodes shorter than the last step of `AFTER`.
     """
-    mesh = use_devices(devices)  # before JAX begins to compute
+    used = use_devices(devices)  # before JAX begins to compute
     batch, last = make_batch(comparison, scenario), AFTER[-1]
     if batch.steps < last:
         problem = f"episodes of {scenario} have {batch.steps} steps"
@@ -189,7 +189,7 @@ def changes(
     sizes = [0.0, *noises]
     keys = [(controller, seed) for seed in seeds] * len(sizes)
     noise = np.concatenate([size * np.array(draws) for size in sizes])
-    records = batch.simulate(keys, mesh, **{"errors" if seen else "shifts": noise})
+    records = batch.simulate(keys, used, **{"errors" if seen else "shifts": noise})
     paths = np.asarray(records.states, float)[:, :last, 0, :2].reshape(len(sizes), len(seeds), last, 2)
     steps, rows = batch.steps_table(keys, records), len(seeds) * batch.steps
     without, *noisy = (per_episode(steps[start:][:rows]) for start in range(0, len(steps), rows))

@@ -191,7 +191,7 @@ def sweep(options: argparse.Namespace) -> None:
         if options.scheduler:
             compute: Compute = stack.enter_context(connected(options.scheduler, options.modules))
         else:
-            compute = partial(simulate_parts, mesh=use_devices(options.devices))
+            compute = partial(simulate_parts, devices=use_devices(options.devices))
         counts, wanted = run_batched(asked, out, options.part, options.steps, compute), len(list(asked.episodes()))
         already = next(counts)
         if already < wanted:

@@ -199,7 +199,7 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import regret_tables
 
     options.lambdas = options.lambdas or [LAMBDAS]
-    asked, mesh, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
+    asked, devices, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
         if unknown := [model for model in batch.models if model not in batch.costs]:
@@ -209,7 +209,7 @@ def frontier(options: argparse.Namespace) -> None:
     orders, behind = pd.DataFrame(), pd.DataFrame()
     with own_results(options) as directory:
         directory.take_up(asked.common_config())
-        every = {name: Outcomes(batch, out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()}
+        every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}
         record(directory, options)
         for scenario, outcomes in every.items():
             tell(f"{scenario}: compiling, and driving fixed models and controllers")

@@ -15,7 +15,6 @@ import msgspec
 import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
-from jax.sharding import Mesh
 
 from ms_highway.choice.rule import Rule, highest_gains
 from ms_highway.envs import ENVIRONMENTS
@@ -41,6 +40,7 @@ from ms_highway.loop.step import STATUSES
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 
 Key: TypeAlias = tuple[str, int]
 """An episode of a scenario: the short name of its controller, and its seed."""
@@ -93,13 +93,17 @@ class Batch:
         return [key[1:] for key in self.comparison.episodes() if key[0] == scenario]
 
     def simulate(
-        self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None, errors: Array | None = None
+        self,
+        keys: Sequence[Key],
+        devices: Devices | None = None,
+        shifts: Array | None = None,
+        errors: Array | None = None,
     ) -> Records:
         """Simulate episodes; those whose controllers differ only in lambda are simulated together.
 
         Args:
             keys: the episodes.
-            mesh: see `ms_highway.loop.batch.simulate`.
+            devices: see `ms_highway.loop.batch.simulate`.
             shifts: changes of the starts of the robot and the first humans [episodes, cars, 4].
             errors: errors of the states that the robot sees, see `ms_highway.loop.records.Episodes`.
         """
@@ -116,7 +120,7 @@ class Batch:
                 episodes.starts[:, : shifts.shape[1]] += shifts[places]
             if errors is not None:
                 episodes = replace(episodes, errors=errors[places])
-            parts.append(simulate(loop, episodes, mesh))
+            parts.append(simulate(loop, episodes, devices))
         order = np.argsort(np.concatenate(list(alike.values())))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
@@ -166,7 +170,7 @@ class Batch:
         shape = records.reward.shape
         return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
 
-    def tables(self, keys: Sequence[Key], mesh: Mesh | None = None) -> Tables:
+    def tables(self, keys: Sequence[Key], devices: Devices | None = None) -> Tables:
         """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row per episode.
 
         Columns are those of `Comparison.columns` without measured times, and those of `per_episode`.
@@ -176,7 +180,7 @@ class Batch:
         Raises:
             ValueError: for a reward that is not finite.
         """
-        steps = self.steps_table(keys, self.simulate(keys, mesh))
+        steps = self.steps_table(keys, self.simulate(keys, devices))
         episodes = per_episode(steps, self.models)
         prices = {name: self.settings(name).price for name in episodes["controller"].unique()}
         episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
@@ -218,31 +222,26 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
 
 def simulate_parts(
-    comparison: Comparison, parts: Mapping[str, range], mesh: Mesh | None = None
+    comparison: Comparison, parts: Mapping[str, range], devices: Devices | None = None
 ) -> Iterator[tuple[str, Tables]]:
     """Simulate parts of a comparison, one after the other; yield the name and `Batch.tables` of each.
 
     Args:
         comparison: of a single scenario.
         parts: places of the episodes in `Comparison.episodes`, by the name of the part.
-        mesh: devices that share each part, see `ms_highway.runtime.compilation.device_mesh`; by default, the first.
+        devices: that share each part; by default, the first.
     """
     batch = make_batch(comparison, *comparison.controllers)
     for name, part in parts.items():
         keys = islice(comparison.episodes(), part.start, part.stop)
-        yield name, batch.tables([key[1:] for key in keys], mesh)
+        yield name, batch.tables([key[1:] for key in keys], devices)
 
 
-def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
+def simulated(comparison: Comparison) -> pd.DataFrame:
     """Simulate a comparison and return all records, a row per step, in the comparison's order.
-
-    Args:
-        comparison: what to simulate.
-        mesh: see `ms_highway.loop.batch.simulate`.
 
     Raises:
         ValueError: see `make_batch`.
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
-    tables = [batch.steps_table(keys, batch.simulate(keys, mesh)) for batch in batches for keys in [batch.keys()]]
-    return pd.concat(tables, ignore_index=True)
+    return pd.concat([batch.tables(batch.keys())["steps"] for batch in batches], ignore_index=True)

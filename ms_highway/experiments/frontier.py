@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from jax.sharding import Mesh
 
 from ms_highway.envs.registry import controller_config, fixed_order_types
 from ms_highway.experiments.batch import Batch, Key
@@ -18,6 +17,7 @@ from ms_highway.experiments.comparison import check_table
 from ms_highway.experiments.directory import write_table
 from ms_highway.experiments.summary import interval
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 from ms_highway.runtime.files import reading
 
 MEAN_STRETCH = 4  # mean number of steps in a stretch that a mutant changes
@@ -39,18 +39,18 @@ class Outcomes:
             and ``fallbacks`` as in `ms_highway.experiments.comparison.per_episode`.
     """
 
-    def __init__(self, batch: Batch, file: Path, mesh: Mesh | None = None) -> None:
+    def __init__(self, batch: Batch, file: Path, devices: Devices | None = None) -> None:
         """Begin with the episodes in a file.
 
         Args:
             batch: the scenario.
             file: CSV file that keeps all episodes.
-            mesh: devices, see `ms_highway.runtime.compilation.device_mesh`.
+            devices: see `ms_highway.loop.batch.simulate`.
 
         Raises:
             ValueError: if the file exists and holds something else.
         """
-        self.batch, self._file, self._mesh = batch, file, mesh
+        self.batch, self._file, self._devices = batch, file, devices
         self.table = pd.DataFrame(columns=[*INDEX, *KEPT_COLUMNS]).set_index(INDEX)
         if file.exists():
             with reading(file, "remove it or choose another directory"):
@@ -63,7 +63,7 @@ class Outcomes:
         """Return the rows of some episodes, in their order; simulate and keep the unknown ones."""
         lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
-            episodes = self.batch.tables(lacking, self._mesh)["episodes"]
+            episodes = self.batch.tables(lacking, self._devices)["episodes"]
             fresh = episodes.set_index(INDEX)[list(KEPT_COLUMNS)]
             self.table = pd.concat([self.table, fresh]) if len(self.table) else fresh
             write_table(self.table.reset_index(), self._file)

@@ -16,7 +16,6 @@ from zlib import crc32
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jax.sharding import Mesh
 
 from ms_highway.choice.learned_value import Network, Values, noise, outputs
 from ms_highway.choice.situation import description_names
@@ -27,6 +26,7 @@ from ms_highway.experiments.rollouts import SEVERAL, Driving, Learning, Random, 
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import cheapest_first, human_model, ladder
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import read_arrays, reading, replacing
 
@@ -107,14 +107,16 @@ def _stream(how: Learning, *place: int) -> Random:
     return np.random.default_rng([how.seed, *place])
 
 
-def learn(learning: Learning, batches: Sequence[Batch], kept: Path, mesh: Mesh) -> Iterator[tuple[str, Values | None]]:
+def learn(
+    learning: Learning, batches: Sequence[Batch], kept: Path, devices: Devices
+) -> Iterator[tuple[str, Values | None]]:
     """Learn values in some scenarios.
 
     Args:
         learning: settings.
         batches: the scenarios.
         kept: directory that keeps all rollouts, so that an interrupted run can resume; the caller removes it.
-        mesh: devices, see `ms_highway.runtime.compilation.device_mesh`.
+        devices: that simulate the rollouts.
 
     Yields:
         What was done, after the rollouts of each scenario and after each fit; and after a fit, the values.
@@ -134,7 +136,7 @@ def learn(learning: Learning, batches: Sequence[Batch], kept: Path, mesh: Mesh) 
             if not file.exists():
                 costs = Costs.of([learning.costs[name] for name in batch.rungs], batch.humans)
                 rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
-                driving = Driving(batch, learning, rule, number > 1, mesh)
+                driving = Driving(batch, learning, rule, number > 1, devices)
                 found = driving.roll_out(_stream(learning, number, SCENARIO, place), learning.states[number > 1])
                 with replacing(file) as path:
                     np.savez(path, **found._asdict())

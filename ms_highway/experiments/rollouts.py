@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
 
 from ms_highway.choice.learned_value import TOGETHER, LearnedValue
 from ms_highway.choice.situation import describe, nearness
@@ -20,6 +19,7 @@ from ms_highway.experiments.batch import Batch
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.records import DECIDES, PLANS, Episodes, Records
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 
 Random: TypeAlias = np.random.Generator
 
@@ -95,14 +95,14 @@ class Driving:
         how: settings of learning.
         rule: rule of the last fit, on the scenario's ladder.
         learned: whether there was a fit; otherwise, the rule is not used.
-        mesh: devices.
+        devices: that simulate it.
     """
 
     batch: Batch
     how: Learning
     rule: LearnedValue
     learned: bool
-    mesh: Mesh
+    devices: Devices
 
     def starts(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
@@ -148,7 +148,7 @@ class Driving:
         usual, parts = np.full((count, humans), PLANS), []
         last = np.minimum(np.arange(steps + -steps % horizon), steps - 1)  # whole rollouts
         for part in np.split(schedules[:, last].astype(np.int32), len(last) // horizon, axis=1):
-            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.mesh))
+            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.devices))
             starts = np.asarray(parts[-1].states[:, -1])
         return jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
 
