@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
 
-from ms_highway.choice.rule import Rule, highest_gains
+from ms_highway.choice.rule import highest_gains
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.agents import is_agent
 from ms_highway.envs.base import InteractionEnv
@@ -39,7 +39,6 @@ from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import cheapest_first
-from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import Devices
 
 Key: TypeAlias = tuple[str, int]
@@ -92,20 +91,12 @@ class Batch:
         scenario = self.environment.scenario.name
         return [key[1:] for key in self.comparison.episodes() if key[0] == scenario]
 
-    def simulate(
-        self,
-        keys: Sequence[Key],
-        devices: Devices | None = None,
-        shifts: Array | None = None,
-        errors: Array | None = None,
-    ) -> Records:
+    def simulate(self, keys: Sequence[Key], devices: Devices | None = None) -> Records:
         """Simulate episodes; those whose controllers differ only in lambda are simulated together.
 
         Args:
             keys: the episodes.
             devices: see `ms_highway.loop.batch.simulate`.
-            shifts: changes of the starts of the robot and the first humans [episodes, cars, 4].
-            errors: errors of the states that the robot sees, see `ms_highway.loop.records.Episodes`.
         """
         alike: dict[Any, list[int]] = {}
         for place, (name, _) in enumerate(keys):
@@ -113,14 +104,9 @@ class Batch:
             free = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
             alike.setdefault((free if settings.chooses else None, settings.belief), []).append(place)
         parts = []
-        for (settings, belief), places in alike.items():
-            loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
-            episodes = self.episodes([keys[place] for place in places])
-            if shifts is not None:
-                episodes.starts[:, : shifts.shape[1]] += shifts[places]
-            if errors is not None:
-                episodes = replace(episodes, errors=errors[places])
-            parts.append(simulate(loop, episodes, devices))
+        for places in alike.values():
+            own = [keys[place] for place in places]
+            parts.append(simulate(self.loop_of(own[0][0]), self.episodes(own), devices))
         order = np.argsort(np.concatenate(list(alike.values())))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
@@ -128,13 +114,16 @@ class Batch:
         """Return the settings of a controller of the comparison, or of any order of its models, by short name."""
         return self.controllers.get(controller) or controller_settings(controller)
 
-    def rule(self, settings: ControllerSettings) -> Rule:
-        """Return the rule of a controller that chooses models from the ladder.
+    def loop_of(self, controller: str) -> Loop:
+        """Return the loop of the episodes of a controller, whose rule decides if it chooses models from the ladder.
 
         Raises:
             ValueError: if its values were learned on another ladder.
         """
-        return settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
+        settings, rule = self.settings(controller), self.loop.rule
+        if settings.chooses:
+            rule = settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
+        return replace(self.loop, rule=rule, belief=settings.belief)
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
         """Return the inputs of the simulation for these episodes, drawn as at a reset of the environment."""
@@ -215,9 +204,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
     loop = shared_loop(environment, controllers.values())
     batch = Batch(comparison, environment, controllers, costs, loop)
-    for each in controllers.values():
-        if each.chooses:
-            batch.rule(each)
+    for name in names:
+        batch.loop_of(name)
     return batch
 
 
