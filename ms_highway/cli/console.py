@@ -203,20 +203,6 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     return done
 
 
-@contextmanager
-def own_results(options: argparse.Namespace) -> Iterator["ResultsDirectory"]:
-    """Reserve the directory ``--out`` for this run while the block runs.
-
-    Raises:
-        ValueError: if another command is writing there, or its files cannot be read.
-    """
-    from ms_highway.experiments.directory import ResultsDirectory
-
-    results = ResultsDirectory(options.out)
-    with results.owned():
-        yield results
-
-
 def record(results: "ResultsDirectory", options: argparse.Namespace) -> None:
     """Record the command and versions that make the results; warn if earlier results were made with others."""
     if differing := results.record(options.command_line):

@@ -9,7 +9,6 @@ from ms_highway.cli.console import (
     number,
     option,
     output,
-    own_results,
     print_tables,
     record,
     save_figure,
@@ -192,7 +191,7 @@ def frontier(options: argparse.Namespace) -> None:
     import pandas as pd
 
     from ms_highway.experiments.batch import make_batch
-    from ms_highway.experiments.directory import write_table
+    from ms_highway.experiments.directory import ResultsDirectory, write_table
     from ms_highway.experiments.frontier import Outcomes, best, regrets, search
     from ms_highway.runtime.compilation import use_devices
     from ms_highway.visualization.figures import frontier
@@ -207,7 +206,7 @@ def frontier(options: argparse.Namespace) -> None:
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     orders, behind = pd.DataFrame(), pd.DataFrame()
-    with own_results(options) as directory:
+    with ResultsDirectory(out).owned() as directory:
         directory.take_up(asked.common_config())
         every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}
         record(directory, options)

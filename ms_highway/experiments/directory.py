@@ -42,7 +42,7 @@ class ResultsDirectory:
     path: Path
 
     @contextmanager
-    def owned(self) -> Iterator[None]:
+    def owned(self) -> Iterator["ResultsDirectory"]:
         """Lock the directory for this run while the block runs, and remove half-written files of earlier runs.
 
         Raises:
@@ -51,7 +51,7 @@ class ResultsDirectory:
         with held(self.path):
             self.runs()
             tidy(self.path)
-            yield
+            yield self
 
     def settings(self) -> dict:
         """Return the settings of the results; empty without any.

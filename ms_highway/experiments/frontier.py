@@ -148,8 +148,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
         seeds: seeds of the starts.
         price: lambda [reward per second].
     """
-    rows = table.query("seed in @seeds").reset_index()
-    rows["meta_reward"] = rows["reward"] - price * rows["counted_seconds"]
+    rows = _judged(table.query("seed in @seeds"), price).reset_index()
     return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
 
 
@@ -171,17 +170,22 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
     Raises:
         KeyError: if a controller was not driven from every start.
     """
-    found, net = best(table, seeds, price), table["reward"] - price * table["counted_seconds"]
-    everywhere = net.unstack("seed")[list(seeds)].dropna().mean(axis=1)
+    table = _judged(table, price)
+    found = best(table, seeds, price)
+    everywhere = table["meta_reward"].unstack("seed")[list(seeds)].dropna().mean(axis=1)
     kinds = everywhere.index.map(lambda name: controller_config(name)["type"])
     names = dict.fromkeys([*controllers, str(everywhere[kinds.isin(fixed_order_types())].idxmax())])
     driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
     rows = []
     for name, own in {**driven, BEST_PER_START: found}.items():
-        earned = own["reward"] - price * own["counted_seconds"]
-        behind = found["meta_reward"] - earned
+        behind = found["meta_reward"] - own["meta_reward"]
+        low, high = interval(behind)
         row = {"controller": name, "kind": "search" if own is found else controller_config(name)["type"]}
-        row |= own[["reward", "counted_seconds"]].mean()
-        row |= {"meta_reward": earned.mean(), "regret": behind.mean()}
-        rows.append(row | dict(zip(("regret_low", "regret_high"), interval(behind), strict=True)))
+        row |= own[["reward", "counted_seconds", "meta_reward"]].mean()
+        rows.append(row | {"regret": behind.mean(), "regret_low": low, "regret_high": high})
     return pd.DataFrame(rows)
+
+
+def _judged(table: pd.DataFrame, price: float) -> pd.DataFrame:
+    """Return a table with the column ``meta_reward``, at a price."""
+    return table.assign(meta_reward=table["reward"] - price * table["counted_seconds"])
