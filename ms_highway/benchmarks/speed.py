@@ -142,7 +142,7 @@ def steadiness(
     if batch.steps < last:
         problem = f"episodes of {scenario} have {batch.steps} steps"
         raise ValueError(f"{problem}; make their duration at least {last} steps")
-    seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
+    seeds = comparison.seed_range
     shape = (*([batch.steps + 1] if seen else []), 1 + batch.humans, 4)
     # The second number of the seed keeps the noise independent of the starts, which are drawn by the seed alone.
     draws = [np.random.default_rng([seed, len(shape) - 1]).normal(scale=NOISE_OF_A_METRE, size=shape) for seed in seeds]

@@ -204,8 +204,7 @@ def frontier(options: argparse.Namespace) -> None:
         if unknown := [model for model in batch.models if model not in batch.costs]:
             remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    orders, behind = pd.DataFrame(), pd.DataFrame()
+    seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()
     with ResultsDirectory(out).owned() as directory:
         directory.take_up(asked.common_config())
         every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}

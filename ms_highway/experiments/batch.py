@@ -6,7 +6,7 @@ late. A budget counts the given seconds for planning, and none for deciding.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, product
 from math import isnan
 from typing import Any, TypeAlias
 
@@ -88,8 +88,8 @@ class Batch:
 
     def keys(self) -> list[Key]:
         """Return all episodes of the scenario, controller by controller."""
-        scenario = self.environment.scenario.name
-        return [key[1:] for key in self.comparison.episodes() if key[0] == scenario]
+        controllers = self.comparison.controllers[self.environment.scenario.name]
+        return [*product(controllers, self.comparison.seed_range)]
 
     def simulate(self, keys: Sequence[Key], devices: Devices | None = None) -> Records:
         """Simulate episodes; those whose controllers differ only in lambda are simulated together.

@@ -50,11 +50,15 @@ class Comparison:
             for controller in controllers:
                 self.environment_config(scenario, controller)
 
+    @property
+    def seed_range(self) -> range:
+        """The seeds of each controller's episodes."""
+        return range(self.first_seed, self.first_seed + self.seeds)
+
     def episodes(self) -> Iterator[EpisodeKey]:
         """Yield every (scenario, controller, seed)."""
-        seeds = range(self.first_seed, self.first_seed + self.seeds)
         for scenario, controllers in self.controllers.items():
-            yield from product([scenario], controllers, seeds)
+            yield from product([scenario], controllers, self.seed_range)
 
     def environment_config(self, scenario: str, controller: str) -> dict:
         """Return the whole configuration of the environment of a scenario and a controller.

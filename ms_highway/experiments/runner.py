@@ -62,10 +62,7 @@ def run(
     results = ResultsDirectory(Path(directory))
     settings = results.take_up(comparison.common_config())
     settings |= {key: settings.get(key, {}) for key in EXTENDED}
-    records = read_steps(results.path, settings)
-    if len(records) and list(records) != comparison.columns():
-        columns = ", ".join(comparison.columns())
-        raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
+    records = read_steps(results.path, settings, comparison.columns())
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
         asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
@@ -162,18 +159,19 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
 
 
-def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
+def read_steps(directory: Path, settings: Mapping, needed: Sequence[str] = NEEDED) -> pd.DataFrame:
     """Read and check the records of a directory, including episodes that are not in ``steps.csv`` yet.
 
     Args:
         directory: directory of the results.
         settings: settings of the results. Rows are in the order of the controllers in ``asked``, the others last, then
             of the seeds.
+        needed: columns that must be there.
 
     Raises:
         ValueError: for a file that cannot be read.
     """
-    records = _read(directory, [STEPS_FILE, f"{PARTS}/[!.]*.csv"], NEEDED)
+    records = _read(directory, [STEPS_FILE, f"{PARTS}/[!.]*.csv"], needed)
     if records.empty:
         return records
     asked = settings.get("asked", {})
