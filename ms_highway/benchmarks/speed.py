@@ -7,8 +7,8 @@ heading [rad], so that velocities change equally along the road and across it. I
 and of every human, or in every step to what the robot observes of them and of itself; never to scripted cars.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -22,61 +22,22 @@ from ms_highway.experiments.comparison import Comparison, per_episode
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.experiments.summary import interval
 from ms_highway.game.scenario import SPEED_LIMIT
+from ms_highway.loop.batch import simulate
 from ms_highway.runtime.compilation import timed, use_devices
-from ms_highway.runtime.jax_settings import high_throughput, low_latency_on_core, own_process
 
 EPISODES = 5  # of the environment
 SECONDS, RUNS = 2.0, 5  # largest time and number of runs of one batch size
 
 
-def speed(
-    scenario: str,
-    controllers: Sequence[str],
-    config: Mapping,
-    sizes: Sequence[int] = (),
-    devices: int | None = None,
-    modules: Sequence[str] = (),
-) -> Iterator[tuple[str, dict]]:
-    """Measure the warm closed loop of each controller, live on one core and in batches, each in its own process.
-
-    Args:
-        scenario: its name.
-        controllers: short names of controllers.
-        config: of the environments.
-        sizes: numbers of episodes in a batch.
-        devices: how many the batches use, see `ms_highway.runtime.compilation.use_devices`.
-        modules: to import in these processes, for scenarios and models that they add.
-
-    Yields:
-        For every controller its name and the figures of `live_speed`; with batches, also:
-
-        * ``batch``: steps per second by batch size;
-        * ``memory_mib``: peak memory of the process with the batches until then, by batch size;
-        * ``first_seconds``: duration of the first episodes, including any compilation;
-        * ``devices``: their number and kind.
-
-    Raises:
-        ValueError: for anything unknown or impossible.
-    """
-    every = {name: Comparison({scenario: [name]}, max([*sizes, 1]), config=config) for name in controllers}
-    one_core = partial(low_latency_on_core, 0)
-    with own_process(one_core, modules) as live, own_process(high_throughput, modules) as batches:
-        for controller, comparison in every.items():
-            result = live.submit(live_speed, scenario, controller, config).result()
-            if sizes:
-                result |= batches.submit(_batch_speed, comparison, scenario, sorted(sizes), devices).result()
-            yield controller, result
-
-
-def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
-    """Time a few episodes in the environment, after an episode that compiles.
+def live_speed(comparison: Comparison, scenario: str, controller: str) -> dict:
+    """Time a few episodes of a controller in the environment, after an episode that compiles.
 
     Returns:
         ``plan_us``: median (p50) and p99 of a plan; ``decision_us``: median of a decision; ``step_us``: median of a
         step without the plans of all cars and the decision; all in microseconds. ``environment``: steps per second,
         including resets.
     """
-    env: Any = make_environment(scenario, controller, **config)
+    env: Any = make_environment(scenario, controller, **comparison.config)
     steps = []
     list(episode(env, 0))
     start = end = perf_counter()
@@ -98,22 +59,37 @@ def live_speed(scenario: str, controller: str, config: Mapping) -> dict:
     }
 
 
-def _batch_speed(comparison: Comparison, scenario: str, sizes: Sequence[int], devices: int | None) -> dict:
-    """Time batches of a comparison's episodes, after a first batch of one chunk per device, which may compile."""
-    mesh = use_devices(devices)  # before JAX begins to compute
-    batch, used = make_batch(comparison, scenario), mesh.devices
+def batch_speed(
+    comparison: Comparison, scenario: str, controller: str, sizes: Sequence[int], devices: int | None = None
+) -> dict:
+    """Time batches of a controller's episodes, after a first batch of one chunk per device, which may compile.
+
+    Args:
+        comparison: has the configuration.
+        scenario: its name.
+        controller: its name.
+        sizes: numbers of episodes in a batch, ascending.
+        devices: how many to use, see `ms_highway.runtime.compilation.use_devices`.
+
+    Returns:
+        ``batch``: steps per second by batch size; ``memory_mib``: peak memory of the process until then, by batch size;
+        ``first_seconds``: duration of the first episodes, including any compilation; ``devices``: their number and
+        kind.
+    """
+    used = use_devices(devices)  # before JAX begins to compute
+    batch = make_batch(Comparison({scenario: [controller]}, sizes[-1], config=comparison.config), scenario)
     keys = batch.keys()
-    first = timed(batch.simulate, keys[: batch.loop.together * used.size], mesh)[1]
+    first = timed(batch.simulate, keys[: batch.loop.together * len(used)], used)[1]
     rates, memory = {}, {}
     for size in sizes:
         times: list[float] = []
         while not times or (len(times) < RUNS and sum(times) < SECONDS):
-            times.append(timed(batch.simulate, keys[:size], mesh)[1])
+            times.append(timed(batch.simulate, keys[:size], used)[1])
         rates[str(size)] = size * batch.steps / median(times)
         peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2]  # as Linux reports it
         memory[str(size)] = int(peak.split()[0]) / 1024
-    kind = used.flat[0].device_kind
-    return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{used.size} of kind {kind}"}
+    kind = used[0].device_kind
+    return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{len(used)} of kind {kind}"}
 
 
 # Steadiness
@@ -128,27 +104,11 @@ RESOLUTION = 1e-6  # m, about the resolution of float32 near a start
 def steadiness(
     comparison: Comparison,
     scenario: str,
-    noises: Sequence[float],
-    seen: bool = False,
-    devices: int | None = None,
-    modules: Sequence[str] = (),
-) -> Iterator[tuple[str, dict]]:
-    """Yield the name of every controller and its `changes`, measured in a process that first imports the modules."""
-    settings = {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen}
-    with own_process(high_throughput, modules) as process:
-        for name in comparison.controllers[scenario]:
-            found = process.submit(changes, comparison, scenario, name, noises, seen, devices).result()
-            yield name, {**settings, "noise": found}
-
-
-def changes(
-    comparison: Comparison,
-    scenario: str,
     controller: str,
     noises: Sequence[float],
     seen: bool = False,
     devices: int | None = None,
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Any]:
     """Drive a controller's episodes without and with noise, all in one batch, and compare them start by start.
 
     The noise of an episode is the same for all controllers, and proportional for all standard deviations.
@@ -162,7 +122,7 @@ def changes(
         devices: how many to use, see `ms_highway.runtime.compilation.use_devices`.
 
     Returns:
-        By noise, for JSON:
+        For JSON, ``seeds``, the first and their number, ``seen``, and ``noise``, by standard deviation:
 
         * ``change_m``: by steps of `AFTER`, ``p50`` and ``p95``, quantiles over the starts of the distance between the
           robot's positions with and without noise [m];
@@ -177,19 +137,24 @@ def changes(
     Raises:
         ValueError: for anything unknown or impossible, and for episodes shorter than the last step of `AFTER`.
     """
-    mesh = use_devices(devices)  # before JAX begins to compute
+    used = use_devices(devices)  # before JAX begins to compute
     batch, last = make_batch(comparison, scenario), AFTER[-1]
     if batch.steps < last:
         problem = f"episodes of {scenario} have {batch.steps} steps"
         raise ValueError(f"{problem}; make their duration at least {last} steps")
-    seeds = range(comparison.first_seed, comparison.first_seed + comparison.seeds)
+    seeds = comparison.seed_range
     shape = (*([batch.steps + 1] if seen else []), 1 + batch.humans, 4)
     # The second number of the seed keeps the noise independent of the starts, which are drawn by the seed alone.
     draws = [np.random.default_rng([seed, len(shape) - 1]).normal(scale=NOISE_OF_A_METRE, size=shape) for seed in seeds]
     sizes = [0.0, *noises]
     keys = [(controller, seed) for seed in seeds] * len(sizes)
     noise = np.concatenate([size * np.array(draws) for size in sizes])
-    records = batch.simulate(keys, mesh, **{"errors" if seen else "shifts": noise})
+    episodes = batch.episodes(keys)
+    if seen:
+        episodes = replace(episodes, errors=noise)
+    else:
+        episodes.starts[:, : noise.shape[1]] += noise
+    records = simulate(batch.loop_of(controller), episodes, used)
     paths = np.asarray(records.states, float)[:, :last, 0, :2].reshape(len(sizes), len(seeds), last, 2)
     steps, rows = batch.steps_table(keys, records), len(seeds) * batch.steps
     without, *noisy = (per_episode(steps[start:][:rows]) for start in range(0, len(steps), rows))
@@ -208,4 +173,4 @@ def changes(
             "collisions": [int((table["collisions"] > 0).sum()) for table in (without, own)],
             "success_changes": changed,
         }
-    return found
+    return {"seeds": [comparison.first_seed, comparison.seeds], "seen": seen, "noise": found}

@@ -1,6 +1,9 @@
 """Define the commands ``ms-highway bench`` and ``ms-highway bench road``."""
 
 import argparse
+from collections.abc import Callable
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 from ms_highway.benchmarks.road import (
@@ -61,22 +64,26 @@ def bench(options: argparse.Namespace) -> None:
       ms-highway bench merger --batches 1 16 64 256 1024 8192
       ms-highway bench road merge --drivers priced idm
     """
-    from ms_highway.benchmarks.speed import speed, steadiness
+    from ms_highway.benchmarks.speed import batch_speed, live_speed, steadiness
     from ms_highway.runtime.files import write_json
+    from ms_highway.runtime.jax_settings import high_throughput, low_latency_on_core, own_process
     from ms_highway.visualization.tables import speed_table, steadiness_table
 
     if options.noise and options.batches:
         raise ValueError("--noise measures driving, and --batches time; leave one out")
-    asked, common = comparison(options), (options.devices, options.modules)
-    results: dict[str, dict] = {scenario: {} for scenario in asked.controllers}
-    for scenario, names in asked.controllers.items():
-        if options.noise:
-            measured = steadiness(asked, scenario, options.noise, options.seen, *common)
-        else:
-            measured = speed(scenario, names, asked.config, options.batches, *common)
-        for name, result in measured:
-            tell(f"measured {scenario}, {name}")
-            results[scenario][name] = result
+    asked, devices = comparison(options), options.devices
+    measures: list[tuple[Callable, Callable]] = [(partial(low_latency_on_core, 0), live_speed)]
+    if options.batches:
+        measures.append((high_throughput, partial(batch_speed, sizes=sorted(options.batches), devices=devices)))
+    if options.noise:
+        noises = {"noises": options.noise, "seen": options.seen}
+        measures = [(high_throughput, partial(steadiness, **noises, devices=devices))]
+    results: dict = {scenario: {name: {} for name in names} for scenario, names in asked.controllers.items()}
+    for (scenario, found), (configure, measure) in product(results.items(), measures):
+        with own_process(configure, options.modules) as process:  # warm after its first controller
+            for name in found:
+                found[name] |= process.submit(measure, asked, scenario, name).result()
+                tell(f"measured {scenario}, {name}")
     table = steadiness_table if options.noise else speed_table
     print_tables(*(table(scenario, measured) for scenario, measured in results.items()))
     if options.json:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 PAGE_WIDTH = 120  # characters of help texts and tables, where the terminal has not fewer
 COLUMN = 26  # characters before the second column of rows in help texts
-EXAMPLES = "examples:\n"  # ends the text that is wrapped
 
 MOST = 1_000_000
 """Largest number of episodes, parts and other counts; more would take years or all memory."""
@@ -100,8 +99,9 @@ class Command(NamedTuple):
     def add_to(self, commands: Any) -> None:
         """Add a parser of the command's options to those of other commands."""
         text, _, examples = (getdoc(self.run) or "").partition("\n\nExamples:\n")
-        epilog = "\n\n".join([*(each.notes for each in self.options if each.notes), f"{EXAMPLES}{examples}"])
-        parser = commands.add_parser(self.name, help=self.summary, description=text, epilog=epilog)
+        notes = [wrapped(each.notes) for each in self.options if each.notes]
+        epilog = "\n\n".join([*notes, f"examples:\n{examples}"])
+        parser = commands.add_parser(self.name, help=self.summary, description=wrapped(text), epilog=epilog)
         for each in self.options:
             parser.add_argument(each.name, **each.arguments)
         parser.set_defaults(command=self)
@@ -116,7 +116,7 @@ class Parser(argparse.ArgumentParser):
     """A parser that accepts no abbreviations and refuses arguments in one line."""
 
     def __init__(self, **more: Any) -> None:
-        super().__init__(formatter_class=Layout, allow_abbrev=False, **more)  # --seed must not mean --seeds
+        super().__init__(formatter_class=layout, allow_abbrev=False, **more)  # --seed must not mean --seeds
 
     def error(self, message: str) -> NoReturn:
         """Refuse arguments.
@@ -127,20 +127,24 @@ class Parser(argparse.ArgumentParser):
         raise ValueError(f"{message}; see the --help of the command, and that of ms-highway")
 
 
-class Layout(argparse.HelpFormatter):
-    """Wraps paragraphs and the second column of rows; leaves examples unchanged."""
+def help_width() -> int:
+    """Return the number of characters in a line of help texts."""
+    return min(get_terminal_size().columns, PAGE_WIDTH) - 2
 
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, width=min(get_terminal_size().columns, PAGE_WIDTH) - 2)
 
-    def _fill_text(self, text: str, width: int, indent: str) -> str:
-        text, mark, examples = text.partition(EXAMPLES)
-        wrapped = []
-        for row in re.split(r"\n(?=\n|  \S)", text.rstrip()):
-            wrap = textwrap.TextWrapper(width, break_on_hyphens=False)
-            wrap.subsequent_indent = " " * COLUMN * row.startswith("  ")
-            wrapped.append("\n" * row.startswith("\n") + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n"))))
-        return "\n".join(wrapped) + (f"\n\n{mark}{examples}" if mark else "")
+def layout(prog: str) -> argparse.HelpFormatter:
+    """Return argparse's formatter of options, which leaves other texts as they are."""
+    return argparse.RawDescriptionHelpFormatter(prog, width=help_width())
+
+
+def wrapped(text: str) -> str:
+    """Wrap paragraphs and, in rows that begin with two spaces, the second column."""
+    rows = []
+    for row in re.split(r"\n(?=\n|  \S)", text.rstrip()):
+        wrap = textwrap.TextWrapper(help_width(), break_on_hyphens=False)
+        wrap.subsequent_indent = " " * COLUMN * row.startswith("  ")
+        rows.append("\n" * row.startswith("\n") + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n"))))
+    return "\n".join(rows)
 
 
 @contextmanager
@@ -201,20 +205,6 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
         if end == "\r" or done == total:
             print(f"episodes: {done:,} of {total:,}, {left:.0f} s left", end=end, file=sys.stderr, flush=True)
     return done
-
-
-@contextmanager
-def own_results(options: argparse.Namespace) -> Iterator["ResultsDirectory"]:
-    """Reserve the directory ``--out`` for this run while the block runs.
-
-    Raises:
-        ValueError: if another command is writing there, or its files cannot be read.
-    """
-    from ms_highway.experiments.directory import ResultsDirectory
-
-    results = ResultsDirectory(options.out)
-    with results.owned():
-        yield results
 
 
 def record(results: "ResultsDirectory", options: argparse.Namespace) -> None:

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench, bench_road
-from ms_highway.cli.console import Parser, printing, warn
+from ms_highway.cli.console import Parser, printing, warn, wrapped
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
 from ms_highway.cli.show import frontier, learn, report, validate, video
@@ -21,6 +21,7 @@ from ms_highway.runtime.retired import OPTIONS, replacement
 ALL = compare, sweep, frontier, video, report, bench, bench_road, validate, learn, record, fit, evaluate
 COMMANDS = {each.name: each for each in ALL}
 
+ABOUT = "Robot cars that choose how hard to think about human drivers."
 CACHE = "neither keep compiled planners in the user's cache directory nor use those kept there"
 IMPORT = (
     "a Python module, also of the current directory, to import first; it may add scenarios (ms_highway.add_scenario), "
@@ -68,7 +69,7 @@ def parse(given: Sequence[str]) -> Any:
         ValueError: for what cannot be parsed; it names the replacement of a retired option.
         SystemExit: after help texts.
     """
-    parser = Parser(prog="ms-highway", description="Robot cars that choose how hard to think about human drivers.")
+    parser = Parser(prog="ms-highway", description=wrapped(ABOUT))
     parser.add_argument("--no-compilation-cache", help=CACHE, action="store_true")
     parser.add_argument("--import", help=IMPORT, default=[], dest="modules", action="append", metavar="MODULE")
     parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")

@@ -1,7 +1,7 @@
 """Define the commands ``ms-highway compare`` and ``ms-highway sweep``: the same episodes, live or simulated."""
 
 import argparse
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -12,7 +12,6 @@ from ms_highway.cli.console import (
     count_episodes,
     number,
     option,
-    own_results,
     print_tables,
     record,
     save_figure,
@@ -75,7 +74,7 @@ def compare(options: argparse.Namespace) -> None:
       ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
       ms-highway compare merger --set yielding=never --controllers tom tom+belief --out results/never
     """
-    from ms_highway.experiments.directory import write_table
+    from ms_highway.experiments.directory import ResultsDirectory, write_table
     from ms_highway.experiments.runner import only, run
     from ms_highway.experiments.summary import read_results, summary
     from ms_highway.visualization.figures import CAPTIONS, figures
@@ -84,7 +83,7 @@ def compare(options: argparse.Namespace) -> None:
     asked = comparison(options)
     if not options.controllers:
         asked = _with_learned(asked)
-    with own_results(options) as directory:
+    with ResultsDirectory(options.out).owned() as directory:
         counts, wanted = run(asked, options.out, 2, options.modules), len(list(asked.episodes()))
         already = next(counts)
         if already < wanted:
@@ -170,7 +169,7 @@ def sweep(options: argparse.Namespace) -> None:
     subprocess.run([*command.split(), cluster.scheduler_address], check=True)
     """
     from ms_highway.experiments.batch import simulate_parts
-    from ms_highway.experiments.directory import write_table
+    from ms_highway.experiments.directory import ResultsDirectory, write_table
     from ms_highway.experiments.runner import Compute, read_episodes, run_batched
     from ms_highway.experiments.summary import summary
     from ms_highway.runtime.compilation import use_devices
@@ -181,17 +180,16 @@ def sweep(options: argparse.Namespace) -> None:
     if options.devices and options.scheduler:
         raise ValueError("--devices compute on this machine, and --scheduler on others; leave one out")
     asked, out = comparison(options), options.out
-    with ExitStack() as stack:
-        with needing("sweep"):
-            import pyarrow  # noqa: F401  # writes the parts
+    with needing("sweep"):
+        import pyarrow  # noqa: F401  # writes the parts
 
-            if options.scheduler:
-                from ms_highway.experiments.cluster import connected
-        directory = stack.enter_context(own_results(options))
         if options.scheduler:
-            compute: Compute = stack.enter_context(connected(options.scheduler, options.modules))
-        else:
-            compute = partial(simulate_parts, mesh=use_devices(options.devices))
+            from ms_highway.experiments.cluster import connected
+    if options.scheduler:
+        computing: AbstractContextManager[Compute] = connected(options.scheduler, options.modules)
+    else:
+        computing = nullcontext(partial(simulate_parts, devices=use_devices(options.devices)))
+    with ResultsDirectory(out).owned() as directory, computing as compute:
         counts, wanted = run_batched(asked, out, options.part, options.steps, compute), len(list(asked.episodes()))
         already = next(counts)
         if already < wanted:

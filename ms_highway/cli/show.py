@@ -9,7 +9,6 @@ from ms_highway.cli.console import (
     number,
     option,
     output,
-    own_results,
     print_tables,
     record,
     save_figure,
@@ -192,25 +191,23 @@ def frontier(options: argparse.Namespace) -> None:
     import pandas as pd
 
     from ms_highway.experiments.batch import make_batch
-    from ms_highway.experiments.directory import write_table
+    from ms_highway.experiments.directory import ResultsDirectory, write_table
     from ms_highway.experiments.frontier import Outcomes, best, regrets, search
     from ms_highway.runtime.compilation import use_devices
     from ms_highway.visualization.figures import frontier
     from ms_highway.visualization.tables import regret_tables
 
     options.lambdas = options.lambdas or [LAMBDAS]
-    asked, mesh, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
+    asked, devices, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
         if unknown := [model for model in batch.models if model not in batch.costs]:
             remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    orders, behind = pd.DataFrame(), pd.DataFrame()
-    with own_results(options) as directory:
-        settings = directory.take_up(asked.common_config())
-        every = {name: Outcomes(batch, out / f"{name}_episodes.csv", mesh) for name, batch in batches.items()}
-        directory.write_settings(settings)
+    seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()
+    with ResultsDirectory(out).owned() as directory:
+        directory.take_up(asked.common_config())
+        every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}
         record(directory, options)
         for scenario, outcomes in every.items():
             tell(f"{scenario}: compiling, and driving fixed models and controllers")
@@ -280,10 +277,10 @@ def learn(options: argparse.Namespace) -> None:
 
     everywhere = {name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS}
     asked = Comparison(everywhere, config=configuration(options))
-    learning, courses = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
+    learning, batches = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
     values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
-    tell(f"{courses[0].name}: compiling")
-    for done, fitted in learn(learning, courses, kept, use_devices(options.devices)):
+    tell(f"{next(iter(asked.controllers))}: compiling")
+    for done, fitted in learn(learning, batches, kept, use_devices(options.devices)):
         tell(done)
         values = fitted or values
     if values is not None:

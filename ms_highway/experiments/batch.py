@@ -6,6 +6,7 @@ late. A budget counts the given seconds for planning, and none for deciding.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice, product
 from math import isnan
 from typing import Any, TypeAlias
 
@@ -14,9 +15,8 @@ import msgspec
 import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
-from jax.sharding import Mesh
 
-from ms_highway.choice.rule import Rule, highest_gains
+from ms_highway.choice.rule import highest_gains
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.agents import is_agent
 from ms_highway.envs.base import InteractionEnv
@@ -30,7 +30,6 @@ from ms_highway.experiments.comparison import (
     KEYS,
     MEASURED,
     Comparison,
-    EpisodeKey,
     by_column,
     check_table,
     per_episode,
@@ -40,7 +39,7 @@ from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import cheapest_first
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 
 Key: TypeAlias = tuple[str, int]
 """An episode of a scenario: the short name of its controller, and its seed."""
@@ -89,19 +88,15 @@ class Batch:
 
     def keys(self) -> list[Key]:
         """Return all episodes of the scenario, controller by controller."""
-        scenario = self.environment.scenario.name
-        return [key[1:] for key in self.comparison.episodes() if key[0] == scenario]
+        controllers = self.comparison.controllers[self.environment.scenario.name]
+        return [*product(controllers, self.comparison.seed_range)]
 
-    def simulate(
-        self, keys: Sequence[Key], mesh: Mesh | None = None, shifts: Array | None = None, errors: Array | None = None
-    ) -> Records:
+    def simulate(self, keys: Sequence[Key], devices: Devices | None = None) -> Records:
         """Simulate episodes; those whose controllers differ only in lambda are simulated together.
 
         Args:
             keys: the episodes.
-            mesh: see `ms_highway.loop.batch.simulate`.
-            shifts: changes of the starts of the robot and the first humans [episodes, cars, 4].
-            errors: errors of the states that the robot sees, see `ms_highway.loop.records.Episodes`.
+            devices: see `ms_highway.loop.batch.simulate`.
         """
         alike: dict[Any, list[int]] = {}
         for place, (name, _) in enumerate(keys):
@@ -109,14 +104,9 @@ class Batch:
             free = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
             alike.setdefault((free if settings.chooses else None, settings.belief), []).append(place)
         parts = []
-        for (settings, belief), places in alike.items():
-            loop = replace(self.loop, rule=self.rule(settings) if settings else self.loop.rule, belief=belief)
-            episodes = self.episodes([keys[place] for place in places])
-            if shifts is not None:
-                episodes.starts[:, : shifts.shape[1]] += shifts[places]
-            if errors is not None:
-                episodes = replace(episodes, errors=errors[places])
-            parts.append(simulate(loop, episodes, mesh))
+        for places in alike.values():
+            own = [keys[place] for place in places]
+            parts.append(simulate(self.loop_of(own[0][0]), self.episodes(own), devices))
         order = np.argsort(np.concatenate(list(alike.values())))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
@@ -124,13 +114,16 @@ class Batch:
         """Return the settings of a controller of the comparison, or of any order of its models, by short name."""
         return self.controllers.get(controller) or controller_settings(controller)
 
-    def rule(self, settings: ControllerSettings) -> Rule:
-        """Return the rule of a controller that chooses models from the ladder.
+    def loop_of(self, controller: str) -> Loop:
+        """Return the loop of the episodes of a controller, whose rule decides if it chooses models from the ladder.
 
         Raises:
             ValueError: if its values were learned on another ladder.
         """
-        return settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
+        settings, rule = self.settings(controller), self.loop.rule
+        if settings.chooses:
+            rule = settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
+        return replace(self.loop, rule=rule, belief=settings.belief)
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
         """Return the inputs of the simulation for these episodes, drawn as at a reset of the environment."""
@@ -166,15 +159,17 @@ class Batch:
         shape = records.reward.shape
         return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
 
-    def tables(self, keys: Sequence[Key], records: Records) -> Tables:
-        """Return ``steps``, a row per step, and ``episodes``, see `ms_highway.experiments.comparison.per_episode`.
+    def tables(self, keys: Sequence[Key], devices: Devices | None = None) -> Tables:
+        """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row per episode.
+
+        Columns are those of `Comparison.columns` without measured times, and those of `per_episode`.
 
         Episodes also have ``price``, the lambda of their controller, empty if it has none.
 
         Raises:
             ValueError: for a reward that is not finite.
         """
-        steps = self.steps_table(keys, records)
+        steps = self.steps_table(keys, self.simulate(keys, devices))
         episodes = per_episode(steps, self.models)
         prices = {name: self.settings(name).price for name in episodes["controller"].unique()}
         episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
@@ -209,38 +204,32 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
     loop = shared_loop(environment, controllers.values())
     batch = Batch(comparison, environment, controllers, costs, loop)
-    for each in controllers.values():
-        if each.chooses:
-            batch.rule(each)
+    for name in names:
+        batch.loop_of(name)
     return batch
 
 
 def simulate_parts(
-    comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]], mesh: Mesh | None = None
-) -> Iterator[tuple[int, Tables]]:
-    """Simulate the episodes of numbered parts, one part after the other; yield the number and `Batch.tables` of each.
+    comparison: Comparison, parts: Mapping[str, range], devices: Devices | None = None
+) -> Iterator[tuple[str, Tables]]:
+    """Simulate parts of a comparison, one after the other; yield the name and `Batch.tables` of each.
 
     Args:
         comparison: of a single scenario.
-        parts: episodes of each part by its number.
-        mesh: devices that share each part, see `ms_highway.runtime.compilation.device_mesh`; by default, the first.
+        parts: places of the episodes in `Comparison.episodes`, by the name of the part.
+        devices: that share each part; by default, the first.
     """
     batch = make_batch(comparison, *comparison.controllers)
-    for number, part in parts.items():
-        keys = [key[1:] for key in part]
-        yield number, batch.tables(keys, batch.simulate(keys, mesh))
+    for name, part in parts.items():
+        keys = islice(comparison.episodes(), part.start, part.stop)
+        yield name, batch.tables([key[1:] for key in keys], devices)
 
 
-def simulated(comparison: Comparison, mesh: Mesh | None = None) -> pd.DataFrame:
+def simulated(comparison: Comparison) -> pd.DataFrame:
     """Simulate a comparison and return all records, a row per step, in the comparison's order.
-
-    Args:
-        comparison: what to simulate.
-        mesh: see `ms_highway.loop.batch.simulate`.
 
     Raises:
         ValueError: see `make_batch`.
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
-    tables = [batch.steps_table(keys, batch.simulate(keys, mesh)) for batch in batches for keys in [batch.keys()]]
-    return pd.concat(tables, ignore_index=True)
+    return pd.concat([batch.tables(batch.keys())["steps"] for batch in batches], ignore_index=True)

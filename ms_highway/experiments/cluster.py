@@ -12,14 +12,13 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
-from itertools import islice
 
 import distributed
 import jax
 from distributed.comm import get_address_host_port
 
 from ms_highway.experiments.batch import Tables, simulate_parts
-from ms_highway.experiments.comparison import Comparison, EpisodeKey
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import PACKAGES
 from ms_highway.experiments.runner import Compute
 from ms_highway.runtime.extras import import_modules
@@ -27,7 +26,6 @@ from ms_highway.runtime.jax_settings import keep_compilations
 from ms_highway.runtime.process import jax_has_begun
 
 PATIENCE = 10  # s, within which a scheduler has to answer
-AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory
 
 
 class Setup(distributed.WorkerPlugin):
@@ -96,30 +94,25 @@ def _versions() -> list[str]:
     return [f"{package} {version(package)}" for package in PACKAGES]
 
 
-def _compute_there(comparison: Comparison, number: int, part: Sequence[EpisodeKey]) -> tuple[int, Tables]:
-    return next(simulate_parts(comparison, {number: part}))
+def _compute_there(comparison: Comparison, name: str, part: range) -> tuple[str, Tables]:
+    return next(simulate_parts(comparison, {name: part}))
 
 
 def _compute(
-    client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[int, Sequence[EpisodeKey]]
-) -> Iterator[tuple[int, Tables]]:
-    """Submit parts, `AHEAD` for each thread of a worker at a time; yield each with its tables when it is done.
+    client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[str, range]
+) -> Iterator[tuple[str, Tables]]:
+    """Submit all parts, which wait at the scheduler; yield each with its tables when it is done.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
     """
     compute = partial(_compute_there, comparison)
-    waiting, running = iter(parts.items()), distributed.as_completed([], loop=client.loop)
-
-    def submit(count: int) -> None:
-        for number, keys in islice(waiting, count):
-            running.add(client.submit(compute, number, keys, pure=False))
-
-    submit(AHEAD * max(sum(client.nthreads().values()), 1))
+    futures = client.map(compute, parts, parts.values(), pure=False)
+    done = distributed.as_completed(futures, loop=client.loop)
+    del futures  # so that workers forget results that have been taken
     try:
-        for done in running:
-            submit(1)
-            yield done.result()
+        for future in done:
+            yield future.result()
     except (distributed.KilledWorker, CancelledError) as error:
         reason = " ".join(str(error).split())
         remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import chain, product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -50,11 +50,15 @@ class Comparison:
             for controller in controllers:
                 self.environment_config(scenario, controller)
 
+    @property
+    def seed_range(self) -> range:
+        """The seeds of each controller's episodes."""
+        return range(self.first_seed, self.first_seed + self.seeds)
+
     def episodes(self) -> Iterator[EpisodeKey]:
         """Yield every (scenario, controller, seed)."""
-        seeds = range(self.first_seed, self.first_seed + self.seeds)
         for scenario, controllers in self.controllers.items():
-            yield from product([scenario], controllers, seeds)
+            yield from product([scenario], controllers, self.seed_range)
 
     def environment_config(self, scenario: str, controller: str) -> dict:
         """Return the whole configuration of the environment of a scenario and a controller.
@@ -75,15 +79,22 @@ class Comparison:
         return {**usual, **self.config, **ladder}
 
     def columns(self) -> list[str]:
-        """Return the columns of the records, see the function `columns` of this module."""
-        rungs, above = list[str](), None
-        for name in self.controllers:
-            scenario = ENVIRONMENTS[name].scenario
-            own = rung_names(self.config.get("ladder", scenario.ladder))
-            rungs += own
-            if scenario.streams:
-                above = [*(above or []), *own[1:]]
-        return columns(rungs, above)
+        """Return the columns of a record of steps.
+
+        ``counted_seconds`` is T of the step's plan, as decisions count it. ``gain_MODEL``, for every known human model
+        and every rung, is the highest gain over all humans, and empty if none was estimated. States are those of the
+        robot and the first human after the step, in SI units. With several humans, ``model`` is the most expensive
+        model in use, ``humans_MODEL`` the number of humans that each rung above the first predicts, and ``success``
+        whether the robot has succeeded so far.
+        """
+        scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
+        ladders = [rung_names(self.config.get("ladder", scenario.ladder)) for scenario in scenarios]
+        planning, decision, compiling = MEASURED
+        steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
+        gains = [f"gain_{name}" for name in known_models(chain(*ladders))]
+        above = [ladder[1:] for scenario, ladder in zip(scenarios, ladders, strict=True) if scenario.streams]
+        several = [*dict.fromkeys(f"humans_{name}" for name in chain(*above)), "success"] if above else []
+        return [*KEYS, *steps, *gains, *STATES, *several]
 
 
 def paper_controllers(scenario: str) -> list[str]:
@@ -110,26 +121,6 @@ TEXTS = ("scenario", "controller", "model", "status")
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
 STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
 """Columns of the states of the first two cars."""
-
-
-def columns(rungs: Iterable[str] = (), above: Iterable[str] | None = None) -> list[str]:
-    """Return the columns of a record of steps.
-
-    ``counted_seconds`` is T of the step's plan, as decisions count it. ``gain_MODEL``, for every known human model and
-    every rung, is the highest gain over all humans, and empty if none was estimated. States are those of the robot and
-    the first human after the step, in SI units. With several humans, ``model`` is the most expensive model in use,
-    ``humans_MODEL`` the number of humans that each rung above the first predicts, and ``success`` whether the robot has
-    succeeded so far.
-
-    Args:
-        rungs: names of the models on the ladders, which may have efforts.
-        above: names of the rungs above the first; None with one human.
-    """
-    planning, decision, compiling = MEASURED
-    steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
-    gains = [f"gain_{name}" for name in known_models(rungs)]
-    several = [] if above is None else [*dict.fromkeys(f"humans_{name}" for name in above), "success"]
-    return [*KEYS, *steps, *gains, *STATES, *several]
 
 
 def by_column(gains: Mapping, states: Any) -> dict:

@@ -42,7 +42,7 @@ class ResultsDirectory:
     path: Path
 
     @contextmanager
-    def owned(self) -> Iterator[None]:
+    def owned(self) -> Iterator["ResultsDirectory"]:
         """Lock the directory for this run while the block runs, and remove half-written files of earlier runs.
 
         Raises:
@@ -51,29 +51,33 @@ class ResultsDirectory:
         with held(self.path):
             self.runs()
             tidy(self.path)
-            yield
+            yield self
 
     def settings(self) -> dict:
-        """Return the settings of the results.
+        """Return the settings of the results; empty without any.
 
         Raises:
             ValueError: if the file cannot be read.
         """
-        with reading(self.path / SETTINGS_FILE, "choose another directory"):
-            return msgspec.convert(read_json(self.path / SETTINGS_FILE), dict)
+        file = self.path / SETTINGS_FILE
+        with reading(file, "choose another directory"):
+            return msgspec.convert(read_json(file), dict) if file.exists() else {}
 
     def take_up(self, settings: Mapping) -> dict:
         """Return the settings to compute with: those of the results in the directory or, without results, these.
+
+        Without results, these settings are written.
 
         Raises:
             ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, or other files.
         """
         remedy = "choose another directory with --out"
-        if not (self.path / SETTINGS_FILE).exists():
+        known, wanted = self.settings(), json.loads(json.dumps(settings))
+        if not known:
             if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):
                 raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {remedy}")
-            return dict(settings)
-        known, wanted = self.settings(), json.loads(json.dumps(settings))
+            self.write_settings(wanted)
+            return wanted
         differing = _differences(known, wanted, "the default", EXTENDED)
         if differing:
             raise ValueError(f"{self.path} holds results with {differing}; {remedy}")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from jax.sharding import Mesh
 
 from ms_highway.envs.registry import controller_config, fixed_order_types
 from ms_highway.experiments.batch import Batch, Key
@@ -18,6 +17,7 @@ from ms_highway.experiments.comparison import check_table
 from ms_highway.experiments.directory import write_table
 from ms_highway.experiments.summary import interval
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 from ms_highway.runtime.files import reading
 
 MEAN_STRETCH = 4  # mean number of steps in a stretch that a mutant changes
@@ -39,18 +39,18 @@ class Outcomes:
             and ``fallbacks`` as in `ms_highway.experiments.comparison.per_episode`.
     """
 
-    def __init__(self, batch: Batch, file: Path, mesh: Mesh | None = None) -> None:
+    def __init__(self, batch: Batch, file: Path, devices: Devices | None = None) -> None:
         """Begin with the episodes in a file.
 
         Args:
             batch: the scenario.
             file: CSV file that keeps all episodes.
-            mesh: devices, see `ms_highway.runtime.compilation.device_mesh`.
+            devices: see `ms_highway.loop.batch.simulate`.
 
         Raises:
             ValueError: if the file exists and holds something else.
         """
-        self.batch, self._file, self._mesh = batch, file, mesh
+        self.batch, self._file, self._devices = batch, file, devices
         self.table = pd.DataFrame(columns=[*INDEX, *KEPT_COLUMNS]).set_index(INDEX)
         if file.exists():
             with reading(file, "remove it or choose another directory"):
@@ -63,7 +63,7 @@ class Outcomes:
         """Return the rows of some episodes, in their order; simulate and keep the unknown ones."""
         lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
-            episodes = self.batch.tables(lacking, self.batch.simulate(lacking, self._mesh))["episodes"]
+            episodes = self.batch.tables(lacking, self._devices)["episodes"]
             fresh = episodes.set_index(INDEX)[list(KEPT_COLUMNS)]
             self.table = pd.concat([self.table, fresh]) if len(self.table) else fresh
             write_table(self.table.reset_index(), self._file)
@@ -148,8 +148,7 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
         seeds: seeds of the starts.
         price: lambda [reward per second].
     """
-    rows = table.query("seed in @seeds").reset_index()
-    rows["meta_reward"] = rows["reward"] - price * rows["counted_seconds"]
+    rows = _judged(table.query("seed in @seeds"), price).reset_index()
     return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
 
 
@@ -171,17 +170,22 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
     Raises:
         KeyError: if a controller was not driven from every start.
     """
-    found, net = best(table, seeds, price), table["reward"] - price * table["counted_seconds"]
-    everywhere = net.unstack("seed")[list(seeds)].dropna().mean(axis=1)
+    table = _judged(table, price)
+    found = best(table, seeds, price)
+    everywhere = table["meta_reward"].unstack("seed")[list(seeds)].dropna().mean(axis=1)
     kinds = everywhere.index.map(lambda name: controller_config(name)["type"])
     names = dict.fromkeys([*controllers, str(everywhere[kinds.isin(fixed_order_types())].idxmax())])
     driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
     rows = []
     for name, own in {**driven, BEST_PER_START: found}.items():
-        earned = own["reward"] - price * own["counted_seconds"]
-        behind = found["meta_reward"] - earned
+        behind = found["meta_reward"] - own["meta_reward"]
+        low, high = interval(behind)
         row = {"controller": name, "kind": "search" if own is found else controller_config(name)["type"]}
-        row |= own[["reward", "counted_seconds"]].mean()
-        row |= {"meta_reward": earned.mean(), "regret": behind.mean()}
-        rows.append(row | dict(zip(("regret_low", "regret_high"), interval(behind), strict=True)))
+        row |= own[["reward", "counted_seconds", "meta_reward"]].mean()
+        rows.append(row | {"regret": behind.mean(), "regret_low": low, "regret_high": high})
     return pd.DataFrame(rows)
+
+
+def _judged(table: pd.DataFrame, price: float) -> pd.DataFrame:
+    """Return a table with the column ``meta_reward``, at a price."""
+    return table.assign(meta_reward=table["reward"] - price * table["counted_seconds"])

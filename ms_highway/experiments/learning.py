@@ -1,8 +1,8 @@
 """Learn the value of computation by rounds of rollouts and fits, as cost-sensitive policy iteration.
 
-Rollouts of later rounds follow the rule of the last fit, from states that this rule visits. Every course and every fit
-of a round has its own stream of random numbers. Therefore, a seed gives the same values on any number of devices, even
-if learning was interrupted.
+Rollouts of later rounds follow the rule of the last fit, from states that this rule visits. Every scenario and every
+fit of a round has its own stream of random numbers. Therefore, a seed gives the same values on any number of devices,
+even if learning was interrupted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,17 +16,17 @@ from zlib import crc32
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jax.sharding import Mesh
 
 from ms_highway.choice.learned_value import Network, Values, noise, outputs
 from ms_highway.choice.situation import description_names
-from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
-from ms_highway.experiments.rollouts import Course, Driving, Learning, Random, Rollouts
+from ms_highway.experiments.rollouts import SEVERAL, Driving, Learning, Random, Rollouts
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.ladders import cheapest_first, human_model, ladder
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import read_arrays, reading, replacing
 
@@ -35,25 +35,20 @@ with needing("learning"):
 
 REMEDY = "remove it, or choose another --out"
 MIN_SPREAD = 1e-3  # added to the standard deviation of an input, which may be 0
-COURSE, FIT = 1, 2  # streams of random numbers
+SCENARIO, FIT = 1, 2  # streams of random numbers
 
 NETWORKS = 4  # which differ in their first weights and in the order of the examples
 HIDDEN = (32, 32)
 STEPS = 3000
-BATCH = 256
+EXAMPLES = 256  # of a step of a network
 RATE = 3e-3  # first learning rate, which falls to 0 as a cosine
-SOFTENING = 1.0  # power of the noise by which errors weigh more than their likelihood says (Seitzer et al. 2022)
 DECAY = 0.5  # share that weights lose per step, times the learning rate
-
-
-SEVERAL = {"prices": (30.0, 30.0), "rounds": 2, "states": (100, 100), "horizon": 25, "held": 25}
-"""Settings of learning among several humans that differ from the defaults of `Learning`."""
 
 
 def prepare(
     comparison: Comparison, rounds: int | None, states: int | None, horizon: int | None, seed: int
-) -> tuple[Learning, list[Course]]:
-    """Return the settings of learning, and the courses. None stands for the usual number.
+) -> tuple[Learning, list[Batch]]:
+    """Return the settings of learning, and the scenarios. None stands for the usual number.
 
     Args:
         comparison: the scenarios, with a controller that needs T(M) of all models.
@@ -87,8 +82,7 @@ def prepare(
     later = states and (states if several else ceil(states * 5 / 8))
     given = {"rounds": rounds, "horizon": horizon, "states": later and (states, later)}
     own: dict = (SEVERAL if several else {}) | {name: value for name, value in given.items() if value}
-    courses = [Course(batch, tuple(map(models.index, batch.rungs))) for batch in batches]
-    return Learning({name: costs[name] for name in models}, seed=seed, settings=settings, **own), courses
+    return Learning({name: costs[name] for name in models}, seed=seed, settings=settings, **own), batches
 
 
 def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
@@ -100,53 +94,54 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
         rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
         centre = rollouts.descriptions.mean(axis=0)
         spread = rollouts.descriptions.std(axis=0) + MIN_SPREAD
-        network = fit(network, rollouts, centre, spread, random)
+        chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, EXAMPLES))
+        standard = np.float32((rollouts.descriptions - centre) / spread)
+        network = jax.tree.map(np.asarray, _fit(network, chosen, standard, np.float32(rollouts.gains)))
     examples = sum(len(part.descriptions) for part in done)
     settings = {"examples": examples, "rounds": number, "horizon": how.horizon, "held": how.held}
     return Values(network, centre, spread, tuple(how.costs), names, {**how.settings, **settings})
 
 
 def _stream(how: Learning, *place: int) -> Random:
-    """Return the stream of random numbers of a place, such as a round and the number of a course."""
+    """Return the stream of random numbers of a place, such as a round and the number of a scenario."""
     return np.random.default_rng([how.seed, *place])
 
 
-def learn(learning: Learning, courses: Sequence[Course], kept: Path, mesh: Mesh) -> Iterator[tuple[str, Values | None]]:
-    """Learn values on some courses.
+def learn(
+    learning: Learning, batches: Sequence[Batch], kept: Path, devices: Devices
+) -> Iterator[tuple[str, Values | None]]:
+    """Learn values in some scenarios.
 
     Args:
         learning: settings.
-        courses: the courses.
+        batches: the scenarios.
         kept: directory that keeps all rollouts, so that an interrupted run can resume; the caller removes it.
-        mesh: devices, see `ms_highway.runtime.compilation.device_mesh`.
+        devices: that simulate the rollouts.
 
     Yields:
-        What was done, after the rollouts of each course and after each fit; and after a fit, the values.
+        What was done, after the rollouts of each scenario and after each fit; and after a fit, the values.
 
     Raises:
         ValueError: if the directory exists and holds something else.
     """
-    games = []
-    for course in courses:
-        numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(course.game)]
-        games.append((course.name, course.steps, course.rungs, crc32(b"".join(numbers))))
-    settings = {**asdict(learning), "courses": games}
-    ResultsDirectory(kept).take_up(settings)
-    ResultsDirectory(kept).write_settings(settings)
+    names, games = [batch.environment.scenario.name for batch in batches], []
+    for name, batch in zip(names, batches, strict=True):
+        numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(batch.loop.game)]
+        games.append((name, batch.steps, batch.rungs, crc32(b"".join(numbers))))
+    ResultsDirectory(kept).take_up({**asdict(learning), "games": games})
     values, done = fitted(learning, [], 0), list[Rollouts]()
     for number in range(1, learning.rounds + 1):
-        for place, course in enumerate(courses):
+        for place, batch in enumerate(batches):
             file = kept / f"{number}-{place}.npz"
             if not file.exists():
-                models = [list(learning.costs)[rung] for rung in course.rungs]
-                costs = Costs.of([learning.costs[name] for name in models], course.batch.humans)
-                rule = values.rule(ladder(models), costs, learning.prices[0])
-                driving = Driving(course, learning, rule, number > 1, mesh)
-                found = driving.roll_out(_stream(learning, number, COURSE, place), learning.states[number > 1])
+                costs = Costs.of([learning.costs[name] for name in batch.rungs], batch.humans)
+                rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
+                driving = Driving(batch, learning, rule, number > 1, devices)
+                found = driving.roll_out(_stream(learning, number, SCENARIO, place), learning.states[number > 1])
                 with replacing(file) as path:
                     np.savez(path, **found._asdict())
             done.append(read_rollouts(file))
-            yield f"round {number} of {learning.rounds}: {course.name}", None
+            yield f"round {number} of {learning.rounds}: {names[place]}", None
         values = fitted(learning, done, number)
         yield f"round {number} of {learning.rounds}: fitted", values
 
@@ -175,7 +170,8 @@ def new_network(random: Random, inputs: int, means: int) -> Network:
     )
 
 
-def fit(network: Network, rollouts: Rollouts, centre: Array, spread: Array, random: Random) -> Network:
+@jax.jit
+def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Network:
     """Fit the gains of rungs over the first one, and their spreads, by AdamW and the likelihood of normal errors.
 
     If small causes have large effects, as in Stay Back with 20 gradient steps, the spread is large, and errors weigh
@@ -183,18 +179,11 @@ def fit(network: Network, rollouts: Rollouts, centre: Array, spread: Array, rand
 
     Args:
         network: first weights.
-        rollouts: rollouts from many states.
-        centre: means by which the inputs are standardised.
-        spread: standard deviations by which the inputs are standardised.
-        random: draws the batches.
+        chosen: places of the examples of every step, network and batch.
+        inputs: standardised descriptions of all examples.
+        gains: their gains.
     """
-    chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, BATCH))
-    standard = (rollouts.descriptions - centre) / spread
-    return jax.tree.map(np.asarray, _fit(network, chosen, np.float32(standard), np.float32(rollouts.gains)))
 
-
-@jax.jit
-def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Network:
     def one(network: Network, inputs: Array) -> tuple[Array, Array]:
         means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
         return means[0], noise(spreads[0])
@@ -204,7 +193,7 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         counts = jnp.isfinite(gains[chosen])
         errors = means - jnp.where(counts, gains[chosen], 0)
         surprise = errors**2 / (2 * apart**2) + jnp.log(apart)
-        surprise *= jax.lax.stop_gradient(apart) ** SOFTENING
+        surprise *= jax.lax.stop_gradient(apart)  # errors weigh more than their likelihood says (Seitzer et al. 2022)
         return jnp.where(counts, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
 
     optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)

@@ -12,25 +12,18 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
 
 from ms_highway.choice.learned_value import TOGETHER, LearnedValue
 from ms_highway.choice.situation import describe, nearness
 from ms_highway.experiments.batch import Batch
-from ms_highway.game.game import Game
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.records import DECIDES, PLANS, Episodes, Records
 from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.compilation import Devices
 
 Random: TypeAlias = np.random.Generator
 
 WORST_STEP = 1e3  # largest loss that counts in a step, as plans may fail and cars may leave the world
-
-# The first value is for one human, the second for several.
-MAX_NOISE = 4.0, 1.0  # see `Course.starts`
-STATES_OF_AN_EPISODE = 4, 6
-STAYS = 0.8, 0.9  # probability that a random order keeps its rungs for another step
-MIN_LIKELY = 1.0, 0.3  # least weight with which a state is drawn; at the speed limit outside the target lane, it is 1
 
 
 class Rollouts(NamedTuple):
@@ -39,7 +32,7 @@ class Rollouts(NamedTuple):
     Attributes:
         descriptions: descriptions of the situations [examples, numbers], see `ms_highway.choice.situation`.
         gains: gain per step if a rung, instead of the first one, predicts a human, while this rung predicts all nearer
-            humans [examples, rungs - 1]; -inf if the rung is not on the course's ladder.
+            humans [examples, rungs - 1]; -inf if the rung is not on the scenario's ladder.
     """
 
     descriptions: Any
@@ -47,74 +40,20 @@ class Rollouts(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Course:
-    """A scenario in which values are learned.
-
-    Attributes:
-        batch: draws and simulates its episodes.
-        rungs: places of the models of its own ladder in the ladder that is learned.
-    """
-
-    batch: Batch
-    rungs: tuple[int, ...]
-
-    @property
-    def name(self) -> str:
-        """The name of the scenario."""
-        return self.batch.environment.scenario.name
-
-    @property
-    def game(self) -> Game:
-        """The game that is played."""
-        return self.batch.loop.game
-
-    @property
-    def several(self) -> bool:
-        """Whether there are several humans."""
-        return self.batch.humans > 1
-
-    @property
-    def steps(self) -> int:
-        """The number of steps of an episode from which states are drawn."""
-        return self.batch.steps
-
-    def starts(self, random: Random, count: int) -> tuple[Array, Array]:
-        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
-
-        With one human, a start is ``a + c (b - a)`` with two draws a and b, and with c drawn from 1 to `MAX_NOISE`. It
-        has the mean of the draws, and ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation.
-        """
-        drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
-        starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
-        noise = random.uniform(1.0, MAX_NOISE[self.several], (count, 1, 1)).astype(np.float32)
-        return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
-
-    def orders(self, random: Random, count: int) -> Array:
-        """Draw orders of models that keep their rungs for some steps, [count, steps, humans].
-
-        Each order has frequencies of rungs of its own. Several humans change their rungs in the same steps, each to a
-        rung of its own.
-        """
-        rungs, shape = len(self.rungs), (self.steps, self.batch.humans)
-        orders = np.zeros((count, *shape), np.int32)
-        for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
-            drawn = random.choice(rungs, shape, p=share)
-            changes = random.random(self.steps) > STAYS[self.several]
-            order[:] = drawn[np.maximum.accumulate(np.where(changes, np.arange(self.steps), 0))]
-        return orders
-
-
-@dataclass(frozen=True)
 class Learning:
-    """Settings of learning.
+    """Settings of learning. The defaults are for one human, `SEVERAL` those for several.
 
     Attributes:
         costs: T(M) of the models of the ladder, cheapest first [s].
         prices: least and largest lambda at which the rule drives to the states from which rollouts start.
         rounds: number of rounds of rollouts and fits.
-        states: number of states from which rollouts start, on each course, in the first round and in each later one.
+        states: number of states from which rollouts start, in each scenario, in the first round and in each later one.
         horizon: number of steps of a rollout.
         held: number of these steps with the rung whose gain is learned.
+        noise: largest c of `Driving.starts`.
+        states_of_an_episode: number of states that are drawn from an episode.
+        stays: probability that a random order keeps its rungs for another step.
+        min_likely: least weight with which a state is drawn; at the speed limit outside the target lane, it is 1.
         seed: seed of all random numbers, which are independent of the seeds of environments.
         settings: further entries of the provenance of the values.
     """
@@ -125,33 +64,76 @@ class Learning:
     states: tuple[int, int] = (400, 250)
     horizon: int = 20
     held: int = 4
+    noise: float = 4.0
+    states_of_an_episode: int = 4
+    stays: float = 0.8
+    min_likely: float = 1.0
     seed: int = 0
     settings: Mapping = field(default_factory=dict)
 
 
+SEVERAL: dict = {
+    "prices": (30.0, 30.0),
+    "rounds": 2,
+    "states": (100, 100),
+    "horizon": 25,
+    "held": 25,
+    "noise": 1.0,
+    "states_of_an_episode": 6,
+    "stays": 0.9,
+    "min_likely": 0.3,
+}
+"""Settings of learning among several humans."""
+
+
 @dataclass(frozen=True)
 class Driving:
-    """A course, and what drives on it.
+    """A scenario in which values are learned, and what drives in it.
 
     Attributes:
-        course: the course.
+        batch: draws and simulates the episodes of the scenario.
         how: settings of learning.
-        rule: rule of the last fit, on the course's ladder.
+        rule: rule of the last fit, on the scenario's ladder.
         learned: whether there was a fit; otherwise, the rule is not used.
-        mesh: devices.
+        devices: that simulate it.
     """
 
-    course: Course
+    batch: Batch
     how: Learning
     rule: LearnedValue
     learned: bool
-    mesh: Mesh
+    devices: Devices
+
+    def starts(self, random: Random, count: int) -> tuple[Array, Array]:
+        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
+
+        A start is ``a + c (b - a)`` with two draws a and b, and with c drawn from 1 to `Learning.noise`. It has the
+        mean of the draws, and ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation.
+        """
+        drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
+        starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
+        noise = random.uniform(1.0, self.how.noise, (count, 1, 1)).astype(np.float32)
+        return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
+
+    def orders(self, random: Random, count: int) -> Array:
+        """Draw orders of models that keep their rungs for some steps, [count, steps, humans].
+
+        Each order has frequencies of rungs of its own. Several humans change their rungs in the same steps, each to a
+        rung of its own.
+        """
+        rungs, steps = len(self.batch.rungs), self.batch.steps
+        orders = np.zeros((count, steps, self.batch.humans), np.int32)
+        for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
+            drawn = random.choice(rungs, order.shape, p=share)
+            changes = random.random(steps) > self.how.stays
+            order[:] = drawn[np.maximum.accumulate(np.where(changes, np.arange(steps), 0))]
+        return orders
 
     def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> Records:
         """Simulate episodes with models from schedules or from the rule.
 
-        Episodes of any length are simulated in segments as long as a rollout, so that a course is compiled once. Every
-        segment starts without a last plan.
+        Episodes of any length are simulated in segments as long as a rollout, so that a scenario is compiled once.
+        Every segment starts without a last plan.
 
         Args:
             starts: starts of all cars [episodes, cars, 4].
@@ -159,14 +141,14 @@ class Driving:
             schedules: rung of every human [episodes, steps, humans], or `DECIDES` for the rule's choice.
             prices: lambdas [episodes], or one for all.
         """
-        loop, horizon = replace(self.course.batch.loop, rule=self.rule), self.how.horizon
+        loop, horizon = replace(self.batch.loop, rule=self.rule), self.how.horizon
         count, steps, humans = schedules.shape
         lambdas = np.full(count, prices, np.float32)
         robot = np.tile(np.asarray(loop.game.robot.weights, np.float32), (count, 1))
         usual, parts = np.full((count, humans), PLANS), []
         last = np.minimum(np.arange(steps + -steps % horizon), steps - 1)  # whole rollouts
         for part in np.split(schedules[:, last].astype(np.int32), len(last) // horizon, axis=1):
-            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.mesh))
+            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.devices))
             starts = np.asarray(parts[-1].states[:, -1])
         return jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
 
@@ -178,9 +160,10 @@ class Driving:
         prices; before the first fit, naive predicts all.
         """
         states, weights = self._visited(random, count)
-        own, humans, how = self.course.rungs, self.course.batch.humans, self.how
+        game, humans, how = self.batch.loop.game, self.batch.humans, self.how
+        own = [list(how.costs).index(name) for name in self.batch.rungs]
         held = min(how.held, how.horizon)
-        ranks = np.asarray(_rank(self.course.game, states))
+        ranks = np.asarray(_rank(game, states))
         asked = min(TOGETHER, humans)
         ways = [(0, 0), *product(range(1, len(own)), range(1, asked + 1))]  # rung, and how many humans have it
         schedules = np.full((len(states), len(ways), how.horizon, humans), DECIDES if self.learned else 0, np.int32)
@@ -197,7 +180,7 @@ class Driving:
         gains = np.full((len(states) * asked, len(how.costs) - 1), -np.inf)
         gains[:, np.array(own[1:], int) - 1] = np.swapaxes(each_more, 1, 2).reshape(len(gains), -1)
         nearest = np.argsort(ranks, axis=1)[:, :asked]
-        described = np.asarray(_describe(self.course.game, states))[np.arange(len(states))[:, None], nearest]
+        described = np.asarray(_describe(game, states))[np.arange(len(states))[:, None], nearest]
         return Rollouts(described.reshape(len(gains), -1), gains)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
@@ -207,13 +190,12 @@ class Driving:
         several humans, states in which the robot drives and is not in its lane yet are drawn more often, as predictions
         hardly matter in the others.
         """
-        course, steps, game = self.course, self.course.steps, self.course.game
-        each = STATES_OF_AN_EPISODE[course.several]
+        steps, game, each = self.batch.steps, self.batch.loop.game, self.how.states_of_an_episode
         number = ceil(count / each)
-        starts, weights = course.starts(random, number)
-        orders = course.orders(random, number)
+        starts, weights = self.starts(random, number)
+        orders = self.orders(random, number)
         if self.learned:
-            later = steps if course.several else random.integers(1, steps // 2, number)
+            later = steps if game.number > 1 else random.integers(1, steps // 2, number)
             takes_over = np.where(random.random(number) < 0.5, 0, later)
             orders[np.arange(steps) >= takes_over[:, None]] = DECIDES
         least, most = np.log(self.how.prices)
@@ -224,7 +206,7 @@ class Driving:
         states, weights = states[finite], weights[finite]
         away = np.abs(states[:, :, 0, 1] - float(game.scene.target_lane)) > float(game.scene.lane_width) / 2
         likely = away * states[:, :, 0, 3] / float(game.robot.speed_limit)
-        likely = np.clip(likely, MIN_LIKELY[course.several], 1.0)
+        likely = np.clip(likely, self.how.min_likely, 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
         visited = [own[random.choice(steps, each, replace=False, p=p)] for own, p in zip(states, likely, strict=True)]
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]

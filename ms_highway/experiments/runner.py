@@ -13,7 +13,7 @@ from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import lru_cache, partial
-from itertools import count, groupby
+from itertools import count
 from math import ceil
 from pathlib import Path
 from secrets import token_hex
@@ -33,12 +33,12 @@ from ms_highway.runtime.files import reading
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
-LIVE_FILES, BATCHED_FILES = (STEPS_FILE, f"{PARTS}/[!.]*.csv"), ("episodes/part-*.parquet",)
+EPISODES = "episodes"
 REMEDY = "remove it, to have it computed again"
 MIN_EPISODES = 60  # with fewer, further processes take more time to start than they save
 
-Compute: TypeAlias = Callable[[Comparison, Mapping[int, Sequence[EpisodeKey]]], Iterator[tuple[int, Tables]]]
-"""Computes the episodes of numbered parts; yields the number of each with its tables, in any order."""
+Compute: TypeAlias = Callable[[Comparison, Mapping[str, range]], Iterator[tuple[str, Tables]]]
+"""Computes parts, places in `Comparison.episodes` by name; yields the name of each with its tables, in any order."""
 
 
 def run(
@@ -62,10 +62,7 @@ def run(
     results = ResultsDirectory(Path(directory))
     settings = results.take_up(comparison.common_config())
     settings |= {key: settings.get(key, {}) for key in EXTENDED}
-    records = read_steps(results.path, settings)
-    if len(records) and list(records) != comparison.columns():
-        columns = ", ".join(comparison.columns())
-        raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
+    records = read_steps(results.path, settings, comparison.columns())
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
         asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
@@ -75,12 +72,15 @@ def run(
             settings["measured"][scenario] = env.seconds
     results.write_settings(settings)
 
-    def compute(keys: Sequence[EpisodeKey]) -> Iterator[Tables]:
-        drive = partial(_driven, comparison, settings["measured"])
-        for steps in _in_processes(drive, keys, min(processes, cores()), modules):
-            yield {f"{PARTS}/{token_hex(8)}.csv": steps}
-
-    yield from _resume(comparison, records, compute, results.path)
+    known, wanted = {*records[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
+    missing = [key for key in wanted if key not in known]
+    number = len(wanted) - len(missing)
+    yield number
+    drive = partial(_driven, comparison, settings["measured"])
+    for steps in _in_processes(drive, missing, min(processes, cores()), modules):
+        write_table(steps, results.path / PARTS / f"{token_hex(8)}.csv")
+        number += 1
+        yield number
     if (results.path / PARTS).exists():
         write_table(read_steps(results.path, settings), results.path / STEPS_FILE)
         shutil.rmtree(results.path / PARTS)
@@ -109,49 +109,18 @@ def run_batched(
         raise ValueError(f"there are {len(comparison.controllers)} scenarios; a sweep is of one")
     make_batch(comparison, *comparison.controllers)  # refuses what cannot be simulated before anything is written
     asked = {name: getattr(comparison, name) for name in ("controllers", "seeds", "first_seed")}
-    settings = {**comparison.common_config(), **asked, "part": part, "steps": steps}
-    results, places = ResultsDirectory(directory), {key: place for place, key in enumerate(comparison.episodes())}
-    results.take_up(settings)
-    keys = list(places)
-
-    def expected(file: Path) -> list[EpisodeKey]:
-        first = part * int(file.stem.removeprefix("part-"))
-        return keys[first : first + part]
-
-    episodes = _read(directory, BATCHED_FILES, [], expected)
-    results.write_settings(settings)
-    kinds = ("steps", "episodes") if steps else ("episodes",)  # episodes last: with them, the part is done
-
-    def in_parts(keys: Sequence[EpisodeKey]) -> Iterator[Tables]:
-        parts = {number: list(some) for number, some in groupby(keys, lambda key: places[key] // part)}
-        for number, tables in compute(comparison, parts):
-            yield {f"{kind}/part-{number:06d}.parquet": tables[kind] for kind in kinds}
-
-    yield from _resume(comparison, episodes, in_parts, directory)
-
-
-def _resume(
-    comparison: Comparison,
-    there: pd.DataFrame,
-    compute: Callable[[Sequence[EpisodeKey]], Iterator[Tables]],
-    directory: Path,
-) -> Iterator[int]:
-    """Compute the missing episodes, and write each piece as soon as it is done; yield how many are finished.
-
-    Args:
-        comparison: the wanted episodes.
-        there: rows of the finished episodes.
-        compute: yields the tables of a piece by the names of their files, the last one with all its episodes.
-        directory: directory of the results.
-    """
-    known, wanted = {*there[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
-    missing = [key for key in wanted if key not in known]
-    number = len(wanted) - len(missing)
+    ResultsDirectory(directory).take_up({**comparison.common_config(), **asked, "part": part, "steps": steps})
+    keys = list(comparison.episodes())
+    places = [range(len(keys))[first : first + part] for first in range(0, len(keys), part)]
+    parts = {f"part-{number:06d}.parquet": own for number, own in enumerate(places)}
+    number = len(read_episodes(directory, {name: keys[own.start : own.stop] for name, own in parts.items()}))
     yield number
-    for tables in compute(missing):
-        for name, table in tables.items():
-            write_table(table, directory / name)
-        number += len(table[KEYS].drop_duplicates())
+    kinds = ("steps", EPISODES) if steps else (EPISODES,)  # episodes last: with them, the part is done
+    missing = {name: own for name, own in parts.items() if not (directory / EPISODES / name).exists()}
+    for name, tables in compute(comparison, missing):
+        for kind in kinds:
+            write_table(tables[kind], directory / kind / name)
+        number += len(parts[name])
         yield number
 
 
@@ -190,18 +159,19 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
 
 
-def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
+def read_steps(directory: Path, settings: Mapping, needed: Sequence[str] = NEEDED) -> pd.DataFrame:
     """Read and check the records of a directory, including episodes that are not in ``steps.csv`` yet.
 
     Args:
         directory: directory of the results.
         settings: settings of the results. Rows are in the order of the controllers in ``asked``, the others last, then
             of the seeds.
+        needed: columns that must be there.
 
     Raises:
         ValueError: for a file that cannot be read.
     """
-    records = _read(directory, LIVE_FILES, NEEDED)
+    records = _read(directory, [STEPS_FILE, f"{PARTS}/[!.]*.csv"], needed)
     if records.empty:
         return records
     asked = settings.get("asked", {})
@@ -210,31 +180,33 @@ def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
     return order.merge(records.drop_duplicates([*KEYS, "step"]).sort_values(["seed", "step"]))
 
 
-def read_episodes(directory: Path) -> pd.DataFrame:
+def read_episodes(directory: Path, parts: Mapping[str, list[EpisodeKey]] | None = None) -> pd.DataFrame:
     """Read and check the simulated episodes of a directory, a row for each, in the order of the parts.
 
+    Args:
+        directory: directory of the results.
+        parts: episodes of each part by the name of its file, to be checked; by default, they are not.
+
     Raises:
-        ValueError: for a part that cannot be read.
+        ValueError: for a part that cannot be read, or holds other episodes.
     """
-    return _read(directory, BATCHED_FILES, [])
+    return _read(directory, [f"{EPISODES}/part-*.parquet"], [], parts)
 
 
 def _read(
     directory: Path,
     patterns: Iterable[str],
     needed: Sequence[str],
-    expected: Callable[[Path], list[EpisodeKey]] | None = None,
+    parts: Mapping[str, list[EpisodeKey]] | None = None,
 ) -> pd.DataFrame:
-    """Return the rows of all files. Check their columns and, if ``expected`` is given, their episodes."""
+    """Return the rows of all files; check their columns and, if they are parts, their episodes."""
     tables = [pd.DataFrame(columns=KEYS)]
     for file in (file for pattern in patterns for file in sorted(directory.glob(pattern))):
         with reading(file, "choose another directory" if file.parent == directory else REMEDY):
             tables.append(pd.read_parquet(file) if file.suffix == ".parquet" else pd.read_csv(file))
             check_table(tables[-1], needed)
-            if expected:
-                wanted, own = expected(file), [*tables[-1][KEYS].itertuples(index=False, name=None)]
-                if not wanted or own != wanted:
-                    raise ValueError("it holds other episodes than its number says")
+            if parts and parts.get(file.name) != [*tables[-1][KEYS].itertuples(index=False, name=None)]:
+                raise ValueError("it holds other episodes than its number says")
     return pd.concat(tables[1:] or tables)
 
 
@@ -275,7 +247,8 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
 def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     """Run one episode with the robot's own controller; yield a record per step.
 
-    A record has the columns from ``step`` on, see `ms_highway.experiments.comparison.columns`, and all of ``info``.
+    A record has all of ``info``, and the columns of `ms_highway.experiments.comparison.Comparison.columns` from
+    ``step`` on.
     """
     env.reset(seed=seed)
     inner = env.unwrapped

@@ -12,7 +12,7 @@ from scipy import stats
 
 from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.experiments.comparison import models_of, per_episode
-from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run
+from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, Run
 from ms_highway.experiments.runner import read_steps
 
 CONFIDENCE = 0.9
@@ -37,8 +37,8 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
       mean number of humans that each rung above the first predicts.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.comparison.columns`; or a row per simulated episode, see
-            `ms_highway.experiments.comparison.per_episode`, without measured times.
+        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`; or a row per simulated
+            episode, see `ms_highway.experiments.comparison.per_episode`, without measured times.
 
     Raises:
         ValueError: for an unknown controller.
@@ -94,7 +94,7 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     its 90 % interval, over the starts from which both drove, is above 0.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.comparison.columns`.
+        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`.
         summaries: result of `summary`.
         scenario: name of the scenario.
     """
@@ -187,9 +187,11 @@ class Results:
     @property
     def missing(self) -> int:
         """The number of requested episodes that are missing."""
-        asked = pd.DataFrame(self.settings["asked"]).unstack().dropna()
         there = self.summaries.set_index(["scenario", "controller"])["episodes"]
-        return int((asked - there.reindex(asked.index, fill_value=0)).clip(lower=0).sum())
+        asked = {
+            (scenario, name): most for scenario, own in self.settings["asked"].items() for name, most in own.items()
+        }
+        return sum(max(most - there.get(key, 0), 0) for key, most in asked.items())
 
     @property
     def common(self) -> dict:
@@ -213,7 +215,7 @@ def read_results(directory: Path) -> Results:
         ValueError: if it is no such directory, or a file is missing or cannot be read.
     """
     results = ResultsDirectory(directory)
-    settings = results.settings() if (directory / SETTINGS_FILE).is_file() else {}
+    settings = results.settings()
     if "asked" not in settings:
         raise ValueError(f"{directory} holds no results of a comparison; {NO_PAGE}")
     records = read_steps(directory, settings)

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jax.sharding import Mesh
 from jaxtyping import Int
 
 from ms_highway.choice.rule import Decision, unestimated
@@ -37,11 +36,11 @@ from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Control, Index, Rungs, State, for_rows
-from ms_highway.runtime.compilation import device_mesh, jit_quickly, share_among
+from ms_highway.runtime.compilation import Devices, jit_quickly, share_among
 
 
-def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Records:
-    """Run episodes, shared by the devices of a mesh, see `ms_highway.runtime.compilation.share_among`.
+def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> Records:
+    """Run episodes, shared by devices, see `ms_highway.runtime.compilation.share_among`.
 
     A device computes the episodes chunk by chunk, and a human model only for chunks that use it. With several humans,
     it computes episodes one by one, as a plan takes as many rounds as there are humans to predict.
@@ -51,7 +50,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     Args:
         loop: what the episodes share.
         episodes: at least one.
-        mesh: of `ms_highway.runtime.compilation.device_mesh`; by default, the first device.
+        devices: by default, the first.
 
     Returns:
         NumPy arrays.
@@ -62,8 +61,7 @@ def simulate(loop: Loop, episodes: Episodes, mesh: Mesh | None = None) -> Record
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
     warn_of_limits(loop.models, loop.game, episodes.starts[0])
-    mesh = device_mesh(jax.local_devices()[:1]) if mesh is None else mesh
-    return share_among(mesh, partial(_simulate, loop), episodes, loop.together)
+    return share_among(devices or jax.local_devices()[:1], partial(_simulate, loop), episodes, loop.together)
 
 
 class Now(NamedTuple):

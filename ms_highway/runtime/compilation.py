@@ -7,11 +7,10 @@ from contextlib import suppress
 from functools import cache, update_wrapper, wraps
 from itertools import cycle
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
-from jax.sharding import Mesh
 
 from ms_highway.runtime.jax_settings import cores, single_precision
 
@@ -100,14 +99,13 @@ def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
         items: pytree of arrays [n, ...].
     """
     number = len(jax.tree.leaves(items)[0])
-    if number == 1:
-        return jax.tree.map(np.asarray, function(items))
-    results = []
-    for first in range(0, number, BATCH):
-        batch = jax.tree.map(
-            lambda array, places=range(first, first + BATCH): np.take(array, places, axis=0, mode="clip"), items
-        )
-        results.append(function(batch))
+    size = 1 if number == 1 else BATCH
+
+    def compute(first: int) -> Any:
+        places = range(first, first + size)
+        return function(jax.tree.map(lambda array: np.take(array, places, axis=0, mode="clip"), items))
+
+    results = map(compute, range(0, number, size))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *results)
 
 
@@ -137,7 +135,8 @@ def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
 
 # Many items, shared among devices
 
-AXIS = "items"  # of a mesh of devices
+Devices: TypeAlias = Sequence[jax.Device]
+
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
 WIDE_CHUNK = 256  # items that an accelerator computes together
 CHUNKS = 128  # computed by a device at a time
@@ -148,13 +147,8 @@ def usual_chunk() -> int:
     return CHUNK if jax.default_backend() == "cpu" else WIDE_CHUNK
 
 
-def device_mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
-    """Return a one-dimensional mesh of devices; by default, of all devices of this process."""
-    return Mesh(np.array(jax.local_devices() if devices is None else devices), (AXIS,))
-
-
-def use_devices(count: int | None = None) -> Mesh:
-    """Return a mesh of as many devices as wanted, by default all; a CPU is split into one device per core at most.
+def use_devices(count: int | None = None) -> Devices:
+    """Return as many devices as wanted, by default all; a CPU is split into one device per core at most.
 
     A CPU can be split only before JAX begins to compute; ``XLA_FLAGS`` may split it into more devices than cores.
 
@@ -168,17 +162,17 @@ def use_devices(count: int | None = None) -> Mesh:
     devices = jax.local_devices()
     if count is not None and not 0 < count <= len(devices):
         raise ValueError(f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}")
-    return device_mesh(devices[:count])
+    return devices[:count]
 
 
-def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chunk: int) -> Any:
-    """Compute a function of many items, shared by the devices of a mesh.
+def share_among(devices: Devices, function: Callable[[Any, Any], Any], items: Any, chunk: int) -> Any:
+    """Compute a function of many items, shared by devices.
 
     Every device runs the same program, compiled for a single device, whatever the number of devices and items: XLA
     compiles a program for several devices differently, so that its results differ in the last digits.
 
     Args:
-        mesh: of `device_mesh`.
+        devices: of `use_devices`.
         function: takes items, a pytree of arrays [chunk * `CHUNKS`, ...], and how many of them count, an array [1].
             Returns a pytree of arrays [chunk * `CHUNKS`, ...], with anything for items that do not count.
         items: pytree of arrays [n, ...] with n > 0.
@@ -188,7 +182,7 @@ def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chu
         A pytree of NumPy arrays [n, ...].
     """
     count, size = len(jax.tree.leaves(items)[0]), chunk * CHUNKS
-    share = chunk * min(CHUNKS, -(-count // (chunk * mesh.size)))
+    share = chunk * min(CHUNKS, -(-count // (chunk * len(devices))))
 
     def compute(device: jax.Device, first: int) -> Any:
         places = np.arange(first, min(first + share, count))
@@ -198,7 +192,7 @@ def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chu
             results = function(*jax.device_put((own, np.array([len(places)])), device))
         return jax.tree.map(lambda part: part[: len(places)], jax.device_get(results))
 
-    with ThreadPoolExecutor(mesh.size) as threads:
-        computed = threads.map(compute, cycle(mesh.devices), range(0, count, share))
+    with ThreadPoolExecutor(len(devices)) as threads:
+        computed = threads.map(compute, cycle(devices), range(0, count, share))
         results = list(computed)  # wait here: Python 3.11 forgets a thread if it is interrupted as it waits for its end
     return jax.tree.map(lambda *parts: np.concatenate(parts), *results)

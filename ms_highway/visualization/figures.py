@@ -150,7 +150,7 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
     those of two controllers that choose online, beside the best fixed model, from the first start that they share.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.comparison.columns`.
+        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`.
         summaries: of `ms_highway.experiments.summary.summary`.
         scenario: its name.
     """

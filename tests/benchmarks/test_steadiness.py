@@ -5,14 +5,14 @@ import json
 import pytest
 from commands import run
 
-from ms_highway.benchmarks.speed import AFTER, changes
+from ms_highway.benchmarks.speed import AFTER, steadiness
 from ms_highway.experiments.comparison import Comparison
 
 NAIVE = Comparison({"merger": ["naive"]}, seeds=8, config={"ladder": ["naive"]})
 
 
 def test_a_centimetre_of_noise_in_the_start_of_a_merger_is_forgotten_within_twenty_steps():
-    small, usual = changes(NAIVE, "merger", "naive", [1e-3, 1e-2]).values()
+    small, usual = steadiness(NAIVE, "merger", "naive", [1e-3, 1e-2])["noise"].values()
     change = usual["change_m"]
     assert 5e-3 < change["1"]["p50"] < 2e-2  # the noise itself
     assert change["20"]["p50"] < change["5"]["p50"] < change["1"]["p50"]

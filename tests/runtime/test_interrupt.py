@@ -60,15 +60,15 @@ from itertools import count
 import jax
 import numpy as np
 
-from ms_highway.runtime.compilation import CHUNK, device_mesh, share_among
+from ms_highway.runtime.compilation import CHUNK, share_among
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 long = jax.jit(lambda items, _: jax.lax.fori_loop(0, 3000, lambda _, x: jax.numpy.sin(x), items))
 items, main = np.zeros((CHUNK, 40), np.float32), threading.get_ident()
-share_among(device_mesh(), long, items, CHUNK)  # compiles, during which an interrupt may be lost
+share_among(jax.local_devices(), long, items, CHUNK)  # compiles, during which an interrupt may be lost
 threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
 try:
-    all(share_among(device_mesh(), long, items, CHUNK).size for _ in count())
+    all(share_among(jax.local_devices(), long, items, CHUNK).size for _ in count())
 except KeyboardInterrupt:
     print([thread.name for thread in threading.enumerate() if thread.name.startswith("ThreadPool")])
 """
