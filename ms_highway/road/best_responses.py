@@ -148,7 +148,7 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
     x, y, heading, speed = jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0)
     s, d, relative = path.project(x, y, heading)
     cosine = jnp.cos(relative)
-    road = Scene(jnp.zeros(1), LANE, jnp.zeros((0, 2)), size, size, 0.5, 0.0, PAPER_UNIT)
+    road = Scene(jnp.zeros(1), LANE, car_size=size)
     counts = jnp.append(True, scene.present & (scene.owners != scene.owners[i]))
     seen = Motion(jnp.where(counts[:, None], s, s - FAR_AWAY), d, cosine, jnp.sin(relative), speed * cosine)
     human = Commuter(planning, state, road, replace(_reward(), speed_limit=limit), seen)
