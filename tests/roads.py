@@ -21,7 +21,7 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
     x, y = (np.sin(heading) / bend, (1 - np.cos(heading)) / bend) if bend else (along, np.zeros(knots))
     own = bend / (1 - d * bend)
     arrays = (x - d * np.sin(heading), y + d * np.cos(heading), heading, np.full(knots, own))
-    return Curve(*(np.asarray(array, np.float32) for array in arrays))
+    return Curve(*np.array(arrays, np.float32))
 
 
 def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
@@ -38,10 +38,9 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
     present = np.arange(TRAFFIC) < len(cars)
     states = np.zeros((TRAFFIC, 4), np.float32)
     states[: len(cars), 3] = [speed for *_, speed in cars]
-    lanes = np.array([-LANE, 0.0, LANE])
     return RoadScene(
         route=arc(KNOTS, bend),
-        lanes=np.tile(lanes[:, None], KNOTS).astype(np.float32),
+        lanes=np.tile([[-LANE], [0.0], [LANE]], KNOTS).astype(np.float32),
         open=np.ones((LANES, KNOTS), bool),
         edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
         changes=np.zeros(LANES, np.float32),
@@ -51,7 +50,7 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
         applied=np.zeros(2, np.float32),
         paths=jax.tree.map(lambda *fields: np.stack(fields), *paths),
         states=states,
-        sizes=np.tile(np.array([5.0, 2.0], np.float32), (TRAFFIC, 1)),
+        sizes=np.full((TRAFFIC, 2), [5.0, 2.0], np.float32),
         limits=np.full(TRAFFIC, limit, np.float32),
         leaders=np.full(TRAFFIC, -1, np.int32),
         gaps=np.full(TRAFFIC, np.inf, np.float32),

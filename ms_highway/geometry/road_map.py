@@ -10,10 +10,9 @@ from weakref import WeakKeyDictionary
 
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, RoadNetwork
-from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.curve import wrapped
-from ms_highway.geometry.lane_paths import SMOOTHING, LaneCurve, Point, join_lanes
+from ms_highway.geometry.lane_paths import SMOOTHING, LaneCurve, join_lanes
 
 
 class Spot(NamedTuple):
@@ -111,10 +110,6 @@ class Lane:
         onward = () if self.following() else [other for other in self.siblings if other.following()]
         return min(onward, key=lambda other: abs(other.number - self.number), default=None)
 
-    def distance(self, vehicle: Vehicle) -> float:
-        """Return highway-env's distance of a vehicle from the lane, in position and heading."""
-        return self.shape.distance_with_heading(vehicle.position, vehicle.heading)
-
     def behind(self, length: float) -> "Lanes":
         """Return lanes that lead to this one, over a length [m] if there are enough."""
         before = self.preceding
@@ -163,12 +158,6 @@ class Chain:
     def leg(self, way: float) -> int:
         """Return the number of the lane at a way."""
         return bisect_right(self.starts, way, 1, len(self.lanes)) - 1
-
-    def at(self, way: float) -> tuple[Point, float]:
-        """Return position and heading in the middle of the lane at a way; beyond the end, the last lane is extended."""
-        leg = self.leg(way)
-        shape, place = self.lanes[leg].shape, float(way - self.starts[leg])
-        return shape.position(place, 0), shape.heading_at(place)
 
     @kept
     def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING) -> LaneCurve:

@@ -166,7 +166,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     def _build(self, scenario: TrafficRecording) -> None:
         task, straight = problem_of(scenario, self.settings.ego), straight_road(scenario)
         x, y, orientation, speed = task.start
-        position, heading = straight.axes.pose(x, y, orientation)
+        position, heading = straight.axes.positions([x, y]), float(straight.axes.headings(orientation))
         lane = straight.network.get_lane(straight.network.get_closest_lane_index(position, heading))
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")

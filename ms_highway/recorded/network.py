@@ -13,6 +13,7 @@ from scipy.interpolate import make_smoothing_spline
 
 from ms_highway.geometry.curve import Curve, arc_lengths, resample, wrapped
 from ms_highway.recorded.scenario import SPEED_LIMIT, Lanelet, Points
+from ms_highway.runtime.arrays import State
 
 Values = Float[np.ndarray, "n"]
 
@@ -55,9 +56,10 @@ class Axes(NamedTuple):
         """Convert orientations in the map to headings in highway-env's axes, or headings to orientations [rad]."""
         return wrapped(self.turn - np.asarray(orientations, dtype=float))
 
-    def pose(self, x: float, y: float, orientation: float) -> tuple[np.ndarray, float]:
-        """Return position and heading in highway-env's axes, given a point and an orientation in the map."""
-        return self.positions([x, y]), float(self.headings(orientation))
+    def states(self, samples: np.ndarray) -> State:
+        """Return x, y, heading and speed in highway-env's axes, given samples of a track [times, 5]."""
+        _, x, y, orientation, speed = samples.T
+        return np.column_stack([self.positions(np.column_stack([x, y])), self.headings(orientation), speed])
 
     @property
     def _mirror(self) -> np.ndarray:

@@ -83,6 +83,12 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         """The last step at which it was seen."""
         return int(self.samples[-1, 0])
 
+    def at(self, steps: np.ndarray) -> np.ndarray:
+        """Return samples at steps of time [steps, 5], interpolated where it was not seen."""
+        times, x, y, orientation, speed = self.samples.T
+        parts = x, y, np.unwrap(orientation), speed
+        return np.stack([steps, *(np.interp(steps, times, part) for part in parts)], axis=-1)
+
 
 class GoalRegion(msgspec.Struct, frozen=True):
     """Where, when and how the ego has to be to reach a goal; None stands for no condition.

@@ -1,20 +1,16 @@
 """Convert states of vehicles on a recorded road to states on a straight road of parallel lanes, lane by lane."""
 
-from collections.abc import Iterable
 from functools import lru_cache
 
 import numpy as np
-from highway_env.vehicle.kinematics import Vehicle
-from jaxtyping import Float
 
 from ms_highway.geometry.road_map import Lane, road_map
-from ms_highway.recorded.network import Axes, Values, network_of
+from ms_highway.recorded.network import Axes, network_of
 from ms_highway.recorded.scenario import KEPT, Points, RecordedTrack, TrafficRecording
+from ms_highway.runtime.arrays import State
 
 ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
 SEAM = 0.1  # m, by which lanes are widened to each side, because their edges may leave gaps
-
-States = Float[np.ndarray, "n 4"]
 
 
 class StraightRoad:
@@ -62,29 +58,19 @@ class StraightRoad:
     def __deepcopy__(self, memo: object) -> "StraightRoad":
         return self  # it never changes: copies of environments share it
 
-    def states(self, positions: Points, headings: Values, speeds: Values) -> States:
-        """Return states on the straight road, each by the lane that is nearest in position and heading.
-
-        Args:
-            positions: in highway-env's axes [n, 2, m].
-            headings: in highway-env's axes [rad].
-            speeds: [m/s].
-        """
-        every = np.array([lane.shape.curve.project(*positions.T, headings) for lane in self._lanes])  # [lanes, 3, n]
+    def states(self, states: State) -> State:
+        """Convert states in highway-env's axes, each by the lane that is nearest in position and heading."""
+        x, y, heading, speeds = states.T
+        every = np.array([lane.shape.curve.project(x, y, heading) for lane in self._lanes])  # [lanes, 3, n]
         along, aside, heading = every.swapaxes(0, 1)
         lengths = np.array([[lane.length] for lane in self._lanes])
         beyond = np.maximum(along - lengths, 0.0) + np.maximum(-along, 0.0)
         nearest = (np.abs(aside) + beyond + np.abs(heading)).argmin(axis=0)  # as highway-env measures distances
-        along, aside, heading = every[nearest, :, np.arange(len(positions))].T
+        along, aside, heading = every[nearest, :, np.arange(len(states))].T
         lanes = [self._lanes[number] for number in nearest]
         x = self._starts[nearest] + along * [_length(lane) / lane.length for lane in lanes]
         y = aside + [self.centres[lane.index] for lane in lanes]
         return np.stack([x, y, heading, speeds], axis=-1)
-
-    def states_of(self, vehicles: Iterable[Vehicle]) -> States:
-        """Return the present states of vehicles on the straight road."""
-        states = np.array([(*vehicle.position, vehicle.heading, vehicle.speed) for vehicle in vehicles]).reshape(-1, 4)
-        return self.states(states[:, :2], states[:, 2], states[:, 3])
 
     @property
     def lines(self) -> list[Points]:
@@ -93,10 +79,9 @@ class StraightRoad:
         rows = sorted(set(self.centres.values()))
         return [np.concatenate([lane.shape.centres for lane in lanes if self.centres[lane.index] == y]) for y in rows]
 
-    def way(self, track: RecordedTrack) -> States:
+    def way(self, track: RecordedTrack) -> State:
         """Return the recorded states of a track on the straight road."""
-        positions, headings = self.axes.positions(track.samples[:, 1:3]), self.axes.headings(track.samples[:, 3])
-        return self.states(positions, headings, track.samples[:, 4])
+        return self.states(self.axes.states(track.samples))
 
     def covers(self, points: Points) -> bool:
         """Return whether all points are on lanes, or on their straight continuation beyond the ends of the road."""

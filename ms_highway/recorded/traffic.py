@@ -11,8 +11,9 @@ from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.geometry.bodies import nearest_ahead, separation
 from ms_highway.recorded.scenario import SPEED_LIMIT, RecordedTrack, TrafficRecording
-from ms_highway.recorded.straight_road import States, straight_road
-from ms_highway.vehicle.planning import CommuterVehicle
+from ms_highway.recorded.straight_road import straight_road
+from ms_highway.runtime.arrays import State
+from ms_highway.vehicle import CommuterVehicle, RoutedVehicle, states_of
 
 EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
 ENTRY_GAP = 2.0  # m that must be free ahead of and behind a vehicle that enters or changes lanes
@@ -22,25 +23,10 @@ LOOK_AHEAD = 2.0  # s, of a lane change: it begins this long before the recorded
 SPEED_TIME = 1.0  # s, in which a car without a leader reaches the speed that was recorded at its place
 
 
-class GuidedVehicle(Vehicle):
-    """A vehicle whose state after a step is given.
+class ReplayedVehicle(RoutedVehicle):
+    """A vehicle that moves as it was recorded, in highway-env's colours."""
 
-    Attributes:
-        coming: position, heading and speed after the step; None to keep the velocity.
-    """
-
-    coming: tuple[np.ndarray, float, float] | None = None
-
-    def act(self, action: Any = None) -> None:
-        """Do nothing: the next state is given."""
-
-    def step(self, dt: float) -> None:
-        """Move to the given state."""
-        if self.coming is None:
-            super().step(dt)
-        else:
-            (self.position, self.heading, self.speed), self.coming = self.coming, None
-            self.on_state_update()
+    COLOR = None
 
 
 class LearnedVehicle(CommuterVehicle):
@@ -54,7 +40,7 @@ class LearnedVehicle(CommuterVehicle):
     """
 
     road: "RecordedRoad"
-    way: States
+    way: State
     target_lane_index: LaneIndex
 
     def change_lane_policy(self) -> None:
@@ -112,7 +98,7 @@ class RecordedRoad(Road):
         self.straight = straight_road(recording)
         super().__init__(self.straight.network, np_random=np_random)
         self.begin, self.now, self._driver = begin, begin, VEHICLES[traffic]
-        self._computed: tuple[tuple, dict[Vehicle, States]] = ((), {})
+        self._computed: tuple[tuple, dict[Vehicle, State]] = ((), {})
         self.coming = [track for track in recording.tracks if track.number != left_out and track.last >= begin]
         self._let_enter()
 
@@ -127,11 +113,12 @@ class RecordedRoad(Road):
         return [vehicle for vehicle in self.vehicles if hasattr(vehicle, "track")]
 
     @property
-    def states(self) -> dict[Vehicle, States]:
+    def states(self) -> dict[Vehicle, State]:
         """States of all vehicles on the straight road, computed once in a step."""
         when = self.now, *self.vehicles
         if self._computed[0] != when:
-            self._computed = when, dict(zip(self.vehicles, self.straight.states_of(self.vehicles), strict=True))
+            states = self.straight.states(states_of(self.vehicles))
+            self._computed = when, dict(zip(self.vehicles, states, strict=True))
         return self._computed[1]
 
     def neighbour_vehicles(self, vehicle: Vehicle, lane_index: LaneIndex | None = None) -> tuple[Any, Any]:
@@ -146,13 +133,6 @@ class RecordedRoad(Road):
         ahead, behind = (vehicles[place] if there else None for place, there in found)
         return ahead, behind
 
-    def act(self) -> None:
-        """Let all vehicles decide what to do in the next step."""
-        super().act()
-        for vehicle in self.others:
-            if isinstance(vehicle, GuidedVehicle):
-                vehicle.coming = self.recorded_state(vehicle.track, self.now + 1)
-
     def step(self, dt: float) -> None:
         """Move all vehicles for ``dt`` seconds, and let vehicles enter and leave."""
         for vehicle in self.vehicles:
@@ -166,11 +146,10 @@ class RecordedRoad(Road):
                 if overlap(ego, other):
                     ego.crashed = other.crashed = True
 
-    def recorded_state(self, track: RecordedTrack, step: int) -> tuple[np.ndarray, float, float]:
-        """Return position, heading and speed of a track at a step, interpolated where it was not seen."""
-        times, x, y, orientation, speed = track.samples.T
-        *pose, now = (float(np.interp(step, times, part)) for part in (x, y, np.unwrap(orientation), speed))
-        return *self.straight.axes.pose(*pose), now
+    def recorded(self, track: RecordedTrack) -> State:
+        """Return the states of a track in each step from the beginning of the road, or from its own, until its end."""
+        steps = np.arange(max(track.first, self.begin), track.last + 1)
+        return self.straight.axes.states(track.at(steps))
 
     def _let_enter(self) -> None:
         """Let the vehicles enter whose time has come.
@@ -178,27 +157,29 @@ class RecordedRoad(Road):
         Replayed vehicles enter even where another vehicle is, and so do all vehicles at the beginning.
         """
         for track in self.waiting:
-            kind = self._driver if track.drives else GuidedVehicle
-            vehicle = sized(kind(self, *self.recorded_state(track, self.begin)), track.size)
+            kind: Any = self._driver if track.drives else ReplayedVehicle
+            replayed, states = kind is ReplayedVehicle, self.recorded(track)
+            *position, heading, speed = states[0].tolist()
+            vehicle = sized(kind(self, states) if replayed else kind(self, position, heading, speed), track.size)
             vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = track, False, track.drives
             vehicle.way = self.straight.way(track)
             vehicle.way[:, 0] = np.maximum.accumulate(vehicle.way[:, 0])
             vehicle.target_speed = SPEED_LIMIT if kind is LearnedVehicle else max(float(track.samples[:, 4].max()), 1.0)
             with_room = sized(copy(vehicle), (vehicle.LENGTH + 2 * ENTRY_GAP, vehicle.WIDTH))
             free = not any(overlap(with_room, other) for other in self.vehicles)
-            if free or self.now == self.begin or kind is GuidedVehicle:
+            if free or self.now == self.begin or replayed:
                 self.vehicles.append(vehicle)
                 self.coming.remove(track)
 
     def _has_left(self, vehicle: Any) -> bool:
         """Return whether a vehicle is past the end of its track if it is replayed, otherwise of the road."""
-        if isinstance(vehicle, GuidedVehicle):
+        if isinstance(vehicle, ReplayedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
         return place > vehicle.lane.length + EXIT_DISTANCE and not self.network.graph.get(vehicle.lane_index[1])
 
 
-VEHICLES = {"learned": LearnedVehicle, "replay": GuidedVehicle, "idm": IDMVehicle}
+VEHICLES = {"learned": LearnedVehicle, "replay": ReplayedVehicle, "idm": IDMVehicle}
 """Types of the vehicles that drive in lanes, by the kind of traffic."""
 
 

@@ -87,7 +87,7 @@ class Commuter:
         """
 
         def best(candidates: Steps) -> Vector:
-            held = self.held(candidates)
+            held = jax.vmap(self.held)(candidates)
             return best_of(held, jax.vmap(self.earned)(held))
 
         def improve(_: Index, scaled: Vector) -> Vector:
@@ -97,16 +97,14 @@ class Commuter:
         first = best(jnp.broadcast_to(FIRST_ACCELERATIONS, (len(FIRST_ACCELERATIONS), self.planning.steps)))
         return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)
 
-    def held(self, scaled: Steps) -> Steps:
+    def held(self, scaled: Vector) -> Vector:
         """Limit accelerations to the range of humans and to speeds from 0.
 
         With unlimited speeds c_k, the speed that never falls below zero is ``c_k - min(0, c_1, ..., c_k)``.
         """
-        speed, per_step, steps = self.state[3], self.planning.time_step * ACCELERATION_UNIT, scaled.shape[-1]
-        limited = jnp.clip(scaled, MIN_ACCELERATION, MAX_ACCELERATION)[..., None, :]
-        free = speed + jnp.sum(np.tri(steps, dtype=np.float32) * limited, axis=-1) * per_step  # XLA fuses such sums
-        kept = free - jnp.minimum(jax.lax.cummin(free, axis=free.ndim - 1), 0.0)
-        return (kept - earlier(speed, kept)) / per_step
+        _, free = self.move(jnp.clip(scaled, MIN_ACCELERATION, MAX_ACCELERATION))
+        kept = free - jnp.minimum(jax.lax.cummin(free), 0.0)
+        return (kept - earlier(self.state[3], kept)) / (self.planning.time_step * ACCELERATION_UNIT)
 
     def move(self, scaled: Vector) -> Steps:
         """Return s and speed after each step [2, steps]."""
@@ -148,7 +146,7 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
     x, y, heading, speed = jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0)
     s, d, relative = path.project(x, y, heading)
     cosine = jnp.cos(relative)
-    road = Scene(jnp.zeros(1), LANE, jnp.zeros((0, 2)), size, size, 0.5, 0.0, PAPER_UNIT)
+    road = Scene(jnp.zeros(1), LANE, car_size=size)
     counts = jnp.append(True, scene.present & (scene.owners != scene.owners[i]))
     seen = Motion(jnp.where(counts[:, None], s, s - FAR_AWAY), d, cosine, jnp.sin(relative), speed * cosine)
     human = Commuter(planning, state, road, replace(_reward(), speed_limit=limit), seen)

@@ -3,7 +3,7 @@
 Proposals are first scored with all cars under the first model of the ladder. How much more the best of them would earn
 without car i is an upper bound on the gain of any better prediction of this car: ``max_p (R(p) + c_i(p)) - max_p
 R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in it. The rules here receive these bounds in place
-of an outcome. `ms_highway.choice.rule.Order` needs none, and `ms_highway.choice.budget.Budget` chooses by `Bounds`.
+of an outcome. `ms_highway.choice.rule.Order` needs none.
 """
 
 import re
@@ -17,7 +17,7 @@ from jax import numpy as jnp
 from msgspec import Meta, Struct, ValidationError, convert
 
 from ms_highway.choice.budget import Budget
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Rule, always
+from ms_highway.choice.rule import Decision, Memory, Rule, always
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -27,23 +27,6 @@ from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
 from ms_highway.road.robot import GRIP_MARGIN
 from ms_highway.runtime import retired
 from ms_highway.runtime.arrays import PerHuman, Scalar
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Bounds(Rule):
-    """Take the bounds as gains of the last model over the first, without a choice.
-
-    Attributes:
-        ladder: models, cheapest first (static).
-    """
-
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-
-    def decide(self, game: Any, memory: Memory, outcome: PerHuman) -> Decision:
-        """Keep the rungs; models between the first and the last are not estimated."""
-        gains = jnp.full(memory.last_check.shape, NOT_ESTIMATED).at[:, 0].set(0.0).at[:, -1].set(outcome)
-        return Decision(memory, gains, jnp.bool(False))
 
 
 @jax.tree_util.register_dataclass
@@ -62,8 +45,9 @@ class Priced(Rule):
     price: Scalar
 
     def decide(self, game: Any, memory: Memory, outcome: PerHuman) -> Decision:
-        """Choose by the bounds; the first model is always worth its time."""
+        """Choose by the bounds; the first model, which gains nothing over itself, is always worth its time."""
         gains = jnp.asarray(outcome)[:, None] - self.price * jnp.asarray(self.costs.each)
+        gains = gains.at[:, 0].set(0.0)
         rungs = jnp.where(gains >= 0, jnp.arange(len(self.ladder)), 0).max(axis=1)
         return Decision(memory._replace(rungs=rungs), gains, jnp.bool(False))
 
@@ -148,7 +132,8 @@ class RoadSettings(Struct, frozen=True):
     def rule(self, costs: Costs) -> Rule:
         """Return the rule that chooses the models.
 
-        It leaves out models that cost at least as much as a later model on the ladder.
+        It leaves out models that cost at least as much as a later model on the ladder. A budget chooses between the
+        first and the last of the rest.
 
         Args:
             costs: of each of `ms_highway.road.constants.MODELS`.
@@ -158,9 +143,13 @@ class RoadSettings(Struct, frozen=True):
             return always(human_model(value))
         seconds = [costs.each[MODELS.index(name)] for name in self.ladder]
         kept = [place for place, each in enumerate(seconds) if each < min(seconds[place + 1 :], default=np.inf)]
+        if kind == "budget":  # buys bounds, which only the last model may reach
+            kept = sorted({kept[0], kept[-1]})
         ladder = tuple(human_model(self.ladder[place]) for place in kept)
         costs = Costs(costs.base, np.array(seconds)[kept])
-        return Budget(Bounds(ladder), costs, value / 1e3, 1.0) if kind == "budget" else Priced(ladder, costs, value)
+        if kind == "budget":
+            return Budget(Priced(ladder, costs, 0.0), costs, value / 1e3, 1.0)
+        return Priced(ladder, costs, value)
 
     def planning(self, desired_speed: float) -> RoadPlanning:
         """Return limits and wishes of plans.

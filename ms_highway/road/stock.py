@@ -1,9 +1,11 @@
 """Read goals and desired speeds of highway-env's own environments, replace their car, and undo their side effects."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from highway_env.envs import ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, UTurnEnv
+from highway_env.envs.common.action import MultiAgentAction
+from highway_env.envs.common.observation import MultiAgentObservation
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
@@ -116,20 +118,11 @@ def replace_ego(env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0) -
     new.on_state_update()
     env.controlled_vehicles[number] = new
     env.road.vehicles[env.road.vehicles.index(old)] = new
-    alone = len(env.controlled_vehicles) == 1
-    for part in (*_parts(env.action_type), *_parts(env.observation_type)):
-        for name in ("controlled_vehicle", "observer_vehicle"):
-            if hasattr(part, name) and (alone or getattr(part, name) is old):
-                setattr(part, name, new)
+    if isinstance(env.action_type, MultiAgentAction):  # otherwise, the first controlled vehicle acts and observes
+        env.action_type.agents_action_types[number].controlled_vehicle = new
+    if isinstance(env.observation_type, MultiAgentObservation):
+        env.observation_type.agents_observation_types[number].observer_vehicle = new
     return new
-
-
-def _parts(whole: Any) -> Iterator[Any]:
-    """Yield an action or observation type and all types that it contains."""
-    yield whole
-    for name in ("agents_action_types", "agents_observation_types", "observation_types"):
-        for part in getattr(whole, name, ()):
-            yield from _parts(part)
 
 
 OVERWRITTEN = {"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3}

@@ -114,7 +114,7 @@ class BicycleVehicle(Vehicle):
 class ScriptedVehicle(BicycleVehicle):
     """Car that always keeps its velocity."""
 
-    COLOR = (150, 150, 160)
+    COLOR: tuple[int, int, int] | None = (150, 150, 160)
 
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Balance friction; ignore actions."""
@@ -126,22 +126,22 @@ class RoutedVehicle(ScriptedVehicle):
 
     Args:
         road: that the car is on.
-        route: ``(x, y, heading, speed)`` now and after every step, [times, 4].
+        states: ``(x, y, heading, speed)`` now and after every step, [times, 4].
     """
 
-    def __init__(self, road: Road | None, route: State) -> None:
-        x, y, heading, speed = route[0].tolist()
+    def __init__(self, road: Road | None, states: State) -> None:
+        x, y, heading, speed = states[0].tolist()
         super().__init__(road, [x, y], heading, speed)
-        self.route = route
+        self.states = states
         self.place = 0
 
     def step(self, dt: float) -> None:
         """Move to the next state of the route; ``dt`` only counts after its end."""
         self.place += 1
-        if self.place >= len(self.route):
+        if self.place >= len(self.states):
             super().step(dt)
             return
-        x, y, heading, speed = self.route[self.place].tolist()
+        x, y, heading, speed = self.states[self.place].tolist()
         self.position = np.array([x, y])
         self.heading, self.speed = heading, speed
         self.on_state_update()

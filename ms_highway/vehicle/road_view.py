@@ -10,11 +10,10 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, interpolate
 from ms_highway.geometry.lane_paths import Point, Row
-from ms_highway.geometry.road_map import LIMIT, road_map
+from ms_highway.geometry.road_map import LIMIT
 from ms_highway.perception.observation import observe_road
 from ms_highway.perception.scene import RoadScene
 from ms_highway.planning.manoeuvres import idm_acceleration
@@ -87,14 +86,10 @@ def look(driver: Vehicle) -> RoadView:
     width = float(driver.lane.width_at(0.0))
     numbers, taken = places(own, others[:, 0], seen.present, np.array(width))
     scene = Scene(
-        lanes=lanes,
-        lane_width=width,
-        obstacles=np.zeros((0, 2)),
-        obstacle_size=np.ones(2),
+        lanes,
+        width,
         car_size=np.array([driver.LENGTH, driver.WIDTH]),
-        corner=0.5,
         target_lane=lanes[wanted],
-        length_unit=PAPER_UNIT,
         bend=float(seen.route.bend(own[0])),
     )
     return RoadView(
@@ -119,12 +114,14 @@ def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[f
     """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lanes."""
     if "road_memory" not in vars(vehicle):
         observe_road(vehicle)
-    roads = road_map(vehicle.road.network)
-    chain = roads.chain(tuple(roads.lanes[index] for index in vehicle.road_memory.lanes))
-    lane, start = min(zip(chain.lanes, chain.starts, strict=False), key=lambda each: each[0].distance(vehicle))
-    way = start + float(lane.shape.local_coordinates(vehicle.position)[0])
-    positions, headings = zip(*map(chain.at, way + vehicle.speed * np.asarray(times)), strict=True)
-    return list(positions), list(headings)
+    network, lanes, pose = vehicle.road.network, vehicle.road_memory.lanes, (vehicle.position, vehicle.heading)
+    first = int(np.argmin([network.get_lane(index).distance_with_heading(*pose) for index in lanes]))
+    place, _ = network.get_lane(lanes[first]).local_coordinates(vehicle.position)
+    ahead = [
+        network.position_heading_along_route(lanes[first:], place + vehicle.speed * time, 0, vehicle.lane_index)
+        for time in times
+    ]
+    return [position for position, _ in ahead], [heading for _, heading in ahead]
 
 
 def _limit_before_bends(route: Curve, place: float) -> float:

@@ -14,12 +14,11 @@ from highway_env.envs import ExitEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
-from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.commonroad import scenario_files
 from ms_highway.recorded.environment import RecordedEnv
 from ms_highway.recorded.scenario import SHIPPED, RecordedTrack, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import straight_road
-from ms_highway.recorded.traffic import GuidedVehicle
+from ms_highway.recorded.traffic import ReplayedVehicle
 from ms_highway.road.driven import placeholder_action
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.road.timed_goal import TimedGoal
@@ -122,20 +121,12 @@ class Human(Peer):
     """
 
     def begin(self) -> None:
-        """Replace the ego by a vehicle that moves to given states."""
+        """Replace the ego by a vehicle that moves like the recorded one."""
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
             raise ValueError("the driver human repeats the drive of a recorded vehicle; say --egos changing")
-        self._track: Any = env.scenario.track(env.task.track)
-        replace_ego(env, lambda old: GuidedVehicle(old.road, old.position, old.heading, old.speed))
-
-    def choose(self) -> Any:
-        """Give the ego the recorded state at the end of the step."""
-        road, last = self.inner.road, int(self._track.samples[-1, 0])
-        position, heading, speed = road.recorded_state(self._track, road.now + 1)
-        beyond = TIME_STEP * max(road.now + 1 - last, 0) * speed
-        self.inner.vehicle.coming = position + beyond * np.array([np.cos(heading), np.sin(heading)]), heading, speed
-        return super().choose()
+        track: Any = env.scenario.track(env.task.track)
+        replace_ego(env, lambda old: ReplayedVehicle(old.road, old.road.recorded(track)))
 
 
 # Starts in recordings
