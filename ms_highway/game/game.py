@@ -30,7 +30,6 @@ from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import Planner, project
 from ms_highway.runtime.arrays import (
     Car,
-    Control,
     Controls,
     HumansControls,
     Index,
@@ -177,22 +176,13 @@ def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
 
 def move(game: Game, car: Car, controls: Controls) -> Trajectory:
     """Return the trajectory of a car under scaled controls."""
-    return _move(game.dynamics, car, controls * game.planner.control_scale)
-
-
-@jax.jit
-def _move(dynamics: Dynamics, car: Car, controls: Controls) -> Trajectory:
-    return jnp.stack(rollout(dynamics, car, controls))
+    return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
 
 
 def move_jacobian(game: Game, car: Car, controls: Controls) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of `move` in the ravelled scaled controls."""
-    return _moved_by(game.dynamics, jnp.asarray(game.planner.control_scale), car, controls)
-
-
-@jax.jit
-def _moved_by(dynamics: Dynamics, scale: Control, car: Car, controls: Controls) -> jax.Array:
-    return rollout_jacobian(dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
+    scale = jnp.asarray(game.planner.control_scale)
+    return rollout_jacobian(game.dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
 
 
 def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:
