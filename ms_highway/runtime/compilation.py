@@ -140,7 +140,6 @@ def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
 AXIS = "items"  # of a mesh of devices
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
 WIDE_CHUNK = 256  # items that an accelerator computes together
-CHUNKS = 128  # computed by a device at a time
 
 
 def usual_chunk() -> int:
@@ -171,7 +170,7 @@ def use_devices(count: int | None = None) -> Mesh:
     return device_mesh(devices[:count])
 
 
-def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chunk: int) -> Any:
+def share_among(mesh: Mesh, function: Callable[[Any], Any], items: Any, chunk: int) -> Any:
     """Compute a function of many items, shared by the devices of a mesh.
 
     Every device runs the same program, compiled for a single device, whatever the number of devices and items: XLA
@@ -179,26 +178,22 @@ def share_among(mesh: Mesh, function: Callable[[Any, Any], Any], items: Any, chu
 
     Args:
         mesh: of `device_mesh`.
-        function: takes items, a pytree of arrays [chunk * `CHUNKS`, ...], and how many of them count, an array [1].
-            Returns a pytree of arrays [chunk * `CHUNKS`, ...], with anything for items that do not count.
+        function: of a pytree of arrays [chunk, ...]; returns another one.
         items: pytree of arrays [n, ...] with n > 0.
-        chunk: number of items that ``function`` computes together.
+        chunk: number of items that ``function`` computes together; the last chunk is padded with its last item.
 
     Returns:
         A pytree of NumPy arrays [n, ...].
     """
-    count, size = len(jax.tree.leaves(items)[0]), chunk * CHUNKS
-    share = chunk * min(CHUNKS, -(-count // (chunk * mesh.size)))
+    count = len(jax.tree.leaves(items)[0])
 
     def compute(device: jax.Device, first: int) -> Any:
-        places = np.arange(first, min(first + share, count))
-        padded = np.pad(places, (0, size - len(places)), mode="edge")
+        places = np.arange(first, first + chunk).clip(max=count - 1)
         with single_precision():
-            own = jax.tree.map(lambda part: np.asarray(part)[padded], items)
-            results = function(*jax.device_put((own, np.array([len(places)])), device))
-        return jax.tree.map(lambda part: part[: len(places)], jax.device_get(results))
+            own = jax.tree.map(lambda part: np.asarray(part)[places], items)
+            return jax.device_get(function(jax.device_put(own, device)))
 
     with ThreadPoolExecutor(mesh.size) as threads:
-        computed = threads.map(compute, cycle(mesh.devices), range(0, count, share))
+        computed = threads.map(compute, cycle(mesh.devices), range(0, count, chunk))
         results = list(computed)  # wait here: Python 3.11 forgets a thread if it is interrupted as it waits for its end
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *results)
