@@ -27,7 +27,7 @@ from ms_highway.game.payoff import Payoff
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.numerics.second_derivatives import Influence
-from ms_highway.numerics.solvers import Planner, project
+from ms_highway.numerics.solvers import Planner
 from ms_highway.runtime.arrays import (
     Car,
     Controls,
@@ -145,7 +145,9 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
     The limit by grip depends on the speed, which is computed from the unlimited accelerations: the first control is
     exact, later ones may exceed the grip by a quarter. Executed controls never do.
     """
-    controls, planner = project(game.planner, controls), game.planner
+    planner = game.planner
+    limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
+    controls = jnp.clip(controls, -limit, limit)
     if planner.grip is None:
         return controls
     bend = 0.0 if game.scene.bend is None else game.scene.bend
