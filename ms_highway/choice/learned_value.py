@@ -10,7 +10,7 @@ cheapest rung predicts the other humans.
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from itertools import pairwise
 from os import PathLike
@@ -28,7 +28,7 @@ from ms_highway.choice.situation import describe, description_names, nearness
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Array, Index, Scalar, Structure, Vector, read
+from ms_highway.runtime.arrays import Array, Scalar, Structure, read
 from ms_highway.runtime.files import read_arrays, reading, replacing
 
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
@@ -65,32 +65,28 @@ class LearnedValue(Rule):
     cautious: bool = field(default=True, metadata={"static": True})
 
     def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Choose by the state after the last step. A value that is not known counts as 0, that of the first rung."""
-        if len(self.ladder) == 1:
-            return unestimated(memory, memory.rungs)
-        values, gains, failed = jax.vmap(self._values)(describe(game, outcome.after), jnp.asarray(memory.rungs))
-        rank = nearness(game, outcome.after)
-        worth = (values - values[:, :1])[jnp.argsort(rank)][:TOGETHER]
-        totals = jnp.cumsum(worth, axis=0)  # of the nearest humans under each rung
-        fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
-        rungs = jnp.where(rank <= fewer, rung, 0)
-        if not self.cautious:
-            top, little = gains[:, -1], MIN_NOISE * (1 - rank / game.number)
-            gains = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))
-        return Decision(memory._replace(rungs=rungs.astype(jnp.int32)), gains, failed.any())
-
-    def _values(self, described: Vector, rung: Index) -> tuple[Any, Any, Any]:
-        """Return the values of the rungs for a human, their gains for the `Decision`, and whether they are unknown.
+        """Choose by the state after the last step.
 
         The value of a rung is its gain over the first one, less its price and `DOUBT_MARGIN` standard deviations among
-        the networks, so that the first rung is chosen in doubt.
+        the networks, so that the first rung is chosen in doubt. A value that is not known counts as that of the first.
         """
-        means, _ = outputs(self.network, (described - self.centre) / self.spread)
-        gains, doubts = (jnp.pad(part(means, axis=0), (1, 0)) for part in (jnp.mean, jnp.std))
-        known = jnp.isfinite(gains).all()
+        if len(self.ladder) == 1:
+            return unestimated(memory, memory.rungs)
+        inputs = (describe(game, outcome.after) - self.centre) / self.spread
+        means, _ = jax.vmap(partial(outputs, self.network))(inputs)  # [humans, networks, rungs above the first]
+        gains, doubts = (jnp.pad(part(means, axis=1), ((0, 0), (1, 0))) for part in (jnp.mean, jnp.std))
+        known = jnp.isfinite(gains).all(axis=1, keepdims=True)
         values = gains - DOUBT_MARGIN * doubts - self.price * jnp.asarray(self.costs.each)
-        estimates = values - values[rung] if self.cautious else gains
-        return jnp.where(known, values, 0.0), jnp.where(known, estimates, NOT_ESTIMATED), ~known
+        worth, rank = jnp.where(known, values - values[:, :1], 0.0), nearness(game, outcome.after)
+        totals = jnp.cumsum(worth[jnp.argsort(rank)][:TOGETHER], axis=0)  # of the nearest humans under each rung
+        fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
+        rungs = jnp.where(rank <= fewer, rung, 0).astype(jnp.int32)
+        if self.cautious:
+            told = values - jnp.take_along_axis(values, jnp.asarray(memory.rungs)[:, None], axis=1)
+        else:
+            top, little = gains[:, -1], MIN_NOISE * (1 - rank / game.number)
+            told = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))
+        return Decision(memory._replace(rungs=rungs), jnp.where(known, told, NOT_ESTIMATED), ~known.all())
 
 
 def outputs(

@@ -24,10 +24,10 @@ from ms_highway.game.game import (
     with_scripted,
 )
 from ms_highway.game.reward import Reward
-from ms_highway.numerics.second_derivatives import along_fields, response, second_order_expansion
+from ms_highway.numerics.second_derivatives import response
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel, scaled_prediction
-from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Trajectory, Vector
+from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Vector
 
 HALVINGS = 60  # of the shift's bracket at most, beyond what float32 resolves
 
@@ -87,13 +87,10 @@ RELEASED_TRUST_TOLERANCE = 0.05
 
 
 class RewardExpansion(NamedTuple):
-    """Derivatives of the robot's reward in the controls of both players, and the human's response."""
+    """Derivatives of the robot's reward in its own n controls, then the human's, and the human's response."""
 
-    robot: Vector  # d r_R / d u_R
-    human: Vector  # d r_R / d u_H
-    robot_robot: Matrix
-    robot_human: Matrix
-    human_human: Matrix
+    gradient: Float[jax.Array, "both"]
+    hessian: Float[jax.Array, "both both"]
     influence: Matrix  # J = d u_H / d u_R
 
 
@@ -206,40 +203,30 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
     """Expand the rewards of both players in the controls of both, in one batch; each is seen from its own car."""
     payoff, n = _observed(game).payoff, len(robot)
 
-    def derivatives(driver: Reward, state: State, both: Float[jax.Array, "players n"]) -> tuple[Vector, Matrix]:
-        def paths(controls: Controls) -> Trajectory:
-            own, partner = jnp.split(controls, 2)
-            return jnp.concatenate([move(game, state[0], own), move(game, state[1], partner)])
+    def earned(controls: Float[jax.Array, "both"], driver: Reward, state: State) -> Scalar:
+        own, partner = controls.reshape(2, -1, 2)
+        others = with_scripted(game, state, move(game, state[1], partner)[None])
+        return replace(payoff, reward=driver).total(move(game, state[0], own), others)
 
-        def slope(paths: Trajectory) -> Trajectory:
-            own, partner = jnp.split(paths, 2)
-            others = with_scripted(game, state, partner[None])
-            own_slope, slopes = replace(payoff, reward=driver).slopes(own, others)
-            return jnp.concatenate([own_slope, slopes[0]])
-
-        controls = both.reshape(-1, 2)
-        return second_order_expansion(paths, controls, *along_fields(slope, paths(controls)))[:2]
-
+    controls = jnp.stack([jnp.concatenate([robot, human]), jnp.concatenate([human, robot])])
     rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human())
-    states = jnp.stack([state, swap_players(game, state)[1]])
-    controls = jnp.stack([jnp.stack([robot, human]), jnp.stack([human, robot])])
-    slopes, (bend, mirrored) = jax.vmap(derivatives)(rewards, states, controls)
+    players = controls, rewards, jnp.stack([state, swap_players(game, state)[1]])
+    gradients, (hessian, mirrored) = (jax.vmap(derive(earned))(*players) for derive in (jax.grad, jax.hessian))
     human_bend = mirrored[:n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), n // 2))
-    influence = response(game.influence, human_bend, mirrored[:n, n:])
-    return RewardExpansion(slopes[0, :n], slopes[0, n:], bend[:n, :n], bend[:n, n:], bend[n:, n:], influence)
+    return RewardExpansion(gradients[0], hessian, response(game.influence, human_bend, mirrored[:n, n:]))
 
 
 def change_of_control(expansion: RewardExpansion, surprise: Vector, influence: Matrix, rule: Quadratic) -> Vector:
     """Return ``delta u``, which leads from the present controls to the best ones under another model.
 
-    Let d be the human controls that the model expects less u_H, and J' its influence. The expansion is
-    ``du^T A du / 2 + B du`` with ``A = r_RR + r_RH J' + (r_RH J')^T + J'^T r_HH J'`` and
-    ``B = r_R + J'^T r_H + r_RH d + J'^T r_HH d``. Subscripts are derivatives of r_R.
+    Let g and H be the gradient and the Hessian of r_R in both players' controls, and d the human controls that the
+    model expects less u_H. With the model's influence J', a change du of the robot's controls changes those of both by
+    ``P du``, where ``P = [I; J']``. The expansion is ``du^T P^T H P du / 2 + (g + H [0; d])^T P du``.
     """
-    cross = expansion.robot_human @ influence
-    quadratic = expansion.robot_robot + cross + cross.T + influence.T @ expansion.human_human @ influence
-    linear = expansion.robot + expansion.robot_human @ surprise
-    linear += influence.T @ (expansion.human + expansion.human_human @ surprise)
+    n = len(surprise)
+    both = jnp.concatenate([jnp.eye(n), influence])
+    slope = expansion.gradient + expansion.hessian[:, n:] @ surprise
+    quadratic, linear = both.T @ expansion.hessian @ both, both.T @ slope
     return trust_region_step(quadratic, linear, rule.trust_radius, rule.trust_tolerance)
 
 

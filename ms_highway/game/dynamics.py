@@ -93,6 +93,7 @@ def step(
     )
 
 
+@jax.jit  # traced once for all cars of a plan
 def rollout(
     dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], controls: Float[jax.Array, "*cars steps 2"]
 ) -> Motion:
@@ -118,6 +119,7 @@ def rollout(
     return Motion(*(field[..., 1:] for field in (x, y, cosine, sine, speed)))
 
 
+@jax.jit
 def rollout_jacobian(
     dynamics: Dynamics, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]
 ) -> Float[jax.Array, "fields steps controls"]:
@@ -131,29 +133,25 @@ def rollout_jacobian(
 
     With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a `rollout`.
     """
-    dt, steps = dynamics.time_step, len(controls)
+    dt, steps, curved = dynamics.time_step, len(controls), dynamics.steering == "curvature"
+    omega, acceleration = controls.T
+    of_omega, of_acceleration = np.eye(2 * steps, dtype=np.float32).reshape(steps, 2, -1).swapaxes(0, 1)
+    earlier = _shares(steps)[:, 1:]  # [states, steps], 1 for steps before a state
     left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
-    executed = _shares(steps)[1:, 1:]  # [states, controls], 1 for controls before a state
-    speed = speeds(dynamics, car[3], controls[:, 1])
-    faster = _shares(steps, left)[:, 1:] * dt
-    curved = dynamics.steering == "curvature"
-    per_omega = dt * (speed[:-1] if curved else jnp.ones(steps))
-    heading = _accumulate(car[2], per_omega * controls[:, 0])
-    turned_by_speed = executed @ (dt * controls[:, :1] * faster[:-1]) if curved else jnp.zeros((steps, steps))
-
-    def ravelled(by_omega: jax.Array, by_acceleration: jax.Array) -> jax.Array:
-        return jnp.stack([by_omega, by_acceleration], axis=-1).reshape(steps, 2 * steps)
-
-    zero = jnp.zeros((steps, steps))
-    turned = ravelled(executed * per_omega, turned_by_speed)
-    turned_before = jnp.concatenate([jnp.zeros((1, 2 * steps)), turned[:-1]])
-    distance = speed[:-1] * dt + (controls[:, 1] - dynamics.drag * speed[:-1]) * dt**2 / 2
-    farther = ravelled(zero, faster[:-1] * (dt - dynamics.drag * dt**2 / 2) + np.eye(steps) * dt**2 / 2)
+    speed = speeds(dynamics, car[3], acceleration)
+    per_acceleration = _shares(steps, left)[:, 1:] * dt
+    faster = jnp.stack([jnp.zeros_like(per_acceleration), per_acceleration], axis=-1).reshape(1 + steps, -1)
+    before, faster_before = speed[:-1], faster[:-1]
+    heading = _accumulate(car[2], (before * omega if curved else omega) * dt)
+    yaw = before[:, None] * of_omega + omega[:, None] * faster_before if curved else of_omega
+    turned = earlier @ yaw * dt
+    distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
+    farther = faster_before * dt + (of_acceleration - dynamics.drag * faster_before) * (dt**2 / 2)
     cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
-    along = cosine[:-1] * farther - distance[:, None] * sine[:-1] * turned_before
-    aside = sine[:-1] * farther + distance[:, None] * cosine[:-1] * turned_before
-    x, y = jnp.split(executed @ jnp.concatenate([along, aside], axis=1), 2, axis=1)
-    return jnp.stack([x, y, -sine[1:] * turned, cosine[1:] * turned, ravelled(zero, faster[1:])])
+    turning = distance[:, None] * turned[:-1]
+    x = earlier @ (cosine[:-1] * farther - sine[:-1] * turning)
+    y = earlier @ (sine[:-1] * farther + cosine[:-1] * turning)
+    return jnp.stack([x, y, -sine * turned, cosine * turned, faster])[:, 1:]
 
 
 def speeds(

@@ -27,10 +27,9 @@ from ms_highway.game.payoff import Payoff
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.numerics.second_derivatives import Influence
-from ms_highway.numerics.solvers import Planner, project
+from ms_highway.numerics.solvers import Planner
 from ms_highway.runtime.arrays import (
     Car,
-    Control,
     Controls,
     HumansControls,
     Index,
@@ -146,7 +145,9 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
     The limit by grip depends on the speed, which is computed from the unlimited accelerations: the first control is
     exact, later ones may exceed the grip by a quarter. Executed controls never do.
     """
-    controls, planner = project(game.planner, controls), game.planner
+    planner = game.planner
+    limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
+    controls = jnp.clip(controls, -limit, limit)
     if planner.grip is None:
         return controls
     bend = 0.0 if game.scene.bend is None else game.scene.bend
@@ -177,22 +178,13 @@ def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
 
 def move(game: Game, car: Car, controls: Controls) -> Trajectory:
     """Return the trajectory of a car under scaled controls."""
-    return _move(game.dynamics, car, controls * game.planner.control_scale)
-
-
-@jax.jit
-def _move(dynamics: Dynamics, car: Car, controls: Controls) -> Trajectory:
-    return jnp.stack(rollout(dynamics, car, controls))
+    return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
 
 
 def move_jacobian(game: Game, car: Car, controls: Controls) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of `move` in the ravelled scaled controls."""
-    return _moved_by(game.dynamics, jnp.asarray(game.planner.control_scale), car, controls)
-
-
-@jax.jit
-def _moved_by(dynamics: Dynamics, scale: Control, car: Car, controls: Controls) -> jax.Array:
-    return rollout_jacobian(dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
+    scale = jnp.asarray(game.planner.control_scale)
+    return rollout_jacobian(game.dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
 
 
 def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:

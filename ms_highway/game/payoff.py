@@ -4,8 +4,8 @@ The payoff of a plan for seconds includes the cost of stopping too late before o
 end before an obstacle matters. Without this cost, a car drives fast until the obstacle is within the horizon, brakes as
 hard as tyres allow, and stops too close to the obstacle to steer around it.
 
-The matrix `curvature` is positive semidefinite and takes the place of minus the Hessian, without eigenvalues. Most
-features are concave functions of quantities that are taken as linear in the motion (Gauss-Newton), so their sum is
+The matrix `Payoff.curvature` is positive semidefinite and takes the place of minus the Hessian, without eigenvalues.
+Most features are concave functions of quantities that are taken as linear in the motion (Gauss-Newton), so their sum is
 positive semidefinite. Closeness to a body differs: it is a convex cost of a distance that is a square itself, so the
 reward bends upwards between the two ways around the body. The magnitude of this part is taken, as in the saddle-free
 Newton step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
@@ -74,75 +74,6 @@ Bends = Float[jax.Array, "fields fields steps"]
 Points = Float[jax.Array, "2 points steps"]
 
 
-def curvature(
-    scene: Scene, parameters: Reward, own: Trajectory, others: Motion, braking: Scalar | None = None
-) -> Bends:
-    """Return a convex matrix in place of minus the Hessian of a car's smooth reward, in x, y, cosine, sine and speed.
-
-    For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the distances D
-    of `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
-
-    Args:
-        scene: road, obstacles and bodies.
-        parameters: the reward.
-        own: motion of the car.
-        others: motion of all others, arrays [others, steps].
-        braking: deceleration of `stopping_cost`; None without this cost.
-    """
-    along, aside = body_points(jnp.asarray(scene.car_size), scene.corner).T[..., None]
-
-    def body(path: Trajectory) -> Points:
-        x, y, cosine, sine, _ = path
-        return jnp.stack([x + cosine * along - sine * aside, y + sine * along + cosine * aside])
-
-    points, moved = along_fields(body, own)
-    _, slopes = along_fields(partial(_closeness, parameters, bodies_around(scene, others)), points)
-    bends = jnp.sum(slopes[:, None] * slopes, axis=(2, 3))  # one kernel, unlike an einsum
-    close = jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)
-    _, slopes = along_fields(partial(_residuals, scene, parameters, others, braking), own)
-    return 2 * (close + jnp.sum(slopes[:, None] * slopes, axis=2))
-
-
-def _residuals(
-    scene: Scene, parameters: Reward, others: Motion, braking: Scalar | None, path: Trajectory
-) -> Float[jax.Array, "residuals steps"]:
-    """Return quantities whose squares are, up to constants, the costs of features of the road and of traffic."""
-    own, per_unit = Motion(*path), 1 / scene.length_unit
-    weights = dict(zip(parameters.names, jnp.unstack(parameters.weights), strict=True))
-    costs = [
-        (weights["speed"], own.speed * own.cosine / parameters.speed_limit),
-        (weights["lane_alignment"] + weights["target_lane"], own.y * per_unit),
-        (-weights["off_road"], depth_off_road(scene, own, smooth=True) * per_unit),
-    ]
-    if scene.leader is not None:
-        costs.append((weights["gap"], own.x * per_unit))
-    if "headway" in weights:
-        along, _, attended = attention(scene, own, others)
-        ahead = jax.lax.stop_gradient(jnp.sqrt(jnp.where(along > 0, attended, 0.0).sum(axis=0)))
-        costs.append((weights["headway"], ahead * (own.x + parameters.headway * own.speed) * per_unit))
-        costs.append((weights["closing_speed"], ahead * own.speed / parameters.speed_limit))
-    residuals = jnp.stack([jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity for weight, quantity in costs])
-    if braking is None:
-        return residuals
-    late = jnp.sqrt(parameters.price("collision")) * lateness(scene, braking, own)
-    return jnp.concatenate([residuals, late])
-
-
-def _closeness(parameters: Reward, bodies: Bodies, points: Points) -> Float[jax.Array, "3 bodies points steps"]:
-    """Return quantities whose squares bend like closeness: the offset from a body along and across it, and D."""
-    other = Motion(*(part[:, None] for part in bodies.motion))
-    dx, dy = points[0] - other.x, points[1] - other.y
-    ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
-    across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
-    distance = ahead**2 + across**2 - 1
-    near = jax.lax.stop_gradient(distance)
-    close = parameters.price("collision_risk") * bodies.share * jnp.exp(-bodies.sharpness * near)
-    contact, depth = SMOOTH_FACTOR * parameters.price("collision"), jnp.maximum(SMOOTH_MARGIN - near, 0.0)
-    fall = jnp.sqrt(bodies.sharpness * close + 3 * contact * depth**2)
-    bend = jnp.sqrt(bodies.sharpness**2 * close / 2 + 3 * contact * depth)
-    return jnp.stack([fall * ahead, fall * across, bend * distance])
-
-
 class SecondOrder(NamedTuple):
     """Derivatives of a payoff at every step of a trajectory.
 
@@ -207,5 +138,57 @@ class Payoff:
 
     @jax.jit
     def curvature(self, own: Trajectory, others: Trajectories) -> Bends:
-        """Return a convex form of the sum's second derivatives in the car's trajectory, see `curvature`."""
-        return curvature(self.scene, self.reward, own, Motion(*jnp.moveaxis(others, 1, 0)), self.braking)
+        """Return a convex matrix in place of minus the Hessian of the sum, in the fields of the car's trajectory.
+
+        For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the distances
+        D of `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
+        """
+        scene, around = self.scene, Motion(*jnp.moveaxis(others, 1, 0))
+        along, aside = body_points(jnp.asarray(scene.car_size), scene.corner).T[..., None]
+
+        def body(path: Trajectory) -> Points:
+            x, y, cosine, sine, _ = path
+            return jnp.stack([x + cosine * along - sine * aside, y + sine * along + cosine * aside])
+
+        points, moved = along_fields(body, own)
+        _, slopes = along_fields(partial(self._closeness, bodies_around(scene, around)), points)
+        bends = jnp.sum(slopes[:, None] * slopes, axis=(2, 3))  # one kernel, unlike an einsum
+        close = jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)
+        _, slopes = along_fields(partial(self._residuals, around), own)
+        return 2 * (close + jnp.sum(slopes[:, None] * slopes, axis=2))
+
+    def _residuals(self, others: Motion, path: Trajectory) -> Float[jax.Array, "residuals steps"]:
+        """Return quantities whose squares are, up to constants, the costs of features of the road and of traffic."""
+        scene, reward, own, per_unit = self.scene, self.reward, Motion(*path), 1 / self.scene.length_unit
+        weights = dict(zip(reward.names, jnp.unstack(reward.weights), strict=True))
+        costs = [
+            (weights["speed"], own.speed * own.cosine / reward.speed_limit),
+            (weights["lane_alignment"] + weights["target_lane"], own.y * per_unit),
+            (-weights["off_road"], depth_off_road(scene, own, smooth=True) * per_unit),
+        ]
+        if scene.leader is not None:
+            costs.append((weights["gap"], own.x * per_unit))
+        if "headway" in weights:
+            along, _, attended = attention(scene, own, others)
+            ahead = jax.lax.stop_gradient(jnp.sqrt(jnp.where(along > 0, attended, 0.0).sum(axis=0)))
+            costs.append((weights["headway"], ahead * (own.x + reward.headway * own.speed) * per_unit))
+            costs.append((weights["closing_speed"], ahead * own.speed / reward.speed_limit))
+        residuals = jnp.stack([jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity for weight, quantity in costs])
+        if self.braking is None:
+            return residuals
+        late = jnp.sqrt(reward.price("collision")) * lateness(scene, self.braking, own)
+        return jnp.concatenate([residuals, late])
+
+    def _closeness(self, bodies: Bodies, points: Points) -> Float[jax.Array, "3 bodies points steps"]:
+        """Return quantities whose squares bend like closeness: the offset from a body along and across it, and D."""
+        other = Motion(*(part[:, None] for part in bodies.motion))
+        dx, dy = points[0] - other.x, points[1] - other.y
+        ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
+        across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
+        distance = ahead**2 + across**2 - 1
+        near = jax.lax.stop_gradient(distance)
+        close = self.reward.price("collision_risk") * bodies.share * jnp.exp(-bodies.sharpness * near)
+        contact, depth = SMOOTH_FACTOR * self.reward.price("collision"), jnp.maximum(SMOOTH_MARGIN - near, 0.0)
+        fall = jnp.sqrt(bodies.sharpness * close + 3 * contact * depth**2)
+        bend = jnp.sqrt(bodies.sharpness**2 * close / 2 + 3 * contact * depth)
+        return jnp.stack([fall * ahead, fall * across, bend * distance])

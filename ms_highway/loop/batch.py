@@ -4,13 +4,13 @@ Environments call the same pure functions, so that both loops agree. Planning ti
 table, and no plan is late.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Int
 
 from ms_highway.choice.rule import Decision, unestimated
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
@@ -35,8 +35,10 @@ from ms_highway.planning.compiled_plans import plan_for
 from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import Control, Index, Rungs, State, for_rows
+from ms_highway.runtime.arrays import Control, Flag, Index, Rungs, State, for_rows
 from ms_highway.runtime.compilation import Devices, jit_quickly, share_among
+
+EPISODES = "episodes"  # axis of a chunk, over which JAX maps
 
 
 def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> Records:
@@ -93,106 +95,89 @@ def believed(game: Game, own: Episodes) -> Game:
 
 
 @partial(jit_quickly, xla_cpu_parallel_codegen_split_count=1)  # or LLVM rounds differently where more threads compile
-def _simulate(loop: Loop, episodes: Episodes, count: Int[jax.Array, "1"]) -> Records:
-    """Run the first ``count`` episodes, chunk by chunk; records of further ones mean nothing."""
-    together = loop.together
-
-    def run(episodes: Episodes) -> Records:
-        begun = begin_episodes(loop, episodes.starts)
-        given = Given(episodes.schedules, None if episodes.errors is None else episodes.errors[:, :-1])
-        by_step = jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), given)
-        _, records = jax.lax.scan(lambda now, given: step_episodes(loop, episodes, now, given), begun, by_step)
-        return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
-
-    def run_chunk(number: Index, records: Records) -> Records:
-        first = number * together
-        chunk = jax.tree.map(lambda part: jax.lax.dynamic_slice_in_dim(part, first, together), episodes)
-        return jax.tree.map(
-            lambda part, new: jax.lax.dynamic_update_slice_in_dim(part, new, first, 0), records, run(chunk)
-        )
-
-    sample = jax.eval_shape(run, jax.tree.map(lambda part: part[:together], episodes))
-    nothing = jax.tree.map(lambda part: jnp.zeros((len(episodes), *part.shape[1:]), part.dtype), sample)
-    return jax.lax.fori_loop(0, (count[0] + together - 1) // together, run_chunk, nothing)
+def _simulate(loop: Loop, episodes: Episodes) -> Records:
+    """Run a chunk of episodes."""
+    begun = begin_episodes(loop, episodes.starts)
+    given = Given(episodes.schedules, None if episodes.errors is None else episodes.errors[:, :-1])
+    by_step = jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), given)
+    _, records = jax.lax.scan(lambda now, given: step_episodes(loop, episodes, now, given), begun, by_step)
+    return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
 
 def begin_episodes(loop: Loop, starts: State) -> Now:
     """Return what episodes carry into their first step, given the states [episodes, cars, 4] of all cars."""
-    humans, horizon = loop.game.number, loop.game.planner.horizon
-    drivers = jax.tree.map(lambda part: jnp.broadcast_to(part, (humans, *jnp.shape(part))), no_rest(horizon, 1))
+    game, horizon = loop.game, loop.game.planner.horizon
 
     def begun(start: State) -> Now:
-        robot, rest = jax.tree.map(jnp.asarray, (begin(loop.rule, loop.game, start), no_rest(horizon, humans)))
-        return Now(start, robot, rest, drivers)
+        drivers = each_human(game, lambda human: no_rest(horizon, 1), at_once=True)
+        return Now(start, begin(loop.rule, game, start), no_rest(horizon, game.number), drivers)
 
     return jax.vmap(begun)(starts)
 
 
 def step_episodes(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
-    """Advance a chunk of episodes by one step: look, choose, plan, and move."""
+    """Advance a chunk of episodes by one step."""
     own = replace(own, starts=None, schedules=None, errors=None)  # which a step does not need
+    step = partial(_step, loop)
+    if loop.together > 1:
+        return jax.vmap(step, axis_name=EPISODES)(own, now, given)
+    return for_rows(step, own, now, given)
+
+
+def _step(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
+    """Advance an episode by one step: look, choose, plan, and move."""
+    game = believed(loop.game, own)
     if given.controls is not None:
-        return for_rows(partial(_steer, loop), now, own, given.controls)
-    seen = now.state if given.errors is None else now.state.at[:, : given.errors.shape[1]].add(given.errors)
+        return _steer(loop, now, own, given.controls)
+    seen = now.state if given.errors is None else now.state.at[: len(given.errors)].add(given.errors)
+    robot, by_rule = complete_outcome(game, now.robot, seen, loop.belief), given.scheduled == DECIDES
 
-    def look_back(own: Episodes, robot: Carry, seen: State) -> Carry:
-        return complete_outcome(believed(loop.game, own), robot, seen, loop.belief)
+    def decide() -> Decision:
+        return loop.rule.at_price(own.prices).decide(game, robot.memory, robot.outcome)
 
-    def decide(own: Episodes, robot: Carry) -> Decision:
-        return loop.rule.at_price(own.prices).decide(believed(loop.game, own), robot.memory, robot.outcome)
-
-    def take(robot: Carry, decision: Decision, scheduled: Rungs) -> Decision:
-        rungs = jnp.where(scheduled == DECIDES, decision.memory.rungs, scheduled).astype(jnp.int32)
-        rungs = responsive_rungs(loop.models, rungs, robot.belief, loop.unresponsive)
-        return decision._replace(memory=decision.memory._replace(rungs=rungs))
-
-    robot, decides = for_rows(look_back, own, now.robot, seen), (given.scheduled == DECIDES).any(axis=1)
-    kept = for_rows(lambda robot: unestimated(robot.memory, robot.memory.rungs), robot)
-    decided = jax.lax.cond(decides.any(), lambda: for_rows(decide, own, robot), lambda: kept)
-    decision = for_rows(take, robot, choose_episodes(decides, decided, kept), given.scheduled)
-    plans = _plan(loop, own, seen, now.rest, decision.memory.rungs)
-    return for_rows(partial(_move, loop), now._replace(robot=robot), own, decision, plans, seen)
+    decision = _where_needed(loop, by_rule.any(), decide, unestimated(robot.memory, robot.memory.rungs))
+    rungs = jnp.where(by_rule, decision.memory.rungs, given.scheduled).astype(jnp.int32)
+    rungs = responsive_rungs(loop.models, rungs, robot.belief, loop.unresponsive)
+    decision = decision._replace(memory=decision.memory._replace(rungs=rungs))
+    plan = _plan(loop, game, seen, now.rest, rungs)
+    followed = or_brake(game, seen[0], follow(plan, rungs, now.rest))
+    if loop.way_out:
+        followed = follow_escape(followed, keep_way_out(game, seen, followed.now.plan.robot[0]))
+    control = _executed(game, now.state[0, 3], followed.now.plan.robot[0] * game.planner.control_scale)
+    gains = jnp.asarray(decision.gains, jnp.float32)
+    now = now._replace(robot=advance(robot, decision, followed, seen), rest=followed.kept)
+    return _world(loop, now, own, control, Records(followed.now.rungs, rungs, followed.status, gains=gains))
 
 
-def _plan(loop: Loop, own: Episodes, seen: State, rest: Rest, rungs: Rungs) -> Plan:
-    """Plan every episode of a chunk; with one human, compute only the models that some episode uses."""
+def _where_needed(loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any) -> Any:
+    """Compute a function if some episode of the chunk needs it, and take its result in the episodes that do."""
+    somewhere = jax.lax.pmax(needed, EPISODES) if loop.together > 1 else needed
+    found = jax.lax.cond(somewhere, function, lambda: otherwise)
+    return jax.tree.map(partial(jnp.where, needed), found, otherwise)
 
-    def planned(models: tuple[HumanModel, ...], own: Episodes, seen: State, rest: Rest, rungs: Rungs) -> Plan:
-        game, used = believed(loop.game, own), rungs if len(models) > 1 else jnp.zeros_like(rungs)
+
+def _plan(loop: Loop, game: Game, seen: State, rest: Rest, rungs: Rungs) -> Plan:
+    """Plan for an episode; with one human, compute only the models that some episode of the chunk uses."""
+
+    def planned(models: tuple[HumanModel, ...], used: Rungs) -> Plan:
         start = cold_start(game, seen)
         if may_continue(models, game):
             left = continues_plan(models, game, used, rest)
             start = jax.tree.map(partial(jnp.where, left), one_step_later(rest.start), start)
-        return plan_for(models, game, seen, rungs, start)
+        return plan_for(models, game, seen, used, start)
 
-    given = own, seen, rest, rungs
-    if loop.game.number > 1:
-        return for_rows(partial(planned, loop.models), *given)
-    still = jnp.zeros((loop.together, loop.game.planner.horizon, 2))
-    nothing = chosen = Plan(still, still[:, None])
+    if game.number > 1:
+        return planned(loop.models, rungs)
+    still = jnp.zeros((game.planner.horizon, 2))
+    plan = Plan(still, still[None])
     for number, model in enumerate(loop.models):
-        uses = rungs[:, 0] == number
-        plans = partial(for_rows, partial(planned, (model,)), *given)
-        plan = jax.lax.cond(uses.any(), plans, lambda: nothing)
-        chosen = choose_episodes(uses, plan, chosen)
-    return chosen
+        plan = _where_needed(loop, rungs[0] == number, partial(planned, (model,), jnp.zeros_like(rungs)), plan)
+    return plan
 
 
 def choose_episodes(chosen: jax.Array, new: Any, old: Any) -> Any:
     """Return the new leaves for chosen episodes and the old ones for the rest; the first axis is that of episodes."""
     return jax.tree.map(lambda new, old: jnp.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old)
-
-
-def _move(loop: Loop, now: Now, own: Episodes, decision: Decision, plan: Plan, seen: State) -> tuple[Now, Records]:
-    """Let the robot follow its plan, the humans plan and the world move; reward the robot."""
-    game, planned = believed(loop.game, own), decision.memory.rungs
-    followed = or_brake(game, seen[0], follow(plan, planned, now.rest))
-    if loop.way_out:
-        followed = follow_escape(followed, keep_way_out(game, seen, followed.now.plan.robot[0]))
-    control = _executed(game, now.state[0, 3], followed.now.plan.robot[0] * game.planner.control_scale)
-    gains = jnp.asarray(decision.gains, jnp.float32)
-    now = now._replace(robot=advance(now.robot, decision, followed, seen), rest=followed.kept)
-    return _world(loop, now, own, control, Records(followed.now.rungs, planned, followed.status, gains=gains))
 
 
 def _steer(loop: Loop, now: Now, own: Episodes, control: Control) -> tuple[Now, Records]:

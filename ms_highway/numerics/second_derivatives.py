@@ -31,7 +31,7 @@ def second_order_expansion(
     controls: Controls,
     slope: Trajectory,
     bends: Float[jax.Array, "fields fields steps"],
-    cost: Callable[[Controls], Scalar] | None = None,
+    cost: Callable[[Controls], Scalar],
     jacobian: Float[jax.Array, "fields steps n"] | None = None,
 ) -> Expansion:
     """Return gradient and Hessian in the controls, by the chain rule, of a sum over steps, less a cost.
@@ -48,7 +48,7 @@ def second_order_expansion(
         controls: where to expand.
         slope: g of all steps.
         bends: Q of all steps.
-        cost: of the controls themselves, a sum over them; None for none.
+        cost: of the controls themselves, a sum over them.
         jacobian: J; if it is given, the trajectory is taken as linear (Gauss-Newton), ``d2s_k / du2 = 0``.
     """
 
@@ -63,8 +63,6 @@ def second_order_expansion(
     gradient, hessian = slope.ravel() @ flat, flat.T @ bent.reshape(-1, point.size)
     if not linear:
         hessian += jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](slope)[0])(point)
-    if cost is None:
-        return Expansion(gradient, hessian, jacobian)
     # Of a sum over controls, the derivative along all of them at once is the diagonal of the Hessian.
     marginal, diagonal = jax.jvp(jax.grad(cost), (controls,), (jnp.ones_like(controls),))
     return Expansion(gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel()), jacobian)

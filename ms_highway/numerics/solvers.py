@@ -7,8 +7,6 @@ from typing import Literal, TypeAlias
 
 import jax
 import numpy as np
-from jax import numpy as jnp
-from jaxtyping import Float
 
 from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS, Point, convex_newton_steps
 from ms_highway.numerics.newton import Objective, newton_steps
@@ -62,12 +60,6 @@ class Planner:
         if self.solver == "convex_newton":
             return self.newton_steps, self.joint_steps
         return self.iterations, self.iterations
-
-
-def project(planner: Planner, controls: Float[jax.Array, "*batch 2"]) -> Float[jax.Array, "*batch 2"]:
-    """Clip scaled controls to ``control_limit``; for all limits see `ms_highway.game.game.bounded`."""
-    limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
-    return jnp.clip(controls, -limit, limit)
 
 
 def projected_ascent(

@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, update_wrapper, wraps
-from itertools import cycle
+from queue import SimpleQueue
 from time import perf_counter
 from typing import Any, TypeAlias
 
@@ -139,7 +139,6 @@ Devices: TypeAlias = Sequence[jax.Device]
 
 CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
 WIDE_CHUNK = 256  # items that an accelerator computes together
-CHUNKS = 128  # computed by a device at a time
 
 
 def usual_chunk() -> int:
@@ -165,34 +164,35 @@ def use_devices(count: int | None = None) -> Devices:
     return devices[:count]
 
 
-def share_among(devices: Devices, function: Callable[[Any, Any], Any], items: Any, chunk: int) -> Any:
-    """Compute a function of many items, shared by devices.
+def share_among(devices: Devices, function: Callable[[Any], Any], items: Any, chunk: int) -> Any:
+    """Compute a function of many items, chunk by chunk; a device takes the next chunk as soon as it is free.
 
     Every device runs the same program, compiled for a single device, whatever the number of devices and items: XLA
     compiles a program for several devices differently, so that its results differ in the last digits.
 
     Args:
         devices: of `use_devices`.
-        function: takes items, a pytree of arrays [chunk * `CHUNKS`, ...], and how many of them count, an array [1].
-            Returns a pytree of arrays [chunk * `CHUNKS`, ...], with anything for items that do not count.
+        function: of a pytree of arrays [chunk, ...]; returns another one.
         items: pytree of arrays [n, ...] with n > 0.
-        chunk: number of items that ``function`` computes together.
+        chunk: number of items that ``function`` computes together; the last chunk is padded with its last item.
 
     Returns:
         A pytree of NumPy arrays [n, ...].
     """
-    count, size = len(jax.tree.leaves(items)[0]), chunk * CHUNKS
-    share = chunk * min(CHUNKS, -(-count // (chunk * len(devices))))
+    count, free = len(jax.tree.leaves(items)[0]), SimpleQueue[jax.Device]()
+    for device in devices:
+        free.put(device)
 
-    def compute(device: jax.Device, first: int) -> Any:
-        places = np.arange(first, min(first + share, count))
-        padded = np.pad(places, (0, size - len(places)), mode="edge")
-        with single_precision():
-            own = jax.tree.map(lambda part: np.asarray(part)[padded], items)
-            results = function(*jax.device_put((own, np.array([len(places)])), device))
-        return jax.tree.map(lambda part: part[: len(places)], jax.device_get(results))
+    def compute(first: int) -> Any:
+        places, device = np.arange(first, first + chunk).clip(max=count - 1), free.get()
+        try:
+            with single_precision():
+                own = jax.tree.map(lambda part: np.asarray(part)[places], items)
+                return jax.device_get(function(jax.device_put(own, device)))
+        finally:
+            free.put(device)
 
     with ThreadPoolExecutor(len(devices)) as threads:
-        computed = threads.map(compute, cycle(devices), range(0, count, share))
+        computed = threads.map(compute, range(0, count, chunk))
         results = list(computed)  # wait here: Python 3.11 forgets a thread if it is interrupted as it waits for its end
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *results)
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *results)

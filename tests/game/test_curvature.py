@@ -9,14 +9,18 @@ from jax import numpy as jnp
 
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
-from ms_highway.game.payoff import curvature
+from ms_highway.game.payoff import Payoff
 from ms_highway.game.reward import FEATURES, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT, build_game
 from ms_highway.game.scenarios import DENSE_MERGE
 
 ROAD = build_game(DENSE_MERGE, humans=2).scene
 LED = replace(ROAD, leader=2)
-bends = jax.jit(lambda *arguments: curvature(*arguments)[..., 0])
+
+
+@jax.jit
+def bends(scene, reward, own, others):
+    return Payoff(scene, reward, None, True).curvature(own, jnp.stack(others, axis=1))[..., 0]
 
 
 @jax.jit

@@ -50,10 +50,10 @@ def test_decisions_expand_a_feature_that_depends_on_all_cars_at_once(roomy, play
     changes = 1e-2 * np.eye(4, dtype=np.float32).reshape(4, 2, 1, 2)
     bend = np.stack([slope(both + change) - slope(both - change) for change in changes]).reshape(2, 2, 2, 2) / 2e-2
     expansion = jit_quickly(expand)(roomy, state, both[0, 0], both[1, 0])
-    close([expansion.robot, expansion.human], slope(both)[:, 0], 1e-3)
-    close(expansion.robot_robot, bend[0, :, 0], 5e-3)
-    close(expansion.robot_human, bend[0, :, 1], 5e-3)
-    close(expansion.human_human, bend[1, :, 1], 5e-3)
+    close(expansion.gradient.reshape(2, 2), slope(both)[:, 0], 1e-3)
+    hessian = np.asarray(expansion.hessian).reshape(bend.shape)
+    for own, partner in ((0, 0), (0, 1), (1, 1)):
+        close(hessian[own, :, partner], bend[own, :, partner], 5e-3)
 
 
 def close(found, expected, tolerance):

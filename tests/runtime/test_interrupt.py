@@ -63,7 +63,7 @@ import numpy as np
 from ms_highway.runtime.compilation import CHUNK, share_among
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-long = jax.jit(lambda items, _: jax.lax.fori_loop(0, 3000, lambda _, x: jax.numpy.sin(x), items))
+long = jax.jit(lambda items: jax.lax.fori_loop(0, 3000, lambda _, x: jax.numpy.sin(x), items))
 items, main = np.zeros((CHUNK, 40), np.float32), threading.get_ident()
 share_among(jax.local_devices(), long, items, CHUNK)  # compiles, during which an interrupt may be lost
 threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
