@@ -108,7 +108,7 @@ def _stream(how: Learning, *place: int) -> Random:
 
 
 def learn(
-    learning: Learning, batches: Sequence[Batch], kept: Path, devices: Devices
+    learning: Learning, batches: Sequence[Batch], kept: Path, devices: Devices | None = None
 ) -> Iterator[tuple[str, Values | None]]:
     """Learn values in some scenarios.
 
@@ -116,7 +116,7 @@ def learn(
         learning: settings.
         batches: the scenarios.
         kept: directory that keeps all rollouts, so that an interrupted run can resume; the caller removes it.
-        devices: that simulate the rollouts.
+        devices: that simulate the rollouts; by default, the first.
 
     Yields:
         What was done, after the rollouts of each scenario and after each fit; and after a fit, the values.

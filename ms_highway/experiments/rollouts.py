@@ -95,14 +95,14 @@ class Driving:
         how: settings of learning.
         rule: rule of the last fit, on the scenario's ladder.
         learned: whether there was a fit; otherwise, the rule is not used.
-        devices: that simulate it.
+        devices: that simulate it; None for the first.
     """
 
     batch: Batch
     how: Learning
     rule: LearnedValue
     learned: bool
-    devices: Devices
+    devices: Devices | None
 
     def starts(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
