@@ -149,8 +149,8 @@ def rollout_jacobian(
     farther = faster_before * dt + (of_acceleration - dynamics.drag * faster_before) * (dt**2 / 2)
     cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
     turning = distance[:, None] * turned[:-1]
-    moved = cosine[:-1] * farther - sine[:-1] * turning, sine[:-1] * farther + cosine[:-1] * turning
-    x, y = jnp.split(earlier @ jnp.concatenate(moved, axis=1), 2, axis=1)
+    x = earlier @ (cosine[:-1] * farther - sine[:-1] * turning)
+    y = earlier @ (sine[:-1] * farther + cosine[:-1] * turning)
     return jnp.stack([x, y, -sine * turned, cosine * turned, faster])[:, 1:]
 
 
