@@ -10,6 +10,7 @@ import pygame
 import pygame.freetype
 from highway_env.envs.common.graphics import EnvViewer
 from highway_env.envs.common.observation import GrayscaleObservation
+from highway_env.road.graphics import WorldSurface
 
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
@@ -70,35 +71,14 @@ def model_meaning(name: str) -> str:
     return MODEL_MEANINGS.get(type(human_model(name)).name, "") if is_model(name) else ""
 
 
-class Viewer(EnvViewer):
-    """Draws like highway-env, also under a dummy video driver, and beside other viewers of the process."""
+class PictureViewer(EnvViewer):
+    """Draws image observations like highway-env, also under a dummy video driver, and can be copied."""
 
-    def __init__(self, env: Any, config: Any = None) -> None:
+    def __init__(self, env: Any, config: Any) -> None:
         super().__init__(env, config)
         self.enabled = True  # highway-env does not draw under a dummy video driver, but surfaces need no driver
 
-    def show(self, picture: pygame.Surface) -> None:
-        """Show a picture in the window, if there is one, in real time if the configuration says so."""
-        if not self.offscreen:
-            self.screen.blit(picture, (0, 0))
-            if self.env.config["real_time_rendering"]:
-                self.clock.tick(self.env.config["simulation_frequency"])
-            pygame.display.flip()
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        """Copy and pickle as None: a copied environment makes its own viewer when it renders."""
-        return type(None), ()
-
-    def close(self) -> None:
-        """Close the window, if there is one; other environments of the process may still be drawing."""
-        if not self.offscreen:
-            pygame.display.quit()
-
-
-class PictureViewer(Viewer):
-    """Draws image observations."""
-
-    def __reduce__(self) -> tuple[type, tuple]:
+    def __reduce__(self) -> Any:
         """Copy and pickle as a new viewer of the copied environment."""
         return type(self), (self.env, self.config)
 
@@ -112,6 +92,44 @@ def enable_pictures(env: Any) -> bool:
             black |= not part.viewer.enabled
             part.viewer = PictureViewer(env, part.viewer.config)
     return black
+
+
+class Viewer(EnvViewer):
+    """Draws like highway-env, also without a display, and beside other viewers of the process."""
+
+    # attributes that only `EnvViewer.__init__` sets
+    observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = None, None, None, None, 0
+
+    def __init__(self, env: Any) -> None:
+        self.env, self.config, self.offscreen = env, env.config, env.config["offscreen_rendering"]
+        if not self.offscreen:
+            super().__init__(env)
+        else:  # without `pygame.display`, which may fail without a screen and which surfaces do not need
+            pygame.font.init()  # for labels
+            size = self.config["screen_width"], self.config["screen_height"]
+            self.sim_surface = WorldSurface(size, 0, pygame.Surface(size))
+            self.sim_surface.scaling = self.config["scaling"]
+            self.sim_surface.centering_position = self.config["centering_position"]
+            if self.agent_display:
+                self.extend_display()
+        self.enabled = True  # as in `PictureViewer`
+
+    def show(self, picture: pygame.Surface) -> None:
+        """Show a picture in the window, if there is one, in real time if the configuration says so."""
+        if not self.offscreen:
+            self.screen.blit(picture, (0, 0))
+            if self.env.config["real_time_rendering"]:
+                self.clock.tick(self.env.config["simulation_frequency"])
+            pygame.display.flip()
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        """Copy and pickle as None: a copied environment makes its own viewer when it renders."""
+        return type(None), ()
+
+    def close(self) -> None:
+        """Close the window, if there is one; other environments of the process may still be drawing."""
+        if not self.offscreen:
+            pygame.display.quit()
 
 
 def check_display() -> None:
