@@ -94,9 +94,9 @@ class EnvState(NamedTuple):
     """The state of environments, along a first axis of every array; its length is 1 in a `FunctionalEnv`.
 
     Attributes:
-        now: what the episode carries from step to step.
-        episodes: the numbers that were drawn for them.
-        step: number of steps done.
+        now: what every episode carries from step to step.
+        episodes: the numbers that were drawn for each.
+        step: number of steps done in each.
     """
 
     now: Now

@@ -157,8 +157,8 @@ class InteractionVectorEnv(VectorEnv):
     def _advance(self, actions: np.ndarray) -> Records:
         """Step all environments, chunk by chunk, on all cores.
 
-        Chunks are sorted by model, as a chunk computes each model that one of its humans uses. The first environments
-        fill the last chunks up.
+        Chunks are sorted by model, as a chunk computes each model that one of its humans uses. The last chunks are
+        filled up with copies of the first environments.
         """
         functions, loop, state = self._functions, self._functions.loop, self._state
         given = functions.given(state, actions)
@@ -172,7 +172,7 @@ class InteractionVectorEnv(VectorEnv):
             return jax.tree.map(np.asarray, _step_chunks(loop, own, now, given))
 
         results = list(self._threads.map(advance, groups))
-        _, back = np.unique(groups, return_index=True)
+        _, back = np.unique(groups, return_index=True)  # the first place of every environment
         now, records = jax.tree.map(lambda *parts: np.concatenate(np.concatenate(parts))[back], *results)
         self._state = state._replace(now=now, step=state.step + 1)
         return records

@@ -206,8 +206,9 @@ def frontier(options: argparse.Namespace) -> None:
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
     seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()
     with ResultsDirectory(out).owned() as directory:
-        directory.take_up(asked.common_config())
+        settings = directory.take_up(asked.common_config())
         every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}
+        directory.write_settings(settings)
         record(directory, options)
         for scenario, outcomes in every.items():
             tell(f"{scenario}: compiling, and driving fixed models and controllers")

@@ -6,7 +6,7 @@ late. A budget counts the given seconds for planning, and none for deciding.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice, product
+from itertools import product
 from math import isnan
 from typing import Any, TypeAlias
 
@@ -162,9 +162,8 @@ class Batch:
     def tables(self, keys: Sequence[Key], devices: Devices | None = None) -> Tables:
         """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row per episode.
 
-        Columns are those of `Comparison.columns` without measured times, and those of `per_episode`.
-
-        Episodes also have ``price``, the lambda of their controller, empty if it has none.
+        Steps have the columns of `Comparison.columns` without measured times. Episodes have those of `per_episode`, and
+        ``price``, the lambda of their controller, empty if it has none.
 
         Raises:
             ValueError: for a reward that is not finite.
@@ -220,9 +219,9 @@ def simulate_parts(
         devices: that share each part; by default, the first.
     """
     batch = make_batch(comparison, *comparison.controllers)
+    keys = batch.keys()
     for name, part in parts.items():
-        keys = islice(comparison.episodes(), part.start, part.stop)
-        yield name, batch.tables([key[1:] for key in keys], devices)
+        yield name, batch.tables(keys[part.start : part.stop], devices)
 
 
 def simulated(comparison: Comparison) -> pd.DataFrame:
@@ -232,4 +231,5 @@ def simulated(comparison: Comparison) -> pd.DataFrame:
         ValueError: see `make_batch`.
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
-    return pd.concat([batch.tables(batch.keys())["steps"] for batch in batches], ignore_index=True)
+    tables = [batch.steps_table(keys, batch.simulate(keys)) for batch in batches for keys in [batch.keys()]]
+    return pd.concat(tables, ignore_index=True)

@@ -12,6 +12,7 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
+from itertools import islice
 
 import distributed
 import jax
@@ -26,6 +27,7 @@ from ms_highway.runtime.jax_settings import keep_compilations
 from ms_highway.runtime.process import jax_has_begun
 
 PATIENCE = 10  # s, within which a scheduler has to answer
+AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory
 
 
 class Setup(distributed.WorkerPlugin):
@@ -101,18 +103,23 @@ def _compute_there(comparison: Comparison, name: str, part: range) -> tuple[str,
 def _compute(
     client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[str, range]
 ) -> Iterator[tuple[str, Tables]]:
-    """Submit all parts, which wait at the scheduler; yield each with its tables when it is done.
+    """Submit parts, `AHEAD` for each thread of a worker at a time; yield each with its tables when it is done.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
     """
     compute = partial(_compute_there, comparison)
-    futures = client.map(compute, parts, parts.values(), pure=False)
-    done = distributed.as_completed(futures, loop=client.loop)
-    del futures  # so that workers forget results that have been taken
+    waiting, running = iter(parts.items()), distributed.as_completed([], loop=client.loop)
+
+    def submit(count: int) -> None:
+        for name, part in islice(waiting, count):
+            running.add(client.submit(compute, name, part, pure=False))
+
+    submit(AHEAD * max(sum(client.nthreads().values()), 1))
     try:
-        for future in done:
-            yield future.result()
+        for done in running:
+            submit(1)
+            yield done.result()
     except (distributed.KilledWorker, CancelledError) as error:
         reason = " ".join(str(error).split())
         remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"

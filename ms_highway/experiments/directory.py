@@ -66,8 +66,6 @@ class ResultsDirectory:
     def take_up(self, settings: Mapping) -> dict:
         """Return the settings to compute with: those of the results in the directory or, without results, these.
 
-        Without results, these settings are written.
-
         Raises:
             ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, or other files.
         """
@@ -76,7 +74,6 @@ class ResultsDirectory:
         if not known:
             if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):
                 raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {remedy}")
-            self.write_settings(wanted)
             return wanted
         differing = _differences(known, wanted, "the default", EXTENDED)
         if differing:

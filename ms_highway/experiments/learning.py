@@ -40,7 +40,7 @@ SCENARIO, FIT = 1, 2  # streams of random numbers
 NETWORKS = 4  # which differ in their first weights and in the order of the examples
 HIDDEN = (32, 32)
 STEPS = 3000
-EXAMPLES = 256  # of a step of a network
+EXAMPLES = 256  # per gradient step of each network
 RATE = 3e-3  # first learning rate, which falls to 0 as a cosine
 DECAY = 0.5  # share that weights lose per step, times the learning rate
 
@@ -128,7 +128,8 @@ def learn(
     for name, batch in zip(names, batches, strict=True):
         numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(batch.loop.game)]
         games.append((name, batch.steps, batch.rungs, crc32(b"".join(numbers))))
-    ResultsDirectory(kept).take_up({**asdict(learning), "games": games})
+    results = ResultsDirectory(kept)
+    results.write_settings(results.take_up({**asdict(learning), "games": games}))
     values, done = fitted(learning, [], 0), list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, batch in enumerate(batches):

@@ -38,7 +38,7 @@ REMEDY = "remove it, to have it computed again"
 MIN_EPISODES = 60  # with fewer, further processes take more time to start than they save
 
 Compute: TypeAlias = Callable[[Comparison, Mapping[str, range]], Iterator[tuple[str, Tables]]]
-"""Computes parts, places in `Comparison.episodes` by name; yields the name of each with its tables, in any order."""
+"""Computes named parts, each a range of places in `Comparison.episodes`; yields them by name, in any order."""
 
 
 def run(
@@ -62,7 +62,10 @@ def run(
     results = ResultsDirectory(Path(directory))
     settings = results.take_up(comparison.common_config())
     settings |= {key: settings.get(key, {}) for key in EXTENDED}
-    records = read_steps(results.path, settings, comparison.columns())
+    records = read_steps(results.path, settings)
+    if len(records) and list(records) != comparison.columns():
+        columns = ", ".join(comparison.columns())
+        raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
         asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
@@ -109,7 +112,8 @@ def run_batched(
         raise ValueError(f"there are {len(comparison.controllers)} scenarios; a sweep is of one")
     make_batch(comparison, *comparison.controllers)  # refuses what cannot be simulated before anything is written
     asked = {name: getattr(comparison, name) for name in ("controllers", "seeds", "first_seed")}
-    ResultsDirectory(directory).take_up({**comparison.common_config(), **asked, "part": part, "steps": steps})
+    results = ResultsDirectory(directory)
+    results.write_settings(results.take_up({**comparison.common_config(), **asked, "part": part, "steps": steps}))
     keys = list(comparison.episodes())
     places = [range(len(keys))[first : first + part] for first in range(0, len(keys), part)]
     parts = {f"part-{number:06d}.parquet": own for number, own in enumerate(places)}
@@ -159,19 +163,18 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
 
 
-def read_steps(directory: Path, settings: Mapping, needed: Sequence[str] = NEEDED) -> pd.DataFrame:
+def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
     """Read and check the records of a directory, including episodes that are not in ``steps.csv`` yet.
 
     Args:
         directory: directory of the results.
         settings: settings of the results. Rows are in the order of the controllers in ``asked``, the others last, then
             of the seeds.
-        needed: columns that must be there.
 
     Raises:
         ValueError: for a file that cannot be read.
     """
-    records = _read(directory, [STEPS_FILE, f"{PARTS}/[!.]*.csv"], needed)
+    records = _read(directory, [STEPS_FILE, f"{PARTS}/[!.]*.csv"], NEEDED)
     if records.empty:
         return records
     asked = settings.get("asked", {})

@@ -150,7 +150,7 @@ def _step(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Recor
 
 
 def _where_needed(loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any) -> Any:
-    """Compute a function if some episode of the chunk needs it, and take its result in the episodes that do."""
+    """Compute a function if some episode of the chunk needs it; the other episodes keep ``otherwise``."""
     somewhere = jax.lax.pmax(needed, EPISODES) if loop.together > 1 else needed
     found = jax.lax.cond(somewhere, function, lambda: otherwise)
     return jax.tree.map(partial(jnp.where, needed), found, otherwise)
@@ -173,11 +173,6 @@ def _plan(loop: Loop, game: Game, seen: State, rest: Rest, rungs: Rungs) -> Plan
     for number, model in enumerate(loop.models):
         plan = _where_needed(loop, rungs[0] == number, partial(planned, (model,), jnp.zeros_like(rungs)), plan)
     return plan
-
-
-def choose_episodes(chosen: jax.Array, new: Any, old: Any) -> Any:
-    """Return the new leaves for chosen episodes and the old ones for the rest; the first axis is that of episodes."""
-    return jax.tree.map(lambda new, old: jnp.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old), new, old)
 
 
 def _steer(loop: Loop, now: Now, own: Episodes, control: Control) -> tuple[Now, Records]:

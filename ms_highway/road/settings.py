@@ -143,7 +143,7 @@ class RoadSettings(Struct, frozen=True):
             return always(human_model(value))
         seconds = [costs.each[MODELS.index(name)] for name in self.ladder]
         kept = [place for place, each in enumerate(seconds) if each < min(seconds[place + 1 :], default=np.inf)]
-        if kind == "budget":  # buys bounds, which only the last model may reach
+        if kind == "budget":  # the bounds are gains of the last model; those between are not estimated
             kept = sorted({kept[0], kept[-1]})
         ladder = tuple(human_model(self.ladder[place]) for place in kept)
         costs = Costs(costs.base, np.array(seconds)[kept])

@@ -172,7 +172,7 @@ def share_among(devices: Devices, function: Callable[[Any], Any], items: Any, ch
 
     Args:
         devices: of `use_devices`.
-        function: of a pytree of arrays [chunk, ...]; returns another one.
+        function: takes and returns a pytree of arrays [chunk, ...].
         items: pytree of arrays [n, ...] with n > 0.
         chunk: number of items that ``function`` computes together; the last chunk is padded with its last item.
 

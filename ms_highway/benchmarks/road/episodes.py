@@ -18,8 +18,8 @@ import pandas as pd
 from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.peers import Human, Idm, Peer, RecordedStart
-from ms_highway.envs.agents import AGENTS, AgentDrives, is_agent, policy_of
+from ms_highway.benchmarks.road.peers import Agent, Human, Idm, Peer, RecordedStart
+from ms_highway.envs.agents import AGENTS, is_agent, policy_of
 from ms_highway.road import drive
 from ms_highway.road.graphics import show
 from ms_highway.road.settings import DRIVERS, RoadSettings
@@ -96,7 +96,7 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
         env = gym.make(scene, config=config, disable_env_checker=True, **options)
     if is_agent(block.driver):
-        return AgentDrives(env, block.driver)
+        return Agent(env, block.driver)
     return OTHERS[block.driver](env) if block.driver in OTHERS else drive(env, driver_config(block.driver))
 
 
@@ -134,7 +134,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
         rewards.append(float(reward))
-        roads.append(info.get("road") or {"decisions": [info["timing"].decision_seconds]})  # of an agent
+        roads.append(info["road"])
         done = terminated or truncated or inner.time >= longest
     off_at_end = terminated and not watch.crashed and not inner.vehicle.on_road
     off_road = inner.off_road if block.scene == RECORDED else bool(watch.off_road or off_at_end)

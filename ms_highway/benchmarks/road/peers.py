@@ -1,4 +1,4 @@
-"""Make drivers from outside this package (highway-env's, recorded humans), and choose recorded starts.
+"""Make drivers from outside this package (highway-env's, trained agents, recorded humans), and choose recorded starts.
 
 Starts in recordings are planning problems, or vehicles that change lanes.
 """
@@ -14,6 +14,7 @@ from highway_env.envs import ExitEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
+from ms_highway.envs.agents import check_spaces, policy_of
 from ms_highway.recorded.commonroad import scenario_files
 from ms_highway.recorded.environment import RecordedEnv
 from ms_highway.recorded.scenario import SHIPPED, RecordedTrack, TrafficRecording, open_recording
@@ -35,8 +36,11 @@ class Peer(gym.Wrapper):
 
     Attributes:
         inner: the environment without its wrappers.
+        seen: the last observation.
         decisions: durations of decisions in this step that the ego itself makes in its frames [s].
     """
+
+    seen: Any
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
@@ -45,9 +49,9 @@ class Peer(gym.Wrapper):
 
     def reset(self, **options: Any) -> tuple[Any, dict]:
         """Start an episode."""
-        started = super().reset(**options)
+        self.seen, info = super().reset(**options)
         self.begin()
-        return started
+        return self.seen, info
 
     def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict]:
         """Decide, and take a step of the environment."""
@@ -55,8 +59,8 @@ class Peer(gym.Wrapper):
         start = perf_counter()
         chosen = self.choose()
         seconds = perf_counter() - start
-        *outcome, info = super().step(chosen)
-        return *outcome, info | {"road": {"decisions": [*self.decisions] or [seconds]}}
+        self.seen, *outcome, info = super().step(chosen)
+        return self.seen, *outcome, info | {"road": {"decisions": [*self.decisions] or [seconds]}}
 
     def begin(self) -> None:
         """Prepare an episode after its reset."""
@@ -64,6 +68,28 @@ class Peer(gym.Wrapper):
     def choose(self) -> Any:
         """Return the action of the coming step, by default a placeholder for an ego that drives itself."""
         return placeholder_action(self.inner.action_type)
+
+
+class Agent(Peer):
+    """Take the actions of an agent, see `ms_highway.envs.agents`.
+
+    Args:
+        env: the environment.
+        name: of the agent, or its file.
+
+    Raises:
+        ModuleNotFoundError: for a file, without stable-baselines3.
+        ValueError: if the file is no agent, or the agent knows other observations or actions.
+    """
+
+    def __init__(self, env: gym.Env, name: str) -> None:
+        super().__init__(env)
+        check_spaces(name, env)
+        self.policy = policy_of(name)
+
+    def choose(self) -> Any:
+        """Return the agent's action for the last observation."""
+        return self.policy(self.seen)
 
 
 class IdmEgo(OfferedSpeeds, IDMVehicle):
