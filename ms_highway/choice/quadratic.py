@@ -87,7 +87,7 @@ RELEASED_TRUST_TOLERANCE = 0.05
 
 
 class RewardExpansion(NamedTuple):
-    """Derivatives of the robot's reward in its own n controls, then the human's, and the human's response."""
+    """Derivatives of the robot's reward in both players' controls, its own first, and the human's response."""
 
     gradient: Float[jax.Array, "both"]
     hessian: Float[jax.Array, "both both"]

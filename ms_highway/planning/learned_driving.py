@@ -89,8 +89,11 @@ def held_curvature(weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars
 
 # Driving, with the traits that a driver has shown
 
-PAST_STEPS, STEPS = 30, 50
-"""Steps of 0.1 s before a moment, from which the traits of drivers are inferred, and after it, in which they drive."""
+PAST_STEPS = 30
+"""Steps of 0.1 s before a moment, from which the traits of drivers are inferred."""
+
+STEPS = 50
+"""Steps of 0.1 s after a moment, in which drivers drive."""
 
 STEPS_PER_SECOND = 10
 """Steps of a second."""

@@ -16,21 +16,21 @@ from ms_highway.experiments.learning import learn, prepare
 @pytest.mark.slow
 def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_values(tmp_path):
     asked = Comparison({"merger": ["switching:1"]}, config={"ladder": ["naive", "turn"]})
-    learning, courses = prepare(asked, rounds=2, states=8, horizon=None, seed=3)
-    done = list(learn(learning, courses, tmp_path / "whole"))
+    learning, batches = prepare(asked, rounds=2, states=8, horizon=None, seed=3)
+    done = list(learn(learning, batches, tmp_path / "whole"))
     assert [said for said, _ in done][1:3] == ["round 1 of 2: fitted", "round 2 of 2: merger"]
     assert [values.provenance["examples"] for _, values in done[1::2]] == [8, 13]
     kept = tmp_path / "kept"
-    list(islice(learn(learning, courses, kept), 1))
+    list(islice(learn(learning, batches, kept), 1))
     before = (kept / "1-0.npz").read_bytes()
     with pytest.raises(ValueError, match="seed 3 instead of 9"):
-        next(learn(replace(learning, seed=9), courses, kept))
-    *_, (_, last) = learn(learning, courses, kept)
+        next(learn(replace(learning, seed=9), batches, kept))
+    *_, (_, last) = learn(learning, batches, kept)
     assert (kept / "1-0.npz").read_bytes() == before
     jax.tree.map(np.testing.assert_array_equal, last.network, done[-1][1].network)
     (kept / "1-0.npz").write_bytes(before[:100])
     with pytest.raises(ValueError, match=r"1-0\.npz cannot be read"):
-        next(learn(learning, courses, kept))
+        next(learn(learning, batches, kept))
 
 
 @pytest.mark.slow
