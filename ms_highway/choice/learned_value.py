@@ -82,11 +82,11 @@ class LearnedValue(Rule):
         fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
         rungs = jnp.where(rank <= fewer, rung, 0).astype(jnp.int32)
         if self.cautious:
-            told = values - jnp.take_along_axis(values, jnp.asarray(memory.rungs)[:, None], axis=1)
+            estimates = values - jnp.take_along_axis(values, jnp.asarray(memory.rungs)[:, None], axis=1)
         else:
             top, little = gains[:, -1], MIN_NOISE * (1 - rank / game.number)
-            told = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))
-        return Decision(memory._replace(rungs=rungs), jnp.where(known, told, NOT_ESTIMATED), ~known.all())
+            estimates = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))
+        return Decision(memory._replace(rungs=rungs), jnp.where(known, estimates, NOT_ESTIMATED), ~known.all())
 
 
 def outputs(

@@ -82,8 +82,9 @@ def bench(options: argparse.Namespace) -> None:
     for (scenario, found), (configure, measure) in product(results.items(), measures):
         with own_process(configure, options.modules) as process:  # warm after its first controller
             for name in found:
-                found[name] |= process.submit(measure, asked, scenario, name).result()
-                tell(f"measured {scenario}, {name}")
+                figures = process.submit(measure, asked, scenario, name).result()
+                tell(f"measured {scenario}, {name}: {', '.join(figures)}")
+                found[name] |= figures
     table = steadiness_table if options.noise else speed_table
     print_tables(*(table(scenario, measured) for scenario, measured in results.items()))
     if options.json:

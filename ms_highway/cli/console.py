@@ -99,9 +99,9 @@ class Command(NamedTuple):
     def add_to(self, commands: Any) -> None:
         """Add a parser of the command's options to those of other commands."""
         text, _, examples = (getdoc(self.run) or "").partition("\n\nExamples:\n")
-        notes = [wrapped(each.notes) for each in self.options if each.notes]
+        notes = [wrapped_text(each.notes) for each in self.options if each.notes]
         epilog = "\n\n".join([*notes, f"examples:\n{examples}"])
-        parser = commands.add_parser(self.name, help=self.summary, description=wrapped(text), epilog=epilog)
+        parser = commands.add_parser(self.name, help=self.summary, description=wrapped_text(text), epilog=epilog)
         for each in self.options:
             parser.add_argument(each.name, **each.arguments)
         parser.set_defaults(command=self)
@@ -137,7 +137,7 @@ def layout(prog: str) -> argparse.HelpFormatter:
     return argparse.RawDescriptionHelpFormatter(prog, width=help_width())
 
 
-def wrapped(text: str) -> str:
+def wrapped_text(text: str) -> str:
     """Wrap paragraphs and, in rows that begin with two spaces, the second column."""
     rows = []
     for row in re.split(r"\n(?=\n|  \S)", text.rstrip()):

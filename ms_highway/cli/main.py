@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench, bench_road
-from ms_highway.cli.console import Parser, printing, warn, wrapped
+from ms_highway.cli.console import Parser, printing, warn, wrapped_text
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
 from ms_highway.cli.show import frontier, learn, report, validate, video
@@ -69,7 +69,7 @@ def parse(given: Sequence[str]) -> Any:
         ValueError: for what cannot be parsed; it names the replacement of a retired option.
         SystemExit: after help texts.
     """
-    parser = Parser(prog="ms-highway", description=wrapped(ABOUT))
+    parser = Parser(prog="ms-highway", description=wrapped_text(ABOUT))
     parser.add_argument("--no-compilation-cache", help=CACHE, action="store_true")
     parser.add_argument("--import", help=IMPORT, default=[], dest="modules", action="append", metavar="MODULE")
     parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")

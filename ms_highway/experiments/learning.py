@@ -180,7 +180,7 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
 
     Args:
         network: first weights.
-        chosen: places of the examples of every step, network and batch.
+        chosen: places of the examples of every gradient step and network, [steps, networks, examples].
         inputs: standardised descriptions of all examples.
         gains: their gains.
     """

@@ -135,7 +135,8 @@ def rollout_jacobian(
     """
     dt, steps, curved = dynamics.time_step, len(controls), dynamics.steering == "curvature"
     omega, acceleration = controls.T
-    of_omega, of_acceleration = np.eye(2 * steps, dtype=np.float32).reshape(steps, 2, -1).swapaxes(0, 1)
+    own_controls = np.eye(2 * steps, dtype=np.float32).reshape(steps, 2, 2 * steps)  # of each step
+    of_omega, of_acceleration = own_controls[:, 0], own_controls[:, 1]
     earlier = _shares(steps)[:, 1:]  # [states, steps], 1 for steps before a state
     left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
     speed = speeds(dynamics, car[3], acceleration)

@@ -136,7 +136,8 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
     """
     first, data = np.log(jax.tree.leaves(FIRST_IDM)[:7]), jax.device_put(snapshots)
     best = np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist()
-    parameters = {"constant_velocity": {}, "idm": {}, "fitted_idm": structs.asdict(IdmParameters(*best))}
+    parameters: dict[str, dict] = {name: {} for name in PREDICTORS if name != "model"}
+    parameters["fitted_idm"] = structs.asdict(IdmParameters(*best))
     return {
         name: FittedPeer(own, fit_spread(predict_peer(name, snapshots, own), snapshots.recorded))
         for name, own in parameters.items()

@@ -58,8 +58,8 @@ class Axes(NamedTuple):
 
     def states(self, samples: np.ndarray) -> State:
         """Return x, y, heading and speed in highway-env's axes, given samples of a track [times, 5]."""
-        _, x, y, orientation, speed = samples.T
-        return np.column_stack([self.positions(np.column_stack([x, y])), self.headings(orientation), speed])
+        _, _, _, orientations, speeds = samples.T
+        return np.column_stack([self.positions(samples[:, 1:3]), self.headings(orientations), speeds])
 
     @property
     def _mirror(self) -> np.ndarray:

@@ -132,8 +132,8 @@ class RoadSettings(Struct, frozen=True):
     def rule(self, costs: Costs) -> Rule:
         """Return the rule that chooses the models.
 
-        It leaves out models that cost at least as much as a later model on the ladder. A budget chooses between the
-        first and the last of the rest.
+        It leaves out models that cost at least as much as a later model on the ladder. Of those left, a budget chooses
+        between the first and the last.
 
         Args:
             costs: of each of `ms_highway.road.constants.MODELS`.

@@ -24,7 +24,7 @@ LANES = 3.4 * np.arange(6)  # as many as recordings are padded to, so that momen
 
 
 def recorded(*cars, drivers=1):
-    """A recording of cars that keep speed and lane for 6 s, of which the first are drivers to predict."""
+    """Return a recording of 6 s. All cars keep their speed and lane; predictors predict the first ``drivers`` cars."""
     first = np.array(cars, float)
     states = np.linspace(first, first + 6 * first[:, 3:] * [1, 0, 0, 0], 61)
     sizes = np.tile([5.0, 2.0], (len(cars), 1))

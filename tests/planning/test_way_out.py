@@ -65,7 +65,7 @@ def test_a_robot_that_would_collide_brakes_in_time_if_the_next_lane_is_taken(cur
 def test_a_robot_that_is_faster_than_the_limit_brakes_as_soon_as_it_has_to():
     """It stops 1.65 m before the cones if it brakes now, and 0.85 m too late if it brakes a step later.
 
-    Then its body touches the cones, which the points of a body widened by the clearance miss.
+    A check of bodies that are widened by the clearance would miss that collision.
     """
     state, touch = beside(-8.0, 0.0, 8.0), (GAME.scene.car_size[0] + GAME.scene.obstacle_size[0]) / 2
     state[:, 3] = 25.0
