@@ -34,7 +34,7 @@ from ms_highway.runtime.files import read_arrays, reading, replacing
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
-TOGETHER = 4  # largest number of humans that are predicted by more than the first rung
+TOGETHER = 4  # largest number of humans that are predicted by more than the first rung: the nearest ones
 DOUBT_MARGIN = 0.5  # in standard deviations among the networks
 MIN_NOISE = 0.02  # least standard deviation of a gain
 
@@ -50,10 +50,10 @@ class LearnedValue(Rule):
         network: networks that estimate the gains over the first rung from `ms_highway.choice.situation.describe`.
         centre, spread: mean and standard deviation by which the inputs of the networks are standardised.
         ladder: human models, cheapest first (static).
-        cautious: whether a decision tells the gains that it compares, net of the price and of a margin for doubt.
-            Otherwise, it tells the expected gains over the first rung, which budgets need. If the networks then expect
-            a gain below `MIN_NOISE` from the top rung, a small gain replaces it, which is larger for nearer humans, so
-            that spare time goes to them (static).
+        cautious: whether a decision tells the gains that it compares, those of the nearest humans, net of the price and
+            of a margin for doubt. Otherwise, it tells the expected gains of all humans over the first rung, which
+            budgets need. If the networks then expect a gain below `MIN_NOISE` from the top rung, a small gain replaces
+            it, which is larger for nearer humans, so that spare time goes to them (static).
     """
 
     costs: Costs
@@ -72,21 +72,25 @@ class LearnedValue(Rule):
         """
         if len(self.ladder) == 1:
             return unestimated(memory, memory.rungs)
-        inputs = (describe(game, outcome.after) - self.centre) / self.spread
-        means, _ = jax.vmap(partial(outputs, self.network))(inputs)  # [humans, networks, rungs above the first]
+        rank = nearness(game, outcome.after)
+        nearest = jnp.argsort(rank)[: TOGETHER if self.cautious else game.number]
+        inputs = (describe(game, outcome.after, nearest) - self.centre) / self.spread
+        means, _ = jax.vmap(partial(outputs, self.network))(inputs)  # [nearest, networks, rungs above the first]
         gains, doubts = (jnp.pad(part(means, axis=1), ((0, 0), (1, 0))) for part in (jnp.mean, jnp.std))
         known = jnp.isfinite(gains).all(axis=1, keepdims=True)
         values = gains - DOUBT_MARGIN * doubts - self.price * jnp.asarray(self.costs.each)
-        worth, rank = jnp.where(known, values - values[:, :1], 0.0), nearness(game, outcome.after)
-        totals = jnp.cumsum(worth[jnp.argsort(rank)][:TOGETHER], axis=0)  # of the nearest humans under each rung
+        worth = jnp.where(known, values - values[:, :1], 0.0)
+        totals = jnp.cumsum(worth[:TOGETHER], axis=0)  # of the nearest humans under each rung
         fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
         rungs = jnp.where(rank <= fewer, rung, 0).astype(jnp.int32)
         if self.cautious:
-            estimates = values - jnp.take_along_axis(values, jnp.asarray(memory.rungs)[:, None], axis=1)
+            estimates = values - jnp.take_along_axis(values, jnp.asarray(memory.rungs)[nearest, None], axis=1)
         else:
-            top, little = gains[:, -1], MIN_NOISE * (1 - rank / game.number)
+            top, little = gains[:, -1], MIN_NOISE * (1 - np.arange(game.number) / game.number)
             estimates = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))
-        return Decision(memory._replace(rungs=rungs), jnp.where(known, estimates, NOT_ESTIMATED), ~known.all())
+        estimated = jnp.full(memory.last_check.shape, NOT_ESTIMATED)
+        estimated = estimated.at[nearest].set(jnp.where(known, estimates, NOT_ESTIMATED))
+        return Decision(memory._replace(rungs=rungs), estimated, ~known.all())
 
 
 def outputs(

@@ -1,11 +1,13 @@
 """Describe every human's situation by numbers that mean the same in all scenes, for learned values of computation."""
 
+from functools import partial
+
 import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.features import features, reward
-from ms_highway.game.game import Game, each_human, others_of, pair
+from ms_highway.game.features import features
+from ms_highway.game.game import Game, others_of, pair
 from ms_highway.game.reward import PAPER_FEATURES, Reward
 from ms_highway.game.scene import headways, neighbours
 from ms_highway.runtime.arrays import Index, Rungs, State
@@ -26,8 +28,8 @@ def description_names() -> tuple[str, ...]:
     return (*of_drivers, *relative, *own, *gaps, "share of humans nearer to the robot")
 
 
-def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
-    """Compute the numbers by which learned values choose, for every human; `description_names` names them.
+def describe(game: Game, state: State, humans: Rungs) -> Float[jax.Array, "described numbers"]:
+    """Compute the numbers by which learned values choose, for some humans; `description_names` names them.
 
     For robot and human, after all cars have kept their velocity for each of `LOOKAHEADS`: the weighted features of
     their rewards, with a single sum for those beyond the paper's, and the derivatives of the rewards in both cars'
@@ -39,6 +41,7 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
     Args:
         game: game with the rewards that the robot believes the humans to have.
         state: all cars.
+        humans: numbers of the humans to describe.
     """
     state, (length, _) = jnp.asarray(state), game.scene.car_size
     rank = nearness(game, state)
@@ -52,7 +55,7 @@ def describe(game: Game, state: State) -> Float[jax.Array, "humans numbers"]:
         numbers = _describe_pair(*pair(game, state, human))
         return jnp.concatenate([numbers, gaps(0), gaps(1 + human), rank[human][None] / game.number])
 
-    return each_human(game, one, at_once=True)
+    return jax.vmap(one)(humans)
 
 
 def nearness(game: Game, state: State) -> Rungs:
@@ -68,7 +71,8 @@ def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
     velocity = jnp.stack([speed * jnp.cos(heading), speed * jnp.sin(heading), none, none], axis=-1)
     coasted = state + jnp.asarray(LOOKAHEADS)[:, None, None] * velocity
     mirrored = jnp.concatenate([coasted[:, 1::-1], coasted[:, 2:]], axis=1)
-    terms = jnp.stack([_terms(game, game.robot, coasted), _terms(game, game.human(), mirrored)])
+    drivers = jax.tree.map(lambda *sides: jnp.stack(jnp.broadcast_arrays(*sides)), game.robot, game.human())
+    terms = jax.vmap(partial(_terms, game))(drivers, jnp.stack([coasted, mirrored]))
     relative = (state[0] - state[1]) / jnp.stack([unit, unit, jnp.ones_like(unit), limit])
     aside = (y[:2] - game.scene.target_lane) / unit
     own = jnp.stack([heading[:2], speed[:2] / limit, aside], axis=1)
@@ -78,9 +82,9 @@ def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
 
 def _terms(game: Game, driver: Reward, states: Float[jax.Array, "times cars 4"]) -> Float[jax.Array, "times terms"]:
     """Return the weighted features of one driver, car 0, and its reward's derivatives in both cars' states."""
-    weighted = features(game.scene, driver, states) * driver.weights
+    weighted, pull = jax.vjp(lambda states: features(game.scene, driver, states) * driver.weights, states)
     papers, other = weighted[:, : len(PAPER_FEATURES)], weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True)
-    slopes = jax.grad(lambda states: reward(game.scene, driver, states).sum())(states)[:, :2]
+    slopes = pull(jnp.ones_like(weighted))[0][:, :2]
     unit = jnp.asarray(game.scene.length_unit)
     slopes = slopes * jnp.stack([unit, unit, jnp.ones_like(unit), unit])
     return jnp.concatenate([papers, other, slopes.reshape(len(states), -1)], axis=1)

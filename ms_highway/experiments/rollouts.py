@@ -180,8 +180,7 @@ class Driving:
         gains = np.full((len(states) * asked, len(how.costs) - 1), -np.inf)
         gains[:, np.array(own[1:], int) - 1] = np.swapaxes(each_more, 1, 2).reshape(len(gains), -1)
         nearest = np.argsort(ranks, axis=1)[:, :asked]
-        described = np.asarray(_describe(game, states))[np.arange(len(states))[:, None], nearest]
-        return Rollouts(described.reshape(len(gains), -1), gains)
+        return Rollouts(np.asarray(_describe(game, states, nearest)).reshape(len(gains), -1), gains)
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states from episodes that random orders and the rule have planned; return them and the humans' weights.
@@ -212,4 +211,4 @@ class Driving:
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
 
 
-_describe, _rank = (jax.jit(jax.vmap(function, (None, 0))) for function in (describe, nearness))
+_describe, _rank = jax.jit(jax.vmap(describe, (None, 0, 0))), jax.jit(jax.vmap(nearness, (None, 0)))

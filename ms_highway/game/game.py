@@ -95,12 +95,11 @@ def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
     return np.array([[other for other in range(cars) if other != car] for car in range(cars)], int).reshape(cars, -1)
 
 
-def each_human(game: Game, function: Callable[[Index], Any], at_once: bool = False) -> Any:
-    """Compute a function of every human's number, one by one or all at once; the results get an axis of humans."""
+def each_human(game: Game, function: Callable[[Index], Any]) -> Any:
+    """Compute a function of every human's number, one by one; the results get an axis of humans."""
     if game.number == 1:
         return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
-    numbers = jnp.arange(game.number)
-    return jax.vmap(function)(numbers) if at_once else jax.lax.map(function, numbers)
+    return jax.lax.map(function, jnp.arange(game.number))
 
 
 def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
