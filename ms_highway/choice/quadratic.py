@@ -209,8 +209,7 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
         return replace(payoff, reward=driver).total(move(game, state[0], own), others)
 
     controls = jnp.stack([jnp.concatenate([robot, human]), jnp.concatenate([human, robot])])
-    rewards = jax.tree.map(lambda *numbers: jnp.stack(numbers), game.robot, game.human())
-    players = controls, rewards, jnp.stack([state, swap_players(game, state)[1]])
+    players = controls, game.players(), jnp.stack([state, swap_players(game, state)[1]])
     gradients, (hessian, mirrored) = (jax.vmap(derive(earned))(*players) for derive in (jax.grad, jax.hessian))
     human_bend = mirrored[:n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), n // 2))
     return RewardExpansion(gradients[0], hessian, response(game.influence, human_bend, mirrored[:n, n:]))

@@ -71,8 +71,7 @@ def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
     velocity = jnp.stack([speed * jnp.cos(heading), speed * jnp.sin(heading), none, none], axis=-1)
     coasted = state + jnp.asarray(LOOKAHEADS)[:, None, None] * velocity
     mirrored = jnp.concatenate([coasted[:, 1::-1], coasted[:, 2:]], axis=1)
-    drivers = jax.tree.map(lambda *sides: jnp.stack(jnp.broadcast_arrays(*sides)), game.robot, game.human())
-    terms = jax.vmap(partial(_terms, game))(drivers, jnp.stack([coasted, mirrored]))
+    terms = jax.vmap(partial(_terms, game))(game.players(), jnp.stack([coasted, mirrored]))
     relative = (state[0] - state[1]) / jnp.stack([unit, unit, jnp.ones_like(unit), limit])
     aside = (y[:2] - game.scene.target_lane) / unit
     own = jnp.stack([heading[:2], speed[:2] / limit, aside], axis=1)

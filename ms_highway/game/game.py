@@ -88,6 +88,10 @@ class Game:
         weights = self.humans.weights if isinstance(human, int) else jnp.asarray(self.humans.weights)
         return replace(self.humans, weights=weights[0 if self.number == 1 else human])
 
+    def players(self) -> Reward:
+        """Return the rewards of the robot and of the only human, along a first axis."""
+        return jax.tree.map(lambda *sides: jnp.stack(sides), self.robot, self.human())
+
 
 @cache
 def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
