@@ -7,6 +7,8 @@ import pytest
 from episodes import drive, drives_long, make
 
 from ms_highway.envs import SCENARIOS
+from ms_highway.experiments.batch import simulated
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode
 from ms_highway.game.scenario import GRIP, title
 
@@ -55,7 +57,7 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
 
 @drives_long
 def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
-    steps = driven("dense-merge-v1", ["naive", "tom", "nearest:2", "learned:1"], 20)
+    steps = simulated(Comparison({"dense-merge-v1": ["naive", "tom", "nearest:2", "learned:1"]}, 20))
     assert not steps["collision"].any()
     success = steps.groupby(["controller", "seed"])["success"].last().groupby("controller").mean()
     assert success["naive"] <= 0.5
