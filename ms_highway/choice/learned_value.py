@@ -34,7 +34,7 @@ from ms_highway.runtime.files import read_arrays, reading, replacing
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
-TOGETHER = 4  # largest number of humans that are predicted by more than the first rung: the nearest ones
+TOGETHER = 4  # at most so many humans, the nearest, are predicted by more than the first rung
 DOUBT_MARGIN = 0.5  # in standard deviations among the networks
 MIN_NOISE = 0.02  # least standard deviation of a gain
 

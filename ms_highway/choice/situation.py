@@ -1,16 +1,16 @@
-"""Describe every human's situation by numbers that mean the same in all scenes, for learned values of computation."""
+"""Describe humans' situations by numbers that mean the same in all scenes, for learned values of computation."""
 
 from functools import partial
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, others_of, pair
 from ms_highway.game.reward import PAPER_FEATURES, Reward
 from ms_highway.game.scene import headways, neighbours
-from ms_highway.runtime.arrays import Index, Rungs, State
+from ms_highway.runtime.arrays import Array, Index, Rungs, State
 
 LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, during which all cars keep their velocity
 DRIVERS = ("robot", "human")
@@ -28,7 +28,7 @@ def description_names() -> tuple[str, ...]:
     return (*of_drivers, *relative, *own, *gaps, "share of humans nearer to the robot")
 
 
-def describe(game: Game, state: State, humans: Rungs) -> Float[jax.Array, "described numbers"]:
+def describe(game: Game, state: State, humans: Int[Array, "some"]) -> Float[jax.Array, "some numbers"]:
     """Compute the numbers by which learned values choose, for some humans; `description_names` names them.
 
     For robot and human, after all cars have kept their velocity for each of `LOOKAHEADS`: the weighted features of
@@ -41,7 +41,7 @@ def describe(game: Game, state: State, humans: Rungs) -> Float[jax.Array, "descr
     Args:
         game: game with the rewards that the robot believes the humans to have.
         state: all cars.
-        humans: numbers of the humans to describe.
+        humans: places of the humans to describe.
     """
     state, (length, _) = jnp.asarray(state), game.scene.car_size
     rank = nearness(game, state)

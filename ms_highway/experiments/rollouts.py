@@ -211,4 +211,5 @@ class Driving:
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
 
 
-_describe, _rank = jax.jit(jax.vmap(describe, (None, 0, 0))), jax.jit(jax.vmap(nearness, (None, 0)))
+_describe = jax.jit(jax.vmap(describe, (None, 0, 0)))
+_rank = jax.jit(jax.vmap(nearness, (None, 0)))

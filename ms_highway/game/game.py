@@ -89,8 +89,16 @@ class Game:
         return replace(self.humans, weights=weights[0 if self.number == 1 else human])
 
     def players(self) -> Reward:
-        """Return the rewards of the robot and of the only human, along a first axis."""
-        return jax.tree.map(lambda *sides: jnp.stack(sides), self.robot, self.human())
+        """Return the rewards of the robot and of the only human, stacked along a first axis.
+
+        Raises:
+            ValueError: if they compute different features.
+        """
+        robot, human = self.robot, self.human()
+        if (robot.names, robot.own) != (human.names, human.own):
+            names = f"{', '.join(robot.names)}; the human's has {', '.join(human.names)}"
+            raise ValueError(f"the robot's reward has the features {names}; build both with the same `names`")
+        return jax.tree.map(lambda *sides: jnp.stack(sides), robot, human)
 
 
 @cache

@@ -10,18 +10,17 @@ from jax import numpy as jnp
 
 from ms_highway.choice.budget import Budget
 from ms_highway.choice.learned_value import load_values
-from ms_highway.choice.rule import Decision, Nearest, Outcome, Rule, decide, first_memory
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Nearest, Rule, decide
+from ms_highway.loop.step import begin
 from ms_highway.planning.compiled_plans import Costs
-from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 
 NAIVE, TURN, TOM = range(3)
-LANE = 100 / 30  # m
 COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]))
 
-# in the robot's lane: 15 m ahead and as fast, 40 m ahead and slower; in the next one: 20 m behind; far aside
-HUMANS = [[15.0, 0.0, 0.0, 20.0], [40.0, 0.0, 0.0, 2.0], [-20.0, LANE, 0.0, 22.0], [12.0, 4 * LANE, 0.0, 5.0]]
-STATE = np.array([[0.0, 0.0, 0.0, 20.0], *HUMANS], np.float32)
+# in the robot's lane: 15 m ahead and as fast, far ahead, 40 m ahead and slower; in the next one: 20 m behind; far aside
+STATE = np.float32([[0, 0, 0, 20], [15, 0, 0, 20], [90, 0, 0, 20], [40, 0, 0, 2], [-20, 3.3, 0, 22], [12, 13.3, 0, 5]])
+NEAREST_FOUR = np.array([1, 0, 1, 1, 1])
 
 SHIPPED = load_values("shipped")
 decide_quickly = jit_quickly(decide)
@@ -29,18 +28,15 @@ decide_quickly = jit_quickly(decide)
 
 @pytest.fixture(scope="session")
 def game(played):
-    """A robot among four humans."""
+    """A robot among five humans."""
     game, _ = played("merger")
-    return replace(game, humans=replace(game.humans, weights=np.tile(game.humans.weights, (4, 1))))
+    return replace(game, humans=replace(game.humans, weights=np.tile(game.humans.weights, (5, 1))))
 
 
-def decided(rule, game, error=0.0):
-    """Return the decision before the first step, with an error added to the state."""
-    still = np.zeros((5, 5, 2), np.float32)
-    outcome = Outcome(
-        STATE, STATE + np.float32(error), still[0, 0], still[1:, 0], np.float32(0), Plan(still[0], still[1:])
-    )
-    return decide_quickly(rule, game, first_memory(rule, 4), outcome)
+def decided(rule, game, error=0.0, before=0):
+    """Return the decision after plans with these rungs, with an error added to the state."""
+    memory, outcome, _ = begin(rule, game, STATE + np.float32(error))
+    return decide_quickly(rule, game, memory._replace(rungs=memory.rungs + np.int32(before)), outcome)
 
 
 def chosen(rule, game):
@@ -56,9 +52,8 @@ def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately
 
 
 def test_theory_of_mind_predicts_the_nearest_humans(game):
-    assert chosen(Nearest(0, LADDER), game) == [NAIVE] * 4
-    assert chosen(Nearest(2, LADDER), game) == [TOM, NAIVE, NAIVE, TOM]
-    assert chosen(Nearest(9, LADDER), game) == [TOM] * 4
+    assert chosen(Nearest(2, LADDER), game) == [TOM, NAIVE, NAIVE, NAIVE, TOM]
+    assert chosen(Nearest(9, LADDER), game) == [TOM] * 5
 
 
 @jax.tree_util.register_dataclass
@@ -74,12 +69,12 @@ class KnownGains(Rule):
 
 
 def test_a_budget_is_spent_where_it_gains_most(game):
-    gains = KnownGains(np.array([[0, 1, 3], [np.nan, 2, 2.5], [0, np.nan, 9], [0, -1, np.nan]], np.float32))
+    gains = KnownGains(np.float32([[0, 1, 3], [0] * 3, [np.nan, 2, 2.5], [0, np.nan, 9], [0, -1, np.nan]]))
     for seconds, deciding, rungs in (
-        (1.0, 0.0, [TOM, TOM, TOM, NAIVE]),
-        (0.0561, 0.0, [TOM, TURN, TOM, NAIVE]),  # 8 + 2 + 8 ms fit into 28 - 10 ms
-        (0.0561, 0.001, [TURN, TURN, TOM, NAIVE]),
-        (0.001, 0.0, [NAIVE] * 4),  # not even these fit
+        (1.0, 0.0, [TOM, NAIVE, TOM, TOM, NAIVE]),
+        (0.0561, 0.0, [TOM, NAIVE, TURN, TOM, NAIVE]),  # 8 + 2 + 8 ms fit into 28 - 10 ms
+        (0.0561, 0.001, [TURN, NAIVE, TURN, TOM, NAIVE]),
+        (0.001, 0.0, [NAIVE] * 5),  # not even these fit
     ):
         assert chosen(Budget(gains, COSTS, seconds, 0.5, deciding), game) == rungs
 
@@ -95,38 +90,39 @@ def over_naive(gains, price=0.0, doubt=0.0):
 
 def test_a_budget_without_expected_gains_is_spent_on_the_nearest_humans(game):
     gains = replace(over_naive((0.0, 0.0)), cautious=False)
-    assert chosen(Budget(gains, COSTS, 0.027, 1.0), game) == [TOM, NAIVE, NAIVE, TOM]  # 2 x 8 ms fit
+    assert chosen(Budget(gains, COSTS, 0.027, 1.0), game) == [TOM, NAIVE, NAIVE, NAIVE, TOM]  # 2 x 8 ms fit
 
 
-def test_higher_prices_of_planning_choose_cheaper_models(game):
+def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_and_gains_are_over_the_last_ones(game):
     for price, rung in ((0.0, TOM), (100.0, TURN), (1000.0, NAIVE)):
-        decision = decided(over_naive((0.5, 1.0), price), game)
-        np.testing.assert_allclose(decision.gains, [np.array([0.0, 0.5, 1.0]) - price * COSTS.each] * 4, atol=1e-6)
-        assert decision.memory.rungs.tolist() == [rung] * 4
+        before, net = [TURN, TOM, NAIVE, TOM, NAIVE], np.array([0.0, 0.5, 1.0]) - price * COSTS.each
+        decision = decided(over_naive((0.5, 1.0), price), game, before=before)
+        gains = np.where(NEAREST_FOUR[:, None], net - net[before, None], NOT_ESTIMATED)
+        np.testing.assert_allclose(decision.gains, gains, atol=1e-6)
+        assert decision.memory.rungs.tolist() == [*rung * NEAREST_FOUR]
 
 
 def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highest(game):
     """Theory of mind gains 1 for the nearest human, and loses for every other one; turn gains the same for each."""
-    inputs = len(SHIPPED.centre)
-    place = np.zeros((1, inputs, 1), np.float32)
+    place = np.zeros((1, len(SHIPPED.centre), 1), np.float32)
     place[0, -1] = 0.01  # of the share of humans who are nearer, so that tanh is linear
-    for gain, rungs in ((0.4, [TURN] * 4), (0.2, [TOM, NAIVE, NAIVE, NAIVE])):
+    for gain, rungs in ((0.4, TURN * NEAREST_FOUR), (0.2, [TOM, *[NAIVE] * 4])):
         gains = np.float32([[[0.0, -800.0, 0.0, 0.0]]]), np.float32([[gain, 1.0, 0.0, 0.0]])
         network = (place, np.zeros((1, 1), np.float32)), gains
-        whole = {"centre": np.zeros(inputs, np.float32), "spread": np.ones(inputs, np.float32)}
-        assert chosen(replace(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole), game) == rungs
+        whole = {"centre": 0 * SHIPPED.centre, "spread": 1 + 0 * SHIPPED.centre}
+        assert chosen(replace(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole), game) == [*rungs]
 
 
 def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
     certain, doubtful = over_naive((0.0, 0.1)), over_naive((0.0, 0.1), doubt=1.0)
-    assert chosen(certain, game) == [TOM] * 4
+    assert chosen(certain, game) == [*TOM * NEAREST_FOUR]
     for decision, failed in ((decided(doubtful, game), False), (decided(certain, game, error=np.nan), True)):
         assert decision.failed == failed
-        assert decision.memory.rungs.tolist() == [NAIVE] * 4
+        assert decision.memory.rungs.tolist() == [NAIVE] * 5
 
 
 def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder_and_one_rung_leaves_nothing_to_choose(game):
     rules = (SHIPPED.rule(LADDER[:size], Costs(0.0, COSTS.each[:size]), 10.0) for size in (3, 2, 1))
     whole, part, nothing = (decided(rule, game) for rule in rules)
     np.testing.assert_allclose(whole.gains[:, :2], part.gains, rtol=1e-4)
-    assert nothing.memory.rungs.tolist() == [NAIVE] * 4
+    assert nothing.memory.rungs.tolist() == [NAIVE] * 5

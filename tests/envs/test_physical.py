@@ -63,9 +63,9 @@ def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_s
     assert success["naive"] <= 0.5
     assert min(success["tom"], success["learned:1"]) >= 0.95
     means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
-    gained = means["reward"] - means.loc["naive", "reward"]
+    more = means - means.loc["naive"]
+    gained, counted = more["reward"], more["counted_seconds"]
     assert gained["learned:1"] > max(0.95 * gained["tom"], gained["nearest:2"])
-    counted = means["counted_seconds"] - means.loc["naive", "counted_seconds"]
     assert counted["learned:1"] < 0.2 * counted["tom"]
 
 
