@@ -96,8 +96,8 @@ class Game:
         """
         robot, human = self.robot, self.human()
         if (robot.names, robot.own) != (human.names, human.own):
-            names = f"{', '.join(robot.names)}; the human's has {', '.join(human.names)}"
-            raise ValueError(f"the robot's reward has the features {names}; build both with the same `names`")
+            both = f"{', '.join(robot.names)} and {', '.join(human.names)}"
+            raise ValueError(f"robot and human have rewards of other features, {both}; build both with the same ones")
         return jax.tree.map(lambda *sides: jnp.stack(sides), robot, human)
 
 

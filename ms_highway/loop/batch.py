@@ -109,7 +109,7 @@ def begin_episodes(loop: Loop, starts: State) -> Now:
     game, horizon = loop.game, loop.game.planner.horizon
 
     def begun(start: State) -> Now:
-        drivers = jax.vmap(lambda human: no_rest(horizon, 1))(jnp.arange(game.number))
+        drivers = jax.tree.map(lambda part: jnp.stack([part] * game.number), no_rest(horizon, 1))
         return Now(start, begin(loop.rule, game, start), no_rest(horizon, game.number), drivers)
 
     return jax.vmap(begun)(starts)

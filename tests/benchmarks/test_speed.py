@@ -17,7 +17,8 @@ def test_the_command_times_every_rung_and_switching_live_and_in_batches(tmp_path
     for one in measured.values():
         assert set(one) == KEYS
         assert 0 < one["plan_us"]["p50"] <= one["plan_us"]["p99"] < 1e6
-        assert min(one["step_us"], one["environment"], one["first_seconds"], *one["batch"].values()) > 0
+        assert min(one["step_us"], one["environment"], one["first_seconds"]) > 0
+        assert min(one["batch"].values()) > 1
         assert one["memory_mib"]["20"] >= one["memory_mib"]["1"] > 100
         assert one["devices"].endswith(" of kind cpu")
     printed = capsys.readouterr().out

@@ -35,8 +35,8 @@ def game(played):
 
 def decided(rule, game, error=0.0, before=0):
     """Return the decision after plans with these rungs, with an error added to the state."""
-    memory, outcome, _ = begin(rule, game, STATE + np.float32(error))
-    return decide_quickly(rule, game, memory._replace(rungs=memory.rungs + np.int32(before)), outcome)
+    memory, outcome, _ = begin(rule, game, STATE + error)
+    return decide_quickly(rule, game, memory._replace(rungs=memory.rungs + before), outcome)
 
 
 def chosen(rule, game):
@@ -52,8 +52,8 @@ def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately
 
 
 def test_theory_of_mind_predicts_the_nearest_humans(game):
-    assert chosen(Nearest(2, LADDER), game) == [TOM, NAIVE, NAIVE, NAIVE, TOM]
-    assert chosen(Nearest(9, LADDER), game) == [TOM] * 5
+    for count, rungs in ((0, [NAIVE] * 5), (2, [TOM, NAIVE, NAIVE, NAIVE, TOM]), (9, [TOM] * 5)):
+        assert chosen(Nearest(count, LADDER), game) == rungs
 
 
 @jax.tree_util.register_dataclass
