@@ -1,5 +1,6 @@
 """Measure how close a car is to colliding: distances of its body to others, a smooth risk, and an indicator."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -7,6 +8,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
+from ms_highway.game.contact import overlap
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
 from ms_highway.geometry.bodies import body_points, ellipse_distance
@@ -58,9 +60,26 @@ def _distance(scene: Scene, own: Motion, bodies: Bodies) -> Float[jax.Array, "bo
     return ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
 
 
-def touches(scene: Scene, own: Motion, others: Motion) -> Bool[jax.Array, "*times"]:
-    """Return whether the car touches another body, ``D < 1`` at any point of its own; see `collision_risk`."""
-    return (_distance(scene, own, bodies_around(scene, others)) < 0).any(axis=(0, 1))
+def touches(
+    scene: Scene, own: Motion, others: Motion, clearance: float = 0.0
+) -> Bool[jax.Array, "*times"]:
+    """Return whether the car collides with another body, by the scene's ``contact``.
+
+    Args:
+        scene: obstacles and sizes of bodies.
+        own: motion of the car, arrays [*times].
+        others: motion of the other cars, arrays [others, *times].
+        clearance: by which all bodies are longer and wider than they are [m].
+    """
+    if scene.contact == "bodies":
+        return overlap(scene, own, others, clearance)
+    wider = replace(
+        scene,
+        car_size=jnp.asarray(scene.car_size) + clearance,
+        obstacle_size=jnp.asarray(scene.obstacle_size) + clearance,
+    )
+    distance = _distance(wider, own, bodies_around(wider, others))
+    return (distance < 0).any(axis=(0, 1))
 
 
 def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = False) -> tuple[Times, Times]:
@@ -73,6 +92,9 @@ def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = Fal
     The indicator has no gradient. The smooth indicator is the sum over cars, obstacles and points of
     ``0.3 max(1.6 - D, 0)^3``, which begins to rise before bodies touch.
 
+    Where a scene's ``contact`` is ``bodies``, the indicator is 1 where bodies overlap, and the
+    smooth one is 0: plans pay the `ms_highway.game.contact.contact_cost` instead.
+
     Args:
         scene: obstacles and sizes of bodies.
         own: motion of the car, arrays [*times].
@@ -82,6 +104,12 @@ def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = Fal
     bodies = bodies_around(scene, others)
     distance = _distance(scene, own, bodies)
     close = bodies.share * jnp.exp(-bodies.sharpness * distance)
+    if scene.contact == "bodies":
+        risk = jnp.sum(close, axis=(0, 1))
+        if smooth:
+            return risk, jnp.zeros_like(risk)
+        indicator = jax.lax.stop_gradient(touches(scene, own, others))
+        return risk, indicator.astype(close.dtype)
     if smooth:
         touching = SMOOTH_FACTOR * jnp.maximum(SMOOTH_MARGIN - distance, 0.0) ** 3
     else:

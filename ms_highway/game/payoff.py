@@ -11,8 +11,12 @@ reward bends upwards between the two ways around the body. The magnitude of this
 Newton step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
 ``C^-1 g`` at most doubles the difference between two plans. Smooth indicators of a lane, induced braking and
 user-defined features have no such form: they are left out, and plans take short steps up them.
+
+On physical ground, the payoff also includes the cost of bodies that come close
+(`ms_highway.game.contact`), whatever the weights of the reward: nobody plans a collision.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -23,11 +27,12 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.collision_risk import SMOOTH_FACTOR, SMOOTH_MARGIN, Bodies, bodies_around
+from ms_highway.game.contact import contact_cost, corner_residuals, obstacle_residuals
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import attention, depth_off_road, motion_reward, soft_positive
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.geometry.bodies import body_points
+from ms_highway.geometry.bodies import CORNERS, body_points
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.runtime.arrays import Scalar, Times, Trajectories, Trajectory
 
@@ -106,11 +111,19 @@ class Payoff:
     braking: Scalar | None
     smooth: bool = field(metadata={"static": True})
 
+    @property
+    def avoids_contact(self) -> bool:
+        """Whether the payoff includes the cost of bodies that come close."""
+        return self.smooth and self.scene.contact == "bodies"
+
     @jax.jit
     def steps(self, own: Trajectory, others: Trajectories) -> Float[jax.Array, "steps"]:
         """Compute the reward after each step of a trajectory, among the trajectories of all others."""
         motion = Motion(*own)
-        rewards = motion_reward(self.scene, self.reward, motion, Motion(*jnp.moveaxis(others, 1, 0)), self.smooth)
+        around = Motion(*jnp.moveaxis(others, 1, 0))
+        rewards = motion_reward(self.scene, self.reward, motion, around, self.smooth)
+        if self.avoids_contact:
+            rewards = rewards - contact_cost(self.scene, motion, around)
         if self.braking is None:
             return rewards
         return rewards - self.reward.price("collision") * stopping_cost(self.scene, self.braking, motion)
@@ -143,19 +156,21 @@ class Payoff:
         For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the distances
         D of `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
         """
-        scene, around = self.scene, Motion(*jnp.moveaxis(others, 1, 0))
-        along, aside = body_points(jnp.asarray(scene.car_size), scene.corner).T[..., None]
+        scene = self.scene
+        around = Motion(*jnp.moveaxis(others, 1, 0))
+        points = body_points(jnp.asarray(scene.car_size), scene.corner)
 
-        def body(path: Trajectory) -> Points:
-            x, y, cosine, sine, _ = path
-            return jnp.stack([x + cosine * along - sine * aside, y + sine * along + cosine * aside])
+        # Closeness to bodies, by the places of points of the car.
+        bodies = bodies_around(scene, around)
+        total = _bends_of_points(own, points, partial(self._closeness, bodies))
+        if self.avoids_contact:
+            corners = jnp.asarray(CORNERS) * jnp.asarray(scene.car_size)
+            contact = partial(corner_residuals, scene, others=around)
+            total = total + _bends_of_points(own, corners, contact)
 
-        points, moved = along_fields(body, own)
-        _, slopes = along_fields(partial(self._closeness, bodies_around(scene, around)), points)
-        bends = jnp.sum(slopes[:, None] * slopes, axis=(2, 3))  # one kernel, unlike an einsum
-        close = jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)
+        # All else is a sum of squares of quantities that are taken as linear in the motion.
         _, slopes = along_fields(partial(self._residuals, around), own)
-        return 2 * (close + jnp.sum(slopes[:, None] * slopes, axis=2))
+        return 2 * (total + jnp.sum(slopes[:, None] * slopes, axis=2))
 
     def _residuals(self, others: Motion, path: Trajectory) -> Float[jax.Array, "residuals steps"]:
         """Return quantities whose squares are, up to constants, the costs of features of the road and of traffic."""
@@ -174,6 +189,8 @@ class Payoff:
             costs.append((weights["headway"], ahead * (own.x + reward.headway * own.speed) * per_unit))
             costs.append((weights["closing_speed"], ahead * own.speed / reward.speed_limit))
         residuals = jnp.stack([jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity for weight, quantity in costs])
+        if self.avoids_contact and len(scene.obstacles):
+            residuals = jnp.concatenate([residuals, obstacle_residuals(scene, own)])
         if self.braking is None:
             return residuals
         late = jnp.sqrt(reward.price("collision")) * lateness(scene, self.braking, own)
@@ -188,7 +205,38 @@ class Payoff:
         distance = ahead**2 + across**2 - 1
         near = jax.lax.stop_gradient(distance)
         close = self.reward.price("collision_risk") * bodies.share * jnp.exp(-bodies.sharpness * near)
-        contact, depth = SMOOTH_FACTOR * self.reward.price("collision"), jnp.maximum(SMOOTH_MARGIN - near, 0.0)
-        fall = jnp.sqrt(bodies.sharpness * close + 3 * contact * depth**2)
-        bend = jnp.sqrt(bodies.sharpness**2 * close / 2 + 3 * contact * depth)
+        fall = bodies.sharpness * close
+        bend = bodies.sharpness**2 * close / 2
+        if not self.avoids_contact:
+            price = SMOOTH_FACTOR * self.reward.price("collision")
+            depth = jnp.maximum(SMOOTH_MARGIN - near, 0.0)
+            fall = fall + 3 * price * depth**2
+            bend = bend + 3 * price * depth
+        fall = jnp.sqrt(fall)
+        bend = jnp.sqrt(bend)
         return jnp.stack([fall * ahead, fall * across, bend * distance])
+
+
+def _bends_of_points(
+    own: Trajectory,
+    points: Float[jax.Array, "points 2"],
+    residuals: Callable[[Points], Float[jax.Array, "*rows points steps"]],
+) -> Bends:
+    """Return half of how the sum of squares of residuals bends in the fields of a trajectory.
+
+    Args:
+        own: trajectory of the car.
+        points: of its body, in its own frame [m].
+        residuals: of the places of the points, each of its own place and step alone.
+    """
+    along, across = points.T[..., None]
+
+    def places_of(path: Trajectory) -> Points:
+        x, y, cosine, sine, _ = path
+        return jnp.stack([x + cosine * along - sine * across, y + sine * along + cosine * across])
+
+    places, moved = along_fields(places_of, own)
+    _, slopes = along_fields(residuals, places)
+    rows = tuple(range(2, slopes.ndim - 1))
+    bends = jnp.sum(slopes[:, None] * slopes, axis=rows)  # one kernel, unlike an einsum
+    return jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)

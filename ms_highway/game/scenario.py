@@ -175,7 +175,8 @@ def build_game(
     Args:
         scenario: to build.
         semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and a damped
-            response of humans; ``physical``: the same within the `GRIP` of tyres; ``released``: the dynamics of the
+            response of humans; ``physical``: the same within the `GRIP` of tyres, where a collision is an overlap of
+            bodies, see `ms_highway.game.contact`; ``released``: the dynamics of the
             released code, where planners ignore the world's drag, and the exact response.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics; None
             for no bounds.
@@ -206,6 +207,7 @@ def build_game(
         target_lane=min(scenario.lanes) * metre,
         length_unit=unit,
         leader=2 if len(scenario.cars) > 2 else None,
+        contact="bodies" if semantics == "physical" else "paper",
     )
     names = features_for(scenario.robot_weights, human_weights)
     robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * metre, scenario.robot_gap * metre, names)

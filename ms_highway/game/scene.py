@@ -1,7 +1,7 @@
 """Define the scene: lanes, obstacles, sizes of cars, and the leader; find the cars ahead and behind in three lanes."""
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -9,6 +9,8 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.runtime.arrays import Array, SameArray, Scalar
+
+Contact: TypeAlias = Literal["paper", "bodies"]
 
 PAPER_UNIT = 100 / 3  # m
 CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)  # m: 5 by 2.5
@@ -43,6 +45,10 @@ class Scene:
         bend: curvature of the road [1/m], positive to the right; the coordinates straighten it. None on a straight
             road.
         leader: index of the car that the gap feature refers to, None without one (static).
+        contact: what counts as a collision (static). ``paper``: any of nine points of the
+            car is inside an ellipse within another body. ``bodies``: the car's rectangle
+            overlaps the rectangle of another car or the circle of an obstacle, whose
+            diameter is the obstacle's width.
 
     Raises:
         ValueError: for an impossible number or shape, naming the attribute; arrays of JAX are not checked.
@@ -58,6 +64,7 @@ class Scene:
     length_unit: Scalar = PAPER_UNIT
     bend: Scalar | None = None
     leader: int | None = field(default=None, metadata={"static": True})
+    contact: Contact = field(default="paper", metadata={"static": True})
 
     def is_reached(self, y: Any) -> Any:
         """Return whether cars at these lateral positions have reached the target lane."""

@@ -1,4 +1,4 @@
-"""Compute distances between bodies, and find the nearest body ahead, in NumPy or JAX."""
+"""Compute distances and overlaps of bodies, and find the nearest body ahead; in NumPy or JAX."""
 
 from typing import Any
 
@@ -12,8 +12,15 @@ CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
 
 Sizes = Float[Any, "*bodies 2"]
+Flags = Bool[Any, "*shape"]
+Directions = tuple[Numbers, Numbers]
+"""Numbers along and across a body."""
+
 Directed = tuple[Numbers, Numbers, Numbers, Numbers]
 """x, y [m], and cosine and sine of the heading."""
+
+MIN_SQUARE = 1e-6
+"""Added to the square of `square_distance`, whose root has no derivatives at 0."""
 
 
 def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
@@ -37,6 +44,61 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     return xp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
 
 
+def rectangles_overlap(
+    own: Directed, size: Directions, other: Directed, other_size: Directions
+) -> Flags:
+    """Return whether rectangles overlap: whether no axis of either one separates them.
+
+    Args:
+        own: motion of the first.
+        size: length and width of the first [m].
+        other: motion of the second.
+        other_size: length and width of the second [m].
+    """
+    own_x, own_y, own_cosine, own_sine = own
+    other_x, other_y, other_cosine, other_sine = other
+    xp = namespace(*own, *other)
+
+    # The angle between both: shares of a size that reach along and across the other one.
+    parallel = xp.abs(own_cosine * other_cosine + own_sine * other_sine)
+    slanted = xp.abs(own_cosine * other_sine - own_sine * other_cosine)
+
+    def meets(place: Directions, one: Directions, two: Directions) -> Flags:
+        """Return whether the box around the second one meets the first, in its frame."""
+        reach_along = (one[0] + two[0] * parallel + two[1] * slanted) / 2
+        reach_across = (one[1] + two[0] * slanted + two[1] * parallel) / 2
+        return (xp.abs(place[0]) < reach_along) & (xp.abs(place[1]) < reach_across)
+
+    other_in_own = place_in_frame(own, other_x, other_y)
+    own_in_other = place_in_frame(other, own_x, own_y)
+    return meets(other_in_own, size, other_size) & meets(own_in_other, other_size, size)
+
+
+def circles_overlap(
+    along: Numbers, across: Numbers, size: Directions, radius: Numbers
+) -> Flags:
+    """Return whether circles overlap a rectangle: whether it is within their radius.
+
+    Args:
+        along: places of the centres, from the rectangle's centre along its axis [m].
+        across: places of the centres across its axis [m].
+        size: length and width of the rectangle [m].
+        radius: of the circles [m].
+    """
+    xp = namespace(along, across)
+    beyond_end = xp.maximum(xp.abs(along) - size[0] / 2, 0.0)
+    beyond_side = xp.maximum(xp.abs(across) - size[1] / 2, 0.0)
+    return beyond_end**2 + beyond_side**2 < radius**2
+
+
+def place_in_frame(own: Directed, x: Numbers, y: Numbers) -> Directions:
+    """Return where places are, along and across a body, from its centre [m]."""
+    own_x, own_y, cosine, sine = own
+    dx = x - own_x
+    dy = y - own_y
+    return cosine * dx + sine * dy, cosine * dy - sine * dx
+
+
 def body_points(size: Float[Any, "2"], corner: Numbers) -> Float[Any, "9 2"]:
     """Return x and y of the corners, the middles of the edges and the centre of a body in its own frame [m].
 
@@ -48,8 +110,34 @@ def body_points(size: Float[Any, "2"], corner: Numbers) -> Float[Any, "9 2"]:
     return xp.concatenate([corner * CORNERS, MIDDLES]) * xp.asarray(size)
 
 
+def point_offsets(
+    own: Directed, points: Float[Any, "points 2"], other: Directed
+) -> tuple[Float[Any, "bodies points *times"], Float[Any, "bodies points *times"]]:
+    """Return where points of a body are, along and across other bodies, from their centres [m].
+
+    Args:
+        own: motion of the body, arrays [*times] or numbers.
+        points: of the body, in its own frame [m].
+        other: motion of the other bodies, arrays [bodies, *times].
+    """
+    other_x, other_y, other_cosine, other_sine = other
+    xp, times = namespace(*own, *other), np.ndim(other_x) - 1
+    x, y, cosine, sine = (xp.broadcast_to(part, other_x.shape) for part in own)
+    dx, dy = x - other_x, y - other_y
+    ahead, across = other_cosine * dx + other_sine * dy, other_cosine * dy - other_sine * dx
+    turned, slant = other_cosine * cosine + other_sine * sine, other_cosine * sine - other_sine * cosine
+    shape = len(dx), len(points), *dx.shape[1:]
+    ahead, across, turned, slant = (xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant))
+    along, aside = xp.broadcast_to(points.T.reshape(2, 1, -1, *[1] * times), (2, *shape))
+    return ahead + turned * along - slant * aside, across + slant * along + turned * aside
+
+
 def ellipse_distance(
-    own: Directed, points: Float[Any, "points 2"], other: Directed, length: Numbers, width: Numbers
+    own: Directed,
+    points: Float[Any, "points 2"],
+    other: Directed,
+    length: Numbers,
+    width: Numbers,
 ) -> Float[Any, "bodies points *times"]:
     """Return ``D - 1 = (2 dx / length)^2 + (2 dy / width)^2 - 1`` from points of a body to other bodies.
 
@@ -62,17 +150,22 @@ def ellipse_distance(
         length: of the other bodies [m], a number or an array [bodies, 1, *ones] that broadcasts over points and times.
         width: of the other bodies, likewise.
     """
-    other_x, other_y, other_cosine, other_sine = other
-    xp, times = namespace(*own, *other), np.ndim(other_x) - 1
-    x, y, cosine, sine = (xp.broadcast_to(part, other_x.shape) for part in own)
-    dx, dy = x - other_x, y - other_y
-    ahead, across = other_cosine * dx + other_sine * dy, other_cosine * dy - other_sine * dx
-    turned, slant = other_cosine * cosine + other_sine * sine, other_cosine * sine - other_sine * cosine
-    shape = len(dx), len(points), *dx.shape[1:]
-    ahead, across, turned, slant = (xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant))
-    along, aside = xp.broadcast_to(points.T.reshape(2, 1, -1, *[1] * times), (2, *shape))
-    x, y = ahead + turned * along - slant * aside, across + slant * along + turned * aside
+    x, y = point_offsets(own, points, other)
     return (x / (length / 2)) ** 2 + (y / (width / 2)) ** 2 - 1
+
+
+def square_distance(x: Numbers, y: Numbers) -> Numbers:
+    """Return D of points near a body, ``D^2 = x^4 + y^4``.
+
+    Lines of equal D are superellipses, nearly rectangles with round corners. ``D = 1``
+    touches the sides of the body, ``D = sqrt(2)`` goes through its corners and encloses it.
+    D is convex, and grows like a square with the distance from the centre.
+
+    Args:
+        x: along the body, in shares of half its length.
+        y: across the body, in shares of half its width.
+    """
+    return namespace(x, y).sqrt(x**4 + y**4 + MIN_SQUARE)
 
 
 def nearest_ahead(

@@ -5,7 +5,6 @@ control, braking or speeding up in this lane or another, that collides with noth
 It is passive safety against cars that keep their velocity, as in contingency planning.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -84,14 +83,11 @@ def _within_road(game: Game, others: Motion) -> Motion:
 def _steps_free(game: Game, ways: Float[jax.Array, "ways steps 4"], others: Motion) -> Int[jax.Array, "ways"]:
     """Return the number of steps before a car collides on each way, one more if it keeps `CLEARANCE` to everything."""
     scene = game.scene
-    wider = replace(
-        scene,
-        car_size=jnp.asarray(scene.car_size) + CLEARANCE,
-        obstacle_size=jnp.asarray(scene.obstacle_size) + CLEARANCE,
-    )
 
     def count(way: Float[jax.Array, "steps 4"]) -> Index:
-        free, clear = (~touches(checked, observe(way), others) for checked in (scene, wider))
+        own = observe(way)
+        free = ~touches(scene, own, others)
+        clear = ~touches(scene, own, others, CLEARANCE)
         return jnp.sum(jnp.cumprod(free)) + clear.all()
 
     return jax.vmap(count)(ways)
