@@ -61,7 +61,7 @@ class GameEnv(ConfiguredEnv):
 
     Attributes:
         game: defines car 0's reward.
-        collision: whether car 0 has collided in the last step.
+        collision: whether car 0 has collided in the last step, by the scene's ``contact``.
     """
 
     game: Game
@@ -105,13 +105,24 @@ class GameEnv(ConfiguredEnv):
     def _is_terminated(self) -> bool:
         return bool(self.config.get("terminate_on_collision") and self.collision)
 
+    @property
+    def crashed(self) -> bool:
+        """Whether car 0's body overlaps another one after the last step.
+
+        On physical ground this is what a collision is. In the paper's scenes it is
+        highway-env's own check of rectangles, which the paper's indicator may miss.
+        """
+        if self.game.scene.contact == "bodies":
+            return self.collision
+        return bool(self.vehicle.hit)
+
     def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step; after a reset, the reward and its terms are 0."""
         return {
             "speed": float(self.vehicle.speed),
             "collision_effect": "reward only",
             "collision": self.collision,
-            "crashed": bool(self.vehicle.hit),
+            "crashed": self.crashed,
             "control": {name: float(value) for name, value in self.vehicle.action.items()},
             "action": action,
             "rewards": self._rewards(action),

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 import pygame
+from highway_env.vehicle.objects import Obstacle
 from highway_env.road.graphics import LaneGraphics, RoadGraphics
 
 from ms_highway.envs.spaces import HumanModelAction
@@ -59,8 +60,7 @@ class InteractionViewer(Viewer):
         for lane in env.road.network.lanes_list():
             LaneGraphics.display(lane, surface)
         for cone in env.road.objects:
-            pygame.draw.polygon(surface, CONE, [surface.vec2pix(corner) for corner in cone.polygon()])
-            pygame.draw.circle(surface, PAPER, surface.vec2pix(cone.position), surface.pix(cone.WIDTH / 4))
+            self._draw_cone(cone)
         alone = len(env.humans) == 1
         for place, human in enumerate(() if alone else env.humans):
             human.color = model_color(step.models[place] if step else env.settings.models[0].name)
@@ -72,6 +72,17 @@ class InteractionViewer(Viewer):
             self._write(name, SMALL, PAPER, ASPHALT, center=surface.vec2pix(car.position))
         self._draw_panel(step)
         self.show(surface)
+
+    def _draw_cone(self, cone: Obstacle) -> None:
+        """Draw a cone as it counts: a circle on physical ground, else a rectangle."""
+        surface = self.sim_surface
+        centre = surface.vec2pix(cone.position)
+        if self.env.game.scene.contact == "bodies":
+            pygame.draw.circle(surface, CONE, centre, surface.pix(cone.WIDTH / 2))
+        else:
+            corners = [surface.vec2pix(corner) for corner in cone.polygon()]
+            pygame.draw.polygon(surface, CONE, corners)
+        pygame.draw.circle(surface, PAPER, centre, surface.pix(cone.WIDTH / 4))
 
     def _draw_plan(self, step: ControlStep) -> None:
         """Draw the predicted paths as dots in the colours of their models, and the robot's plan as a line."""

@@ -15,8 +15,8 @@ from ms_highway.envs import ENVIRONMENTS, environment_id
 
 INFO = {
     "speed": "of the robot [m/s]",
-    "crashed": "whether the robot has touched another car in this step",
-    "collision": "whether it collides by the reward's measure, which counts cones, too",
+    "crashed": "whether the robot's body overlaps another one after this step",
+    "collision": "whether it collides by the reward's measure: in version 1 the same as `crashed`; in version 0 the paper's points and ellipses, which miss corners and most of a cone",
     "collision_effect": "what a collision does: it only costs reward",
     "control": "what the robot did: `acceleration` before friction [m/s²], `steering` of the front wheels [rad]",
     "action": "that was given",

@@ -27,12 +27,17 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.collision_risk import SMOOTH_FACTOR, SMOOTH_MARGIN, Bodies, bodies_around
-from ms_highway.game.contact import contact_cost, corner_residuals, obstacle_residuals
+from ms_highway.game.contact import (
+    car_residuals,
+    contact_cost,
+    contact_points,
+    obstacle_residuals,
+)
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import attention, depth_off_road, motion_reward, soft_positive
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
-from ms_highway.geometry.bodies import CORNERS, body_points
+from ms_highway.geometry.bodies import body_points
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.runtime.arrays import Scalar, Times, Trajectories, Trajectory
 
@@ -164,9 +169,8 @@ class Payoff:
         bodies = bodies_around(scene, around)
         total = _bends_of_points(own, points, partial(self._closeness, bodies))
         if self.avoids_contact:
-            corners = jnp.asarray(CORNERS) * jnp.asarray(scene.car_size)
-            contact = partial(corner_residuals, scene, others=around)
-            total = total + _bends_of_points(own, corners, contact)
+            contact = partial(car_residuals, scene, others=around)
+            total = total + _bends_of_points(own, contact_points(scene), contact)
 
         # All else is a sum of squares of quantities that are taken as linear in the motion.
         _, slopes = along_fields(partial(self._residuals, around), own)

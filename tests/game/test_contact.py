@@ -1,0 +1,84 @@
+"""On physical ground, a collision is an overlap of bodies, and plans pay before bodies touch."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from shapely import Point, affinity, box
+
+from ms_highway.game.collision_risk import touches
+from ms_highway.game.contact import contact_cost, overlap
+from ms_highway.game.dynamics import observe
+from ms_highway.game.scenario import build_game
+from ms_highway.game.scenarios import DENSE_MERGE_V1
+from ms_highway.game.scene import Scene
+
+SCENE = Scene(np.zeros(1), 3.3, obstacles=np.zeros((1, 2)), contact="bodies")
+POSES = 10_000
+
+
+def random_poses(random, spread):
+    """Draw x, y and heading of bodies near the origin; the speed does not matter."""
+    places = random.uniform(-spread, spread, (POSES, 2))
+    headings = random.uniform(-np.pi, np.pi, (POSES, 1))
+    return np.concatenate([places, headings, np.zeros((POSES, 1))], axis=1)
+
+
+def rectangle(pose):
+    """Return the body of a car as a polygon."""
+    length, width = SCENE.car_size
+    x, y, heading, _ = pose
+    body = box(-length / 2, -width / 2, length / 2, width / 2)
+    turned = affinity.rotate(body, heading, origin=(0, 0), use_radians=True)
+    return affinity.translate(turned, x, y)
+
+
+def check(found, bodies, others):
+    """Check overlaps against those of shapely, but for bodies that merely touch."""
+    for overlaps, body, other in zip(found, bodies, others, strict=True):
+        area = body.intersection(other).area
+        touch = area < 1e-4 and body.distance(other) < 1e-4
+        assert touch or overlaps == (area > 0)
+    assert 0.2 < np.mean(found) < 0.8
+
+
+def test_cars_overlap_exactly_where_shapely_says_so():
+    random = np.random.default_rng(0)
+    own, other = random_poses(random, 3.0), random_poses(random, 3.0)
+    road = replace(SCENE, obstacles=np.zeros((0, 2)))
+    found = jax.jit(overlap)(road, observe(own), observe(other[None]))
+    check(np.asarray(found), map(rectangle, own), map(rectangle, other))
+
+
+def test_a_car_overlaps_a_cone_exactly_where_it_overlaps_a_circle_as_wide():
+    own = random_poses(np.random.default_rng(1), 4.0)
+    nobody = np.full((1, POSES, 4), 1e3)
+    found = jax.jit(overlap)(SCENE, observe(own), observe(nobody))
+    cone = Point(0, 0).buffer(SCENE.obstacle_size[1] / 2, quad_segs=512)
+    check(np.asarray(found), map(rectangle, own), [cone] * POSES)
+
+
+def test_where_bodies_overlap_plans_pay_whatever_the_directions_of_both_cars():
+    random = np.random.default_rng(2)
+    own, other = random_poses(random, 3.0), random_poses(random, 3.0)
+    motions = observe(own), observe(other[None])
+    overlaps = np.asarray(jax.jit(overlap)(SCENE, *motions))
+    costs = np.asarray(jax.jit(contact_cost)(SCENE, *motions))
+    assert overlaps.sum() > 1000
+    assert costs[overlaps].min() > 0
+
+
+def test_cars_side_by_side_in_their_lanes_and_one_behind_the_other_pay_nothing():
+    game = build_game(DENSE_MERGE_V1, "physical")
+    others = np.array([[0.0, -3.33, 0.0, 20.0], [-6.1, 0.0, 0.0, 20.0]])
+    around = observe(others[:, None])
+    assert not contact_cost(game.scene, observe(np.zeros((1, 4))), around).any()
+
+
+@pytest.mark.parametrize(("contact", "collides"), [("paper", False), ("bodies", True)])
+def test_corners_that_overlap_by_half_a_metre_collide_on_physical_ground_alone(contact, collides):
+    """The paper's nine points miss them: its ellipse does not reach into corners."""
+    scene = replace(SCENE, obstacles=np.zeros((0, 2)), contact=contact)
+    other = np.array([[[4.5, 2.0, 0.0, 20.0]]])
+    assert bool(touches(scene, observe(np.zeros((1, 4))), observe(other))[0]) == collides
