@@ -1,7 +1,8 @@
 """Keep bodies apart on physical ground: whether they overlap, and what coming close costs plans.
 
 Cars are rectangles and obstacles are circles, whose diameter is the obstacle's width. The cost
-sees whole bodies: where it is zero, nothing overlaps.
+sees whole bodies: a car pays for every overlap with an obstacle, and with a car whose direction
+differs by less than 20 degrees. For every other overlap of cars, at least one of both pays.
 """
 
 import jax

@@ -59,14 +59,21 @@ def test_a_car_overlaps_a_cone_exactly_where_it_overlaps_a_circle_as_wide():
     check(np.asarray(found), map(rectangle, own), [cone] * POSES)
 
 
-def test_where_bodies_overlap_plans_pay_whatever_the_directions_of_both_cars():
+def test_where_bodies_overlap_plans_pay():
+    """A car pays itself, unless they meet at an angle; then one of both cars pays."""
     random = np.random.default_rng(2)
-    own, other = random_poses(random, 3.0), random_poses(random, 3.0)
-    motions = observe(own), observe(other[None])
-    overlaps = np.asarray(jax.jit(overlap)(SCENE, *motions))
-    costs = np.asarray(jax.jit(contact_cost)(SCENE, *motions))
-    assert overlaps.sum() > 1000
-    assert costs[overlaps].min() > 0
+    one, two = random_poses(random, 4.0), random_poses(random, 4.0)
+    first, second = observe(one), observe(two)
+    among_first = jax.tree.map(lambda part: part[None], first)
+    among_second = jax.tree.map(lambda part: part[None], second)
+
+    overlaps = np.asarray(jax.jit(overlap)(SCENE, first, among_second))
+    of_first = np.asarray(jax.jit(contact_cost)(SCENE, first, among_second))
+    of_second = np.asarray(jax.jit(contact_cost)(SCENE, second, among_first))
+    parallel = np.abs(np.sin(one[:, 2] - two[:, 2])) < np.sin(np.radians(20))
+    assert (overlaps & parallel).sum() > 500
+    assert of_first[overlaps & parallel].min() > 0
+    assert np.maximum(of_first, of_second)[overlaps].min() > 0
 
 
 def test_cars_side_by_side_in_their_lanes_and_one_behind_the_other_pay_nothing():
