@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 import pygame
-from highway_env.vehicle.objects import Obstacle
 from highway_env.road.graphics import LaneGraphics, RoadGraphics
+from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.envs.spaces import HumanModelAction
 from ms_highway.envs.viewer import (

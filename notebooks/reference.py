@@ -16,7 +16,7 @@ from ms_highway.envs import ENVIRONMENTS, environment_id
 INFO = {
     "speed": "of the robot [m/s]",
     "crashed": "whether the robot's body overlaps another one after this step",
-    "collision": "whether it collides by the reward's measure: in version 1 the same as `crashed`; in version 0 the paper's points and ellipses, which miss corners and most of a cone",
+    "collision": "whether it collides by the reward's measure, see [Reward](#reward)",
     "collision_effect": "what a collision does: it only costs reward",
     "control": "what the robot did: `acceleration` before friction [m/s²], `steering` of the front wheels [rad]",
     "action": "that was given",
@@ -77,6 +77,11 @@ An episode ends after its steps (truncated), or with `terminate_on_collision` at
 
 The robot's own, the sum of weighted features after the step; less `lambda` T(M) under `HumanModelAction`. `info["rewards"]`
 has its terms; `ms_highway.game.features.features` defines them, `ms_highway.game.scenarios` has their weights.
+
+In version 1, a collision is an overlap of bodies: cars are rectangles of 5 by 2.5 m, cones are circles of 1.87 m, and
+`collision` and `crashed` are the same. In version 0 it is the paper's indicator, which tests nine points of the robot against
+ellipses within the other cars and cones. It misses corners that overlap, and most of a cone beside a door: there, `crashed` tells
+what overlaps.
 
 ## `info`
 

@@ -60,9 +60,7 @@ def _distance(scene: Scene, own: Motion, bodies: Bodies) -> Float[jax.Array, "bo
     return ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
 
 
-def touches(
-    scene: Scene, own: Motion, others: Motion, clearance: float = 0.0
-) -> Bool[jax.Array, "*times"]:
+def touches(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -> Bool[jax.Array, "*times"]:
     """Return whether the car collides with another body, by the scene's ``contact``.
 
     Args:

@@ -47,9 +47,7 @@ OBSTACLE_POINTS = 3.0
 """Number of points that an obstacle counts for: it is a single point near the car."""
 
 
-def overlap(
-    scene: Scene, own: Motion, others: Motion, clearance: float = 0.0
-) -> Bool[jax.Array, "*times"]:
+def overlap(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -> Bool[jax.Array, "*times"]:
     """Return whether the car's body overlaps another car's or an obstacle's.
 
     Args:
@@ -58,7 +56,8 @@ def overlap(
         others: motion of the other cars, arrays [others, *times].
         clearance: by which all bodies are longer and wider than they are [m].
     """
-    size = tuple(jnp.unstack(jnp.asarray(scene.car_size) + clearance))
+    length, width = jnp.asarray(scene.car_size) + clearance
+    size = length, width
     with_cars = rectangles_overlap(own[:4], size, others[:4], size).any(axis=0)
     if not len(scene.obstacles):
         return with_cars

@@ -77,12 +77,14 @@ def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
 
 
 STAY_BACK_V1 = _physical(
-    STAY_BACK, 20, cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.03 * UNIT, 0.0, 0.045 * UNIT)), steps=60
+    STAY_BACK, 20, cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.05 * UNIT, 0.0, 0.045 * UNIT)), steps=60
 )
-"""The robot starts 32 m before the cones. The human starts 7 m ahead of it and drives 1.5 m/s faster.
+"""The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives 1.5 m/s faster.
 
 Within the grip of tyres, one car has to slow down in time for the other one. Nearer starts leave no room for that.
-From farther starts, or from beside the human, all models earn the same.
+From farther starts, or from farther behind the human, all models earn the same. The human's start was chosen among
+nine, on 32 to 64 starts of seeds 1000 and up: from 6.2 to 6.5 m ahead naive plans collide in most episodes and those
+under turn in none; from 5.8 m ahead, both collide.
 """
 
 MERGER_V1 = _physical(MERGER, 10)
@@ -145,7 +147,8 @@ SEVERAL_V1: dict[str, Any] = {
 All humans yield to a car that merges. The robot is careful: it enters only gaps that it expects to open.
 """
 
-CLOSE_SPACING = 7.0, 13.0  # m, spacing in the streams of version 1
+CLOSE_SPACING = 7.0, 13.0  # m, spacing in the stream of Dense Merge v1
+CLOSER_SPACING = 6.5, 12.5  # m, spacing in the streams of Crossing Crowd v1
 
 DENSE_MERGE_V1 = _physical(
     DENSE_MERGE, 10, steps=60, cones=_lane_end(2.5), streams=(Stream(-0.1 * UNIT, spacing=CLOSE_SPACING),), **SEVERAL_V1
@@ -159,12 +162,12 @@ nearly all.
 CROSSING_CROWD_V1 = _physical(
     CROSSING_CROWD,
     10,
-    cones=_lane_end(2.0),
-    streams=tuple(replace(stream, spacing=CLOSE_SPACING) for stream in CROSSING_CROWD.streams),
+    steps=60,
+    cones=_lane_end(2.75),
+    streams=tuple(replace(stream, spacing=CLOSER_SPACING) for stream in CROSSING_CROWD.streams),
     **SEVERAL_V1,
 )
-"""Both streams are denser than in version 0, and the cones are farther away.
+"""Both streams are denser than in version 0, the cones are farther away, and there are six seconds to arrive.
 
-Spacing and cones were chosen so that naive plans fail in more than a quarter of the episodes, and theory of mind in
-few.
+Spacing, cones and time were chosen so that naive plans fail in a third of the episodes, and theory of mind in few.
 """

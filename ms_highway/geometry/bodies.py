@@ -44,9 +44,7 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     return xp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
 
 
-def rectangles_overlap(
-    own: Directed, size: Directions, other: Directed, other_size: Directions
-) -> Flags:
+def rectangles_overlap(own: Directed, size: Directions, other: Directed, other_size: Directions) -> Flags:
     """Return whether rectangles overlap: whether no axis of either one separates them.
 
     Args:
@@ -74,9 +72,7 @@ def rectangles_overlap(
     return meets(other_in_own, size, other_size) & meets(own_in_other, other_size, size)
 
 
-def circles_overlap(
-    along: Numbers, across: Numbers, size: Directions, radius: Numbers
-) -> Flags:
+def circles_overlap(along: Numbers, across: Numbers, size: Directions, radius: Numbers) -> Flags:
     """Return whether circles overlap a rectangle: whether it is within their radius.
 
     Args:
