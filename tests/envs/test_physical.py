@@ -1,10 +1,13 @@
 """Scenarios at version 1, in which all cars keep to what tyres hold."""
 
+from itertools import combinations
+
 import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
 from episodes import drive, drives_long, make
+from shapely import Point, Polygon
 
 from ms_highway.envs import SCENARIOS
 from ms_highway.experiments.batch import simulated
@@ -35,6 +38,48 @@ def test_robot_and_human_accelerate_by_no_more_than_tyres_hold_in_any_step():
 def test_physical_semantics_limit_a_scenario_of_the_paper_too():
     planner = make("merger", semantics="physical").unwrapped.game.planner
     assert (float(planner.grip), planner.horizon) == (GRIP, 5)
+
+
+def bodies_of(env):
+    """Return the bodies as they are drawn: the robot's, and those of all others."""
+    robot, *others = (Polygon(vehicle.polygon()[:4]) for vehicle in env.road.vehicles)
+    cones = [Point(cone.position).buffer(cone.WIDTH / 2, quad_segs=256) for cone in env.road.objects]
+    return robot, [*others, *cones]
+
+
+@pytest.mark.parametrize("name", ["merger-v1", "stay-back-v1", "dense-merge-v1"])
+def test_a_collision_is_an_overlap_of_bodies_for_rewards_info_success_and_vector_environments(name):
+    """An agent steers into its neighbour, or into cones; touching by less than 1 cm may count or not."""
+    config = {"action": {"type": "ContinuousAction"}, "terminate_on_collision": True}
+    single = gym.make(f"ms-highway/{name}", config=config)
+    many = gym.make_vec(f"ms-highway/{name}", num_envs=2, config=config)
+    single.reset(seed=0)
+    many.reset(seed=0)
+    terminated = truncated = False
+    while not (terminated or truncated):
+        speed_up_and_steer = np.array([0.5, 0.12 if name == "stay-back-v1" else -0.12], np.float32)
+        _, _, terminated, truncated, info = single.step(speed_up_and_steer)
+        _, _, ended, _, infos = many.step(np.tile(speed_up_and_steer, (2, 1)))
+        robot, others = bodies_of(single.unwrapped)
+        overlaps = any(robot.intersects(other) for other in others)
+        assert terminated == info["collision"] == info["crashed"] == overlaps
+        assert info["rewards"]["collision"] == (-100 if overlaps else 0)
+        assert ended[0] == infos["collision"][0] == terminated
+    assert terminated
+    if "success" in info:
+        assert not info["success"]
+        assert not infos["success"][0]
+
+
+@drives_long
+@pytest.mark.parametrize("name", PHYSICAL)
+def test_no_body_overlaps_another_one_under_the_learned_choice(name):
+    env = make(name, "learned:1")
+    for seed in range(4):
+        _, _, _, infos = drive(env, seed)
+        assert not any(info["collision"] or info["crashed"] for info in infos)
+        robot, others = bodies_of(env.unwrapped)
+        assert all(one.disjoint(two) for one, two in combinations([robot, *others[: len(env.unwrapped.humans)]], 2))
 
 
 def driven(scenario, controllers, starts):
