@@ -63,7 +63,8 @@ class InteractionEnv(GameEnv):
       ``"measured"``, on this machine in the first step; or seconds by model, of which ``tom@8`` takes its share. Among
       several humans, T(M) is of a plan that predicts one human by M and the others by the first rung, and T is
       additive. With ``"shipped"``, budgets choose by measured times, so that episodes of one seed may differ.
-    * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within what tyres hold; or
+    * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within what tyres hold, where a
+      collision is an overlap of bodies (`ms_highway.game.contact`) instead of the paper's indicator; or
       ``"released"``, the paper's released code; see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
       demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; or None for the
@@ -85,7 +86,7 @@ class InteractionEnv(GameEnv):
       in the paper, but stands for ``GRIP`` in physical semantics. It does not apply where the agent drives.
     * ``solver``: how plans under models that do not respond are improved: ``"gradient"``, the paper's; ``"newton"``; or
       ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop
-      (`ms_highway.game.payoff.stopping_cost`).
+      (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics, with room between bodies.
     * ``horizon``: number of planned controls, of robot and humans.
     * ``time_step``: duration of a step of plans and of the environment [s].
     * ``iterations``: number of gradient steps of a plan; None for what suits the horizon.

@@ -18,7 +18,7 @@ from ms_highway.geometry.bodies import (
     circles_overlap,
     place_in_frame,
     point_offsets,
-    rectangles_overlap,
+    separation_of_directed,
     square_distance,
 )
 from ms_highway.runtime.arrays import Array, Numbers, Times
@@ -58,7 +58,8 @@ def overlap(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -
     """
     length, width = jnp.asarray(scene.car_size) + clearance
     size = length, width
-    with_cars = rectangles_overlap(own[:4], size, others[:4], size).any(axis=0)
+    gaps = separation_of_directed(own[:4], others[:4], size, size)
+    with_cars = (gaps < 0).any(axis=0)
     if not len(scene.obstacles):
         return with_cars
     radius = (jnp.asarray(scene.obstacle_size)[1] + clearance) / 2

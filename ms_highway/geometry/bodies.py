@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.geometry.curve import Pose, namespace, rotated
+from ms_highway.geometry.curve import Pose, namespace
 from ms_highway.runtime.arrays import Numbers
 
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
@@ -33,24 +33,24 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
         sizes: length and width of the second [m].
     """
     xp = namespace(*own, size, *other, sizes)
-    dx, dy = other[0] - own[0], other[1] - own[1]
-    c, s = (xp.abs(part) for part in rotated(xp.cos(other[2]), xp.sin(other[2]), own[2]))
 
-    def apart(heading: Numbers, size: Sizes, sizes: Sizes) -> Numbers:
-        (a, b), (e, f) = (xp.moveaxis(xp.asarray(each) / 2, -1, 0) for each in (size, sizes))
-        u, v = (xp.abs(part) for part in rotated(dx, dy, heading))
-        return xp.maximum(u - a - e * c - f * s, v - b - e * s - f * c)
+    def directed(pose: Pose) -> Directed:
+        x, y, heading = pose
+        return x, y, xp.cos(heading), xp.sin(heading)
 
-    return xp.maximum(apart(own[2], size, sizes), apart(other[2], sizes, size))
+    length, width = xp.moveaxis(xp.asarray(size), -1, 0)
+    other_length, other_width = xp.moveaxis(xp.asarray(sizes), -1, 0)
+    both_sizes = (length, width), (other_length, other_width)
+    return separation_of_directed(directed(own), directed(other), *both_sizes)
 
 
-def rectangles_overlap(own: Directed, size: Directions, other: Directed, other_size: Directions) -> Flags:
-    """Return whether rectangles overlap: whether no axis of either one separates them.
+def separation_of_directed(own: Directed, other: Directed, size: Directions, other_size: Directions) -> Numbers:
+    """Return the `separation` of rectangles whose headings are given by cosine and sine.
 
     Args:
         own: motion of the first.
-        size: length and width of the first [m].
         other: motion of the second.
+        size: length and width of the first [m].
         other_size: length and width of the second [m].
     """
     own_x, own_y, own_cosine, own_sine = own
@@ -61,15 +61,19 @@ def rectangles_overlap(own: Directed, size: Directions, other: Directed, other_s
     parallel = xp.abs(own_cosine * other_cosine + own_sine * other_sine)
     slanted = xp.abs(own_cosine * other_sine - own_sine * other_cosine)
 
-    def meets(place: Directions, one: Directions, two: Directions) -> Flags:
-        """Return whether the box around the second one meets the first, in its frame."""
-        reach_along = (one[0] + two[0] * parallel + two[1] * slanted) / 2
-        reach_across = (one[1] + two[0] * slanted + two[1] * parallel) / 2
-        return (xp.abs(place[0]) < reach_along) & (xp.abs(place[1]) < reach_across)
+    def gap(place: Directions, one: Directions, two: Directions) -> Numbers:
+        """Return the larger gap to the box around the second one, in the first one's frame."""
+        along = xp.abs(place[0])
+        across = xp.abs(place[1])
+        half_length = two[0] / 2
+        half_width = two[1] / 2
+        gap_along = along - one[0] / 2 - half_length * parallel - half_width * slanted
+        gap_across = across - one[1] / 2 - half_length * slanted - half_width * parallel
+        return xp.maximum(gap_along, gap_across)
 
-    other_in_own = place_in_frame(own, other_x, other_y)
-    own_in_other = place_in_frame(other, own_x, own_y)
-    return meets(other_in_own, size, other_size) & meets(own_in_other, other_size, size)
+    gap_from_own = gap(place_in_frame(own, other_x, other_y), size, other_size)
+    gap_from_other = gap(place_in_frame(other, own_x, own_y), other_size, size)
+    return xp.maximum(gap_from_own, gap_from_other)
 
 
 def circles_overlap(along: Numbers, across: Numbers, size: Directions, radius: Numbers) -> Flags:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from jax import numpy as jnp
 from shapely import Point, affinity, box
 
 from ms_highway.game.collision_risk import touches
@@ -89,3 +90,19 @@ def test_corners_that_overlap_by_half_a_metre_collide_on_physical_ground_alone(c
     scene = replace(SCENE, obstacles=np.zeros((0, 2)), contact=contact)
     other = np.array([[[4.5, 2.0, 0.0, 20.0]]])
     assert bool(touches(scene, observe(np.zeros((1, 4))), observe(other))[0]) == collides
+
+
+def test_the_slope_of_the_cost_matches_finite_differences():
+    random, apart = np.random.default_rng(3), 1e-3
+    poses = random.uniform((-6.0, -3.0, -0.3), (6.0, 3.0, 0.3), (50, 3))
+    others = observe(np.array([[0.0, 3.0, 0.1, 20.0], [4.0, -3.0, -0.1, 20.0]]))
+
+    @jax.jit
+    def cost(pose):
+        own = observe(jnp.append(pose, 20.0))
+        return contact_cost(SCENE, own, others)
+
+    with jax.enable_x64(True):
+        for pose in poses:
+            slopes = [(cost(pose + step) - cost(pose - step)) / (2 * apart) for step in apart * np.eye(3)]
+            np.testing.assert_allclose(jax.grad(cost)(pose), slopes, rtol=1e-3, atol=1e-3)

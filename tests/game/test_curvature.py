@@ -66,11 +66,12 @@ def test_the_curvature_of_closeness_bounds_its_hessian_and_is_not_much_larger():
     assert np.median(larger) < 2.5
 
 
-def test_the_curvature_of_any_reward_is_positive_semidefinite_and_that_of_a_gap_without_a_leader_is_zero():
-    random = np.random.default_rng(0)
+@pytest.mark.parametrize("contact", ["paper", "bodies"])
+def test_the_curvature_of_any_reward_is_positive_semidefinite_and_that_of_a_gap_without_a_leader_is_zero(contact):
+    random, road = np.random.default_rng(0), replace(ROAD, contact=contact)
     for _ in range(20):
         own = motion(random.uniform(-7, 4), random.normal(0, 0.2))
         weights = dict(zip(FEATURES, random.normal(0, 100, len(FEATURES)), strict=True))
-        bent = bends(ROAD, linear_reward(weights, 20.0, gap=0.3 * PAPER_UNIT), own, near(random, 0))
+        bent = bends(road, linear_reward(weights, 20.0, gap=0.3 * PAPER_UNIT), own, near(random, 0))
         assert np.linalg.eigvalsh(bent)[0] > -1e-4 * np.abs(bent).max()
-    assert not bends(ROAD, linear_reward({"gap": 70.0}, 20.0, names=FEATURES), motion(0.0, 0.0), FAR).any()
+    assert not bends(road, linear_reward({"gap": 70.0}, 20.0, names=FEATURES), motion(0.0, 0.0), FAR).any()
