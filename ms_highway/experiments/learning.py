@@ -72,12 +72,14 @@ def prepare(
     if batches[0].loop.drivers:
         remedy = "leave config['yielding'] and config['human_driver'] out"
         raise ValueError(f"values are learned among humans who plan for their reward; {remedy}")
+    horizons = sorted({batch.environment.settings.horizon for batch in batches})
     settings = {
         **comparison.common_config(),
         "versions": this_run()["versions"],
         "scenarios": list(comparison.controllers),
         "seed": seed,
-        "planning_horizon": batches[0].environment.settings.horizon,  # "horizon" is that of the rollouts
+        # Of plans, where "horizon" is that of rollouts; a list if scenarios differ.
+        "planning_horizon": horizons[0] if len(horizons) == 1 else horizons,
     }
     later = states and (states if several else ceil(states * 5 / 8))
     given = {"rounds": rounds, "horizon": horizon, "states": later and (states, later)}

@@ -7,10 +7,23 @@ import jax
 import numpy as np
 import pytest
 from commands import run
+from episodes import make
 
 from ms_highway.choice.learned_value import load_values
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.learning import learn, prepare
+
+
+def test_values_learned_in_scenes_of_unlike_horizons_know_all_of_them():
+    asked = Comparison({name: ["tom"] for name in ("stay-back-v1", "merger-v1")})
+    learning, _ = prepare(asked, rounds=1, states=1, horizon=None, seed=0)
+    assert learning.settings["planning_horizon"] == [10, 20]
+
+
+@pytest.mark.parametrize("name", ["merger-v1", "stay-back-v1", "give-way-v1", "dense-merge-v1", "crossing-crowd-v1"])
+def test_the_shipped_values_are_at_home_in_every_scene_of_version_1(name, recwarn):
+    make(name, "learned:1").reset(seed=0)
+    assert not [warning for warning in recwarn if "values of computation" in str(warning.message)]
 
 
 @pytest.mark.slow
