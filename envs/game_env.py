@@ -105,24 +105,15 @@ class GameEnv(ConfiguredEnv):
     def _is_terminated(self) -> bool:
         return bool(self.config.get("terminate_on_collision") and self.collision)
 
-    @property
-    def crashed(self) -> bool:
-        """Whether car 0's body overlaps another one after the last step.
-
-        On physical ground this is what a collision is. In the paper's scenes it is
-        highway-env's own check of rectangles, which the paper's indicator may miss.
-        """
-        if self.game.scene.contact == "bodies":
-            return self.collision
-        return bool(self.vehicle.hit)
-
     def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step; after a reset, the reward and its terms are 0."""
+        # The paper's indicator misses overlaps of bodies that highway-env notices.
+        crashed = self.collision if self.game.scene.bodies_collide else bool(self.vehicle.hit)
         return {
             "speed": float(self.vehicle.speed),
             "collision_effect": "reward only",
             "collision": self.collision,
-            "crashed": self.crashed,
+            "crashed": crashed,
             "control": {name: float(value) for name, value in self.vehicle.action.items()},
             "action": action,
             "rewards": self._rewards(action),

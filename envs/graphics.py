@@ -77,7 +77,7 @@ class InteractionViewer(Viewer):
         """Draw a cone as it counts: a circle on physical ground, else a rectangle."""
         surface = self.sim_surface
         centre = surface.vec2pix(cone.position)
-        if self.env.game.scene.contact == "bodies":
+        if self.env.game.scene.bodies_collide:
             pygame.draw.circle(surface, CONE, centre, surface.pix(cone.WIDTH / 2))
         else:
             corners = [surface.vec2pix(corner) for corner in cone.polygon()]

@@ -78,10 +78,10 @@ An episode ends after its steps (truncated), or with `terminate_on_collision` at
 The robot's own, the sum of weighted features after the step; less `lambda` T(M) under `HumanModelAction`. `info["rewards"]`
 has its terms; `ms_highway.game.features.features` defines them, `ms_highway.game.scenarios` has their weights.
 
-In version 1, a collision is an overlap of bodies: cars are rectangles of 5 by 2.5 m, cones are circles of 1.87 m, and
+In version 1, a collision is an overlap of bodies: cars are rectangles of 5 by 2.5 m, cones are circles 1.87 m across, and
 `collision` and `crashed` are the same. In version 0 it is the paper's indicator, which tests nine points of the robot against
-ellipses within the other cars and cones. It misses corners that overlap, and most of a cone beside a door: there, `crashed` tells
-what overlaps.
+ellipses within the other cars and cones. It misses overlapping corners, and most of a cone at the car's side. `crashed` counts
+these.
 
 ## `info`
 

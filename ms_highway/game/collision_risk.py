@@ -69,7 +69,7 @@ def touches(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -
         others: motion of the other cars, arrays [others, *times].
         clearance: by which all bodies are longer and wider than they are [m].
     """
-    if scene.contact == "bodies":
+    if scene.bodies_collide:
         return overlap(scene, own, others, clearance)
     wider = replace(
         scene,
@@ -102,11 +102,11 @@ def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = Fal
     bodies = bodies_around(scene, others)
     distance = _distance(scene, own, bodies)
     close = bodies.share * jnp.exp(-bodies.sharpness * distance)
-    if scene.contact == "bodies":
+    if scene.bodies_collide:
         risk = jnp.sum(close, axis=(0, 1))
         if smooth:
             return risk, jnp.zeros_like(risk)
-        indicator = jax.lax.stop_gradient(touches(scene, own, others))
+        indicator = jax.lax.stop_gradient(overlap(scene, own, others))
         return risk, indicator.astype(close.dtype)
     if smooth:
         touching = SMOOTH_FACTOR * jnp.maximum(SMOOTH_MARGIN - distance, 0.0) ** 3

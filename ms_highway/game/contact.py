@@ -1,8 +1,9 @@
-"""Keep bodies apart on physical ground: whether they overlap, and what coming close costs plans.
+"""Keep bodies apart on physical ground: whether they overlap, and what plans pay near them.
 
-Cars are rectangles and obstacles are circles, whose diameter is the obstacle's width. The cost
-sees whole bodies: a car pays for every overlap with an obstacle, and with a car whose direction
-differs by less than 20 degrees. For every other overlap of cars, at least one of both pays.
+Cars are rectangles and obstacles are circles, whose diameter is the obstacle's width. A car pays
+for every overlap with an obstacle, and with a car whose direction differs by less than 7 degrees.
+At larger angles, another car's corner may reach a car's side between two of its points; then the
+other car pays, if it plans as well.
 """
 
 import jax
@@ -32,19 +33,20 @@ Corners see all cars that drive along the same road, and the centre sees those t
 CONTACT_MARGIN = 2.0
 """D of `square_distance` below which plans pay for coming close to a body.
 
-It is 0.52 m beside and 1.04 m ahead of a car of 5 by 2.5 m. Cars side by side in lanes of
-3.3 m are farther apart.
+It is 0.52 m beside and 1.04 m ahead of a car of 5 by 2.5 m, and 0.90 and 1.42 m from the edge of
+a cone. Cars side by side in lanes of 3.3 m are farther apart; in lanes of less than 3.02 m, they
+pay all the time.
 """
 
 CONTACT_COST = 10.0
-"""Cost per step of a point that touches another car's side, at D = 1 [reward].
+"""Cost per step of a point on another car's side, at D = 1 [reward].
 
-Chosen on 20 to 60 starts of each scene: bodies then stay 0.1 m apart or more. At three times
-this cost, naive plans and theory of mind earn less.
+Chosen on 20 to 60 starts of Merger and Give Way: bodies stay 0.1 m apart or more under every
+model. At three times this cost, naive plans and theory of mind earn less.
 """
 
 OBSTACLE_POINTS = 3.0
-"""Number of points that an obstacle counts for: it is a single point near the car."""
+"""Weight of an obstacle: its centre counts alone, where a car counts with several points."""
 
 
 def overlap(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -> Bool[jax.Array, "*times"]:
@@ -68,7 +70,7 @@ def overlap(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -
 
 
 def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
-    """Compute the cost of plans that bring bodies close, ``sum c(D)`` with::
+    """Compute the cost of plans near other bodies, ``sum c(D)`` with::
 
         c(D) = CONTACT_COST max(CONTACT_MARGIN - D, 0)^3
 
@@ -82,10 +84,8 @@ def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
         own: motion of the car, arrays [*times].
         others: motion of the other cars, arrays [others, *times].
     """
-    length, width = jnp.asarray(scene.car_size)
-    points = contact_points(scene)
-    along, across = point_offsets(own[:4], points, others[:4])
-    from_cars = square_distance(along / (length / 2), across / (width / 2))
+    offsets = point_offsets(own[:4], contact_points(scene), others[:4])
+    from_cars = _distance(jnp.asarray(scene.car_size), *offsets)
     cost = jnp.sum(_cost(from_cars), axis=(0, 1))
     if not len(scene.obstacles):
         return cost
@@ -101,23 +101,22 @@ def contact_points(scene: Scene) -> Float[jax.Array, "points 2"]:
 def car_residuals(
     scene: Scene, points: Float[Array, "2 points steps"], others: Motion
 ) -> Float[jax.Array, "others points steps"]:
-    """Return quantities whose squares bend like `contact_cost` with other cars.
+    """Return quantities whose squares have the second derivatives of `contact_cost` in D.
 
-    The cost is a convex function of D; how D itself bends is left out (Gauss-Newton).
+    The derivatives of D are left to the caller; its second ones are left out (Gauss-Newton).
 
     Args:
         scene: sizes of bodies.
         points: x and y of the car's `contact_points`, in the coordinates of the road [m].
         others: motion of the other cars, arrays [others, steps].
     """
-    length, width = jnp.asarray(scene.car_size)
     other = Motion(*(part[:, None] for part in others))
-    along, across = place_in_frame(other[:4], points[0], points[1])
-    return _residual(square_distance(along / (length / 2), across / (width / 2)))
+    offsets = place_in_frame(other[:4], points[0], points[1])
+    return _residual(_distance(jnp.asarray(scene.car_size), *offsets))
 
 
 def obstacle_residuals(scene: Scene, own: Motion) -> Float[jax.Array, "obstacles steps"]:
-    """Return quantities whose squares bend like `contact_cost` with obstacles."""
+    """Return the same as `car_residuals` for obstacles."""
     return OBSTACLE_POINTS**0.5 * _residual(_distance_of_obstacles(scene, own))
 
 
@@ -135,9 +134,13 @@ def _residual(distance: Numbers) -> Numbers:
 def _distance_of_obstacles(scene: Scene, own: Motion) -> Float[jax.Array, "obstacles *times"]:
     """Return D of the obstacles' centres from the car, widened by their diameter."""
     diameter = jnp.asarray(scene.obstacle_size)[1]
-    length, width = jnp.asarray(scene.car_size) + diameter
-    along, across = _obstacles_in_frame(scene, own)
-    return square_distance(along / (length / 2), across / (width / 2))
+    size = jnp.asarray(scene.car_size) + diameter
+    return _distance(size, *_obstacles_in_frame(scene, own))
+
+
+def _distance(size: Array, along: Numbers, across: Numbers) -> Numbers:
+    """Return the `square_distance` of places along and across a body of a size [m]."""
+    return square_distance(along / (size[0] / 2), across / (size[1] / 2))
 
 
 def _obstacles_in_frame(scene: Scene, own: Motion) -> Directions:

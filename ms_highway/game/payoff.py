@@ -12,8 +12,9 @@ Newton step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of 
 ``C^-1 g`` at most doubles the difference between two plans. Smooth indicators of a lane, induced braking and
 user-defined features have no such form: they are left out, and plans take short steps up them.
 
-On physical ground, the payoff also includes the cost of bodies that come close
-(`ms_highway.game.contact`), whatever the weights of the reward: nobody plans a collision.
+On physical ground, smooth plans also pay near other bodies (`ms_highway.game.contact`), whatever the
+weights of the reward. This cost is convex in a distance D; how D bends is left out of C, so that C
+bounds the Hessian from above alone.
 """
 
 from collections.abc import Callable
@@ -118,8 +119,8 @@ class Payoff:
 
     @property
     def avoids_contact(self) -> bool:
-        """Whether the payoff includes the cost of bodies that come close."""
-        return self.smooth and self.scene.contact == "bodies"
+        """Whether plans pay near other bodies; they do if they climb a smooth reward."""
+        return self.smooth and self.scene.bodies_collide
 
     @jax.jit
     def steps(self, own: Trajectory, others: Trajectories) -> Float[jax.Array, "steps"]:
@@ -231,7 +232,7 @@ def _bends_of_points(
     Args:
         own: trajectory of the car.
         points: of its body, in its own frame [m].
-        residuals: of the places of the points, each of its own place and step alone.
+        residuals: function of the points' places; each result depends on one point and one step.
     """
     along, across = points.T[..., None]
 

@@ -175,9 +175,10 @@ def build_game(
     Args:
         scenario: to build.
         semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and a damped
-            response of humans; ``physical``: the same within the `GRIP` of tyres, where a collision is an overlap of
-            bodies, see `ms_highway.game.contact`; ``released``: the dynamics of the
-            released code, where planners ignore the world's drag, and the exact response.
+            response of humans. ``physical``: the same within the `GRIP` of tyres, where a collision is an overlap
+            of bodies; only plans by the solver ``convex_newton`` keep whole bodies apart
+            (`ms_highway.game.contact`). ``released``: the dynamics of the released code, where planners ignore the
+            world's drag, and the exact response.
         control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics; None
             for no bounds.
         grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`; None for no limit, in

@@ -1,7 +1,7 @@
 """Define the scene: lanes, obstacles, sizes of cars, and the leader; find the cars ahead and behind in three lanes."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import jax
 import numpy as np
@@ -48,7 +48,8 @@ class Scene:
         contact: what counts as a collision (static). ``paper``: any of nine points of the
             car is inside an ellipse within another body. ``bodies``: the car's rectangle
             overlaps the rectangle of another car or the circle of an obstacle, whose
-            diameter is the obstacle's width.
+            diameter is the obstacle's width. All else, such as the room to stop before
+            obstacles, goes by the obstacle's length and width.
 
     Raises:
         ValueError: for an impossible number or shape, naming the attribute; arrays of JAX are not checked.
@@ -66,6 +67,11 @@ class Scene:
     leader: int | None = field(default=None, metadata={"static": True})
     contact: Contact = field(default="paper", metadata={"static": True})
 
+    @property
+    def bodies_collide(self) -> bool:
+        """Whether a collision is an overlap of bodies, see ``contact``."""
+        return self.contact == "bodies"
+
     def is_reached(self, y: Any) -> Any:
         """Return whether cars at these lateral positions have reached the target lane."""
         return abs(y - float(self.target_lane)) < LANE_TOLERANCE
@@ -81,6 +87,9 @@ class Scene:
             if value.ndim < len(shape) or shape[-1] not in ("n", value.shape[-1]) or np.isnan(value).any():
                 wanted = ", ".join(map(str, shape))
                 raise ValueError(f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of numbers, in metres")
+        if self.contact not in get_args(Contact):
+            known = ", ".join(get_args(Contact))
+            raise ValueError(f"Scene.contact is {self.contact!r}; give one of {known}")
         size, width = self.car_size, self.lane_width
         if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
             raise ValueError(f"Scene.car_size is {size.tolist()}; give length and width in metres, both positive")

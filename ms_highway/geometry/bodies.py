@@ -20,7 +20,7 @@ Directed = tuple[Numbers, Numbers, Numbers, Numbers]
 """x, y [m], and cosine and sine of the heading."""
 
 MIN_SQUARE = 1e-6
-"""Added to the square of `square_distance`, whose root has no derivatives at 0."""
+"""Added to the square of `square_distance`: it keeps the derivatives of the root finite."""
 
 
 def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:

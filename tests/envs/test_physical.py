@@ -49,7 +49,7 @@ def bodies_of(env):
 
 @pytest.mark.parametrize("name", ["merger-v1", "stay-back-v1", "dense-merge-v1"])
 def test_a_collision_is_an_overlap_of_bodies_for_rewards_info_success_and_vector_environments(name):
-    """An agent steers into its neighbour, or into cones; touching by less than 1 cm may count or not."""
+    """An agent steers into its neighbour, or into cones."""
     config = {"action": {"type": "ContinuousAction"}, "terminate_on_collision": True}
     single = gym.make(f"ms-highway/{name}", config=config)
     many = gym.make_vec(f"ms-highway/{name}", num_envs=2, config=config)

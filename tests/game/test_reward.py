@@ -69,6 +69,7 @@ def test_each_human_sees_the_game_from_its_own_side(played):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"contact": "body"}, "Scene.contact is 'body'; give one of paper, bodies"),
         ({"car_size": np.array([5.0, np.nan])}, r"Scene.car_size is \[.*; give .* in metres"),
         ({"obstacles": np.array([1.0, 2.0])}, r"obstacles is \[1.0, 2.0\]; give an array \[n, 2\]"),
     ],
