@@ -8,12 +8,12 @@ model knows that. Run it, or make both known to any command::
       --set ladder=naive,expects_politeness,tom --set costs=naive=0.0007,expects_politeness=0.0007,tom=0.0011 \
       --controllers naive expects_politeness tom --out results/polite
 
-Theory of mind counts on a response that does not come, and collides. Prints::
+Theory of mind counts on a response that does not come. Prints::
 
                controller  reward
     0               naive    4.92
     1  expects_politeness    5.04
-    2                 tom  -18.71
+    tom collides in 30 of 30 episodes
 """
 
 from dataclasses import dataclass
@@ -58,5 +58,9 @@ if __name__ == "__main__":
     seconds = {"naive": 0.0007, "expects_politeness": 0.0007, "tom": 0.0011}
     config = {"human_driver": "polite", "ladder": list(seconds), "costs": seconds}
     comparison = Comparison({"merger-v1": list(seconds)}, seeds=30, config=config)
+    table = summary(simulated(comparison))
+    is_tom = table["controller"] == "tom"
+    collided = table["collision_episodes"][is_tom].item()
     print("reward per step")
-    print(summary(simulated(comparison))[["controller", "reward"]].round(2))
+    print(table[~is_tom][["controller", "reward"]].round(2))
+    print(f"tom collides in {collided} of {comparison.seeds} episodes")
