@@ -63,7 +63,7 @@ import numpy as np
 from ms_highway.runtime.compilation import CHUNK, share_among
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-long = jax.jit(lambda items: jax.lax.fori_loop(0, 3000, lambda _, x: jax.numpy.sin(x), items))
+long = jax.jit(lambda items: jax.lax.fori_loop(0, 1_000_000, lambda _, x: jax.numpy.sin(x), items))
 items, main = np.zeros((CHUNK, 40), np.float32), threading.get_ident()
 share_among(jax.local_devices(), long, items, CHUNK)  # compiles, during which an interrupt may be lost
 threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
@@ -76,5 +76,8 @@ except KeyboardInterrupt:
 
 @pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
-    """In Python 3.11, threads that an interrupted `Thread.join` waits for count as ended, and outlive Python."""
+    """In Python 3.11, threads that an interrupted `Thread.join` waits for count as ended, and outlive Python.
+
+    A simulation takes longer than the time until the interrupt, which so comes while a thread computes.
+    """
     assert python("-c", LONG, timeout=300).stdout == "[]\n"
