@@ -37,7 +37,7 @@ def rectangle(pose):
 
 
 def check(found, bodies, others):
-    """Check overlaps against those of shapely, but for bodies that merely touch."""
+    """Check overlaps against those of shapely; bodies that merely touch may count or not."""
     for overlaps, body, other in zip(found, bodies, others, strict=True):
         area = body.intersection(other).area
         touch = area < 1e-4 and body.distance(other) < 1e-4
