@@ -82,9 +82,11 @@ STAY_BACK_V1 = _physical(
 """The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives 1.5 m/s faster.
 
 Within the grip of tyres, one car has to slow down in time for the other one. Nearer starts leave no room for that.
-From farther starts, or from farther behind the human, all models earn the same. The human's start was chosen among
-nine, on 32 to 64 starts of seeds 1000 and up: from 6.2 to 6.5 m ahead naive plans collide in most episodes and those
-under turn in none; from 5.8 m ahead, both collide.
+From 1.3 m farther back, all models earn the same.
+
+The human's start lies between starts of 6.0 to 6.5 m ahead, from which naive plans collide in most of 32 or 48
+episodes (seeds 1000 and up) and those under turn in none. From 5.8 m ahead, both collide; from 7 m ahead, those under
+turn do in one of 48.
 """
 
 MERGER_V1 = _physical(MERGER, 10)
@@ -169,5 +171,5 @@ CROSSING_CROWD_V1 = _physical(
 )
 """Both streams are denser than in version 0, the cones are farther away, and there are six seconds to arrive.
 
-Spacing, cones and time were chosen so that naive plans fail in a third of the episodes, and theory of mind in few.
+Spacing, cones and time were chosen so that naive plans fail in a quarter of the episodes, and theory of mind in few.
 """
