@@ -15,6 +15,7 @@ from gymnasium import spaces
 
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.game_env import Timing
+from ms_highway.runtime.sources import digest
 
 Policy: TypeAlias = Callable[[Any], Any]
 """A function from an observation to an action."""
@@ -70,13 +71,18 @@ def policy_of(name: str) -> Policy:
     return predict
 
 
+def agent_file(name: str) -> str | None:
+    """Return the path of the file that holds an agent; None for an agent that was added as an object."""
+    source = AGENTS[name].source if name in AGENTS else name
+    return fspath(source) if isinstance(source, (str, PathLike)) else None
+
+
 def _agent(name: str) -> Any:
     """Return the agent that was added by this name, or that this file holds."""
-    source = AGENTS[name].source if name in AGENTS else name
-    return saved_policy(fspath(source)) if isinstance(source, (str, PathLike)) else source
+    file = agent_file(name)
+    return AGENTS[name].source if file is None else saved_policy(file)
 
 
-@cache
 def saved_policy(file: str) -> Any:
     """Return the policy of an agent that stable-baselines3 has saved; opening the file may run any code in it.
 
@@ -86,6 +92,12 @@ def saved_policy(file: str) -> Any:
     """
     if not Path(file).is_file():
         raise ValueError(f"there is no agent {file}; notebooks/examples/train_peers.py trains some")
+    return _saved_policy(file, digest(Path(file)))
+
+
+@cache
+def _saved_policy(file: str, content: str) -> Any:
+    """Read a file once for every content, whose digest is given; see `saved_policy`."""
     try:
         from stable_baselines3.common.save_util import load_from_zip_file
 

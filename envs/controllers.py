@@ -12,6 +12,7 @@ from msgspec import Meta, Struct
 
 from ms_highway.choice.learned_value import Values
 from ms_highway.choice.rule import Order
+from ms_highway.envs.agents import agent_file
 from ms_highway.envs.configuration import Config, NotNegative
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import Semantics
@@ -83,6 +84,10 @@ class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", om
     def learned(self, start: Start) -> Values | None:
         """Return the learned values that choose from the ladder; None without any."""
         return None
+
+    def files(self) -> tuple[str, ...]:
+        """Return the paths of the files that the controller is read from, beside its settings."""
+        return ()
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the human models of an order."""
@@ -168,6 +173,11 @@ class AgentSettings(NamedSettings, frozen=True, tag="agent"):
     def parse(cls, text: str) -> Config:
         """See `ControllerSettings.parse`."""
         return {"name": text}
+
+    def files(self) -> tuple[str, ...]:
+        """See `ControllerSettings.files`."""
+        file = agent_file(self.name)
+        return () if file is None else (file,)
 
     def check(self, start: Start) -> None:
         """See `ControllerSettings.check`."""

@@ -27,7 +27,8 @@ from ms_highway.envs.controllers import (
     Start,
 )
 from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, function_names
-from ms_highway.planning.ladders import MODELS, is_model, model_names
+from ms_highway.planning.human_models import PACKAGE_TYPES
+from ms_highway.planning.ladders import MODELS, human_model, is_model, model_names
 from ms_highway.runtime import retired
 
 BELIEF = "+belief"
@@ -72,6 +73,10 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     def __post_init__(self) -> None:
         load_values(self.values or SHIPPED_VALUES)
 
+    def files(self) -> tuple[str, ...]:
+        """See `ControllerSettings.files`."""
+        return _files_of(self.values)
+
     def learned(self, start: Start) -> Values:
         """See `ControllerSettings.learned`."""
         return _learned(self.values, start)
@@ -79,6 +84,11 @@ class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
     def rule(self, start: Start) -> Any:
         """See `ControllerSettings.rule`."""
         return self.learned(start).rule(start.ladder, start.costs, self.price)
+
+
+def _files_of(values: str | None) -> tuple[str, ...]:
+    """Return the file of learned values, if it is not one of the package's."""
+    return (values,) if values and values not in (SHIPPED_VALUES, ONE_STEP) else ()
 
 
 def _learned(values: str | None, start: Start) -> Values:
@@ -111,6 +121,10 @@ class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
     def budget(self) -> float:
         """See `ControllerSettings`."""
         return self.milliseconds * 1e-3
+
+    def files(self) -> tuple[str, ...]:
+        """See `ControllerSettings.files`."""
+        return _files_of(self.values)
 
     def learned(self, start: Start) -> Values | None:
         """See `ControllerSettings.learned`."""
@@ -228,6 +242,17 @@ def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
         remedy = "give a function of the game and the state, or a class of highway-env vehicles"
         raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
     HUMAN_DRIVERS[name] = driver
+
+
+def of_package(name: str) -> bool:
+    """Return whether a controller's short name stands for code of this package alone.
+
+    Files of learned values hold numbers only. Agents, also those in files, and what users have added run other code.
+    """
+    config = controller_config(name)
+    if config["type"] not in OURS or config["type"] in ("driver", "agent"):
+        return False
+    return all(type(human_model(model)) in PACKAGE_TYPES for model in controller_settings(config).names())
 
 
 def priced_types() -> list[str]:

@@ -30,6 +30,7 @@ from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Scalar, Structure, read
 from ms_highway.runtime.files import read_arrays, reading, replacing
+from ms_highway.runtime.sources import digest
 
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
@@ -231,18 +232,18 @@ def load_values(which: str | PathLike[str], kind: str = "pair") -> Values:
     if which == SHIPPED_VALUES:
         return _shipped(SHIPPED_FILES[kind])
     with reading(Path(which), f"{REMEDY} --out {which}", " as learned values"):
-        return _read(Path(which), Path(which).stat().st_mtime_ns)
+        return _read(Path(which), digest(Path(which)))
 
 
 @cache
 def _shipped(name: str) -> Values:
     with resources.as_file(resources.files("ms_highway") / "data" / name) as path:
-        return _read(path, 0)
+        return _read(path, "")
 
 
 @cache
-def _read(path: Path, changed: int) -> Values:
-    """Read a file, and read it again only if its time of change ``changed`` differs."""
+def _read(path: Path, content: str) -> Values:
+    """Read a file once for every content, whose digest is given."""
     arrays = read_arrays(path, MAX_BYTES)
     about = json.loads(str(arrays.pop("about")))
     version = about.pop("version", None) if isinstance(about, dict) else None

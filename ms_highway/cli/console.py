@@ -207,10 +207,21 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     return done
 
 
-def record(results: "ResultsDirectory", options: argparse.Namespace) -> None:
-    """Record the command and versions that make the results; warn if earlier results were made with others."""
-    if differing := results.record(options.command_line):
+def record(results: "ResultsDirectory", options: argparse.Namespace, computes: bool = True) -> None:
+    """Record the command and versions that make the results; warn if earlier results were made with others.
+
+    Args:
+        results: directory of the results.
+        options: of the command.
+        computes: whether the command computes results; else it only warns.
+    """
+    from ms_highway.experiments.directory import this_run
+
+    differing = results.record(options.command_line) if computes else results.differing(this_run())
+    if differing and computes:
         warn(f"{options.out} continues with {differing}; results may not agree")
+    elif differing:
+        warn(f"{options.out} was computed by other software ({differing} now); nothing is computed again")
 
 
 def save_figure(figure: "Figure", file: Path) -> None:

@@ -14,9 +14,9 @@ from ms_highway.cli.console import Parser, printing, warn, wrapped_text
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
 from ms_highway.cli.show import frontier, learn, report, validate, video
-from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.process import INTERRUPTED, STOPPED
 from ms_highway.runtime.retired import OPTIONS, replacement
+from ms_highway.runtime.sources import import_modules
 
 ALL = compare, sweep, frontier, video, report, bench, bench_road, validate, learn, record, fit, evaluate
 COMMANDS = {each.name: each for each in ALL}

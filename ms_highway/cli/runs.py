@@ -86,8 +86,8 @@ def compare(options: argparse.Namespace) -> None:
     with ResultsDirectory(options.out).owned() as directory:
         counts, wanted = run(asked, options.out, 2, options.modules), len(list(asked.episodes()))
         already = next(counts)
+        record(directory, options, computes=already < wanted)
         if already < wanted:
-            record(directory, options)
             for scenario, name, kind in product(asked.controllers, CAPTIONS, FORMATS):  # of fewer episodes
                 (options.out / f"{scenario}_{name}.{kind}").unlink(missing_ok=True)
         count_episodes(counts, already, wanted)
@@ -186,17 +186,16 @@ def sweep(options: argparse.Namespace) -> None:
         if options.scheduler:
             from ms_highway.experiments.cluster import connected
     if options.scheduler:
-        computing: AbstractContextManager[Compute] = connected(options.scheduler, options.modules)
+        computing: AbstractContextManager[Compute] = connected(options.scheduler, asked, options.modules)
     else:
         computing = nullcontext(partial(simulate_parts, devices=use_devices(options.devices)))
     with ResultsDirectory(out).owned() as directory, computing as compute:
         counts, wanted = run_batched(asked, out, options.part, options.steps, compute), len(list(asked.episodes()))
         already = next(counts)
-        if already < wanted:
-            record(directory, options)
+        record(directory, options, computes=already < wanted)
         count_episodes(counts, already, wanted)
         (scenario,) = asked.controllers
-        summaries = summary(read_episodes(out))
+        summaries = summary(read_episodes(out, asked, options.part))
         write_table(summaries, out / "summary.csv")
         save_figure(curve(summaries, scenario), out / f"{scenario}_curve.{options.format}")
         print_tables(table(summaries, scenario))

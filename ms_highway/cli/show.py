@@ -30,6 +30,10 @@ from ms_highway.cli.options import (
 )
 
 FILM = 'film the best fixed model and a controller that chooses online (default); needs the extra "video"'
+OWN = (
+    "film also controllers that are not of this package: agents in files that DIR names, which can run any code when "
+    "they are opened, and what --import adds"
+)
 KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
 
 
@@ -39,16 +43,20 @@ KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_err
     option("directory", "of `ms-highway compare`", type=Path, metavar="DIR"),
     output("--out", "an .html file (default: report.html in DIR)", ".html"),
     option("--videos", FILM, action=argparse.BooleanOptionalAction, default=True),
+    option("--film-own", OWN, action="store_true"),
 )
 def report(options: argparse.Namespace) -> None:
     """Make an HTML page, a single file that needs no network, of a directory of `ms-highway compare`. The page begins
     with the answers in sentences. For each scenario, it has a table, a film of two controllers and figures; at its end
     are the settings, versions, machine and commands that made the results.
 
+    Results of others are safe to open: without --film-own, no code runs that they name.
+
     Examples:
       ms-highway report results/compare
       ms-highway report results/merger --no-videos --out merger.html
     """
+    from ms_highway.envs.registry import of_package
     from ms_highway.experiments.summary import read_results
     from ms_highway.runtime.files import check_writable, replacing
     from ms_highway.visualization.html_page import page
@@ -66,7 +74,13 @@ def report(options: argparse.Namespace) -> None:
             check_format(Path("film.mp4"))
         except ImportError as error:
             raise ImportError(f"{error}, or add --no-videos") from error
-    text = page(results, options.videos, tell)
+    if options.videos and not options.film_own:
+        controllers = dict.fromkeys(results.summaries["controller"])
+        unseen = [name for name in controllers if not of_package(name)]
+        if unseen:
+            names = ", ".join(unseen)
+            warn(f"films do not show {names}, which would run other code; add --film-own if you trust it")
+    text = page(results, options.videos, tell, options.film_own)
     with replacing(out) as path:
         path.write_text(text, encoding="utf-8")
     say(f"the page is {out}, {len(text) / 1e6:.1f} MB")
@@ -206,7 +220,7 @@ def frontier(options: argparse.Namespace) -> None:
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
     seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()
     with ResultsDirectory(out).owned() as directory:
-        settings = directory.take_up(asked.common_config())
+        settings = directory.take_up(asked.common_config(), asked.sources())
         every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}
         directory.write_settings(settings)
         record(directory, options)

@@ -7,12 +7,14 @@ same versions of packages, on which the last digits depend.
 import logging
 import os
 import sys
+from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
+from pathlib import Path
 
 import distributed
 import jax
@@ -22,9 +24,9 @@ from ms_highway.experiments.batch import Tables, simulate_parts
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import PACKAGES
 from ms_highway.experiments.runner import Compute
-from ms_highway.runtime.extras import import_modules
 from ms_highway.runtime.jax_settings import keep_compilations
 from ms_highway.runtime.process import jax_has_begun
+from ms_highway.runtime.sources import Sources, digest, import_modules, imported_sources
 
 PATIENCE = 10  # s, within which a scheduler has to answer
 AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory
@@ -35,12 +37,15 @@ class Setup(distributed.WorkerPlugin):
 
     Args:
         modules: modules that workers import.
+        sources: digests of what results depend on, which must be the same there.
     """
 
     name = "ms_highway"
 
-    def __init__(self, modules: Sequence[str]) -> None:
-        self.modules, self.versions = modules, _versions()
+    def __init__(self, modules: Sequence[str], sources: Sources) -> None:
+        self.modules = modules
+        self.sources = sources
+        self.versions = _versions()
         self.xla_flags = os.environ.get("XLA_FLAGS", "")
         self.keeps_compilations = jax.config.values["jax_compilation_cache_dir"] is not None
 
@@ -48,7 +53,8 @@ class Setup(distributed.WorkerPlugin):
         """Set up a worker.
 
         Raises:
-            ValueError: if it has other versions, its JAX runs with other flags, or a module cannot be imported.
+            ValueError: if it has other versions or other content of a file, or its JAX runs with other flags.
+            ImportError: if a module cannot be imported.
         """
         for there, wanted in zip(_versions(), self.versions, strict=True):
             if there != wanted:
@@ -63,14 +69,21 @@ class Setup(distributed.WorkerPlugin):
             with suppress(OSError):
                 keep_compilations()
         import_modules(self.modules)
+        imported = imported_sources()
+        for name, content in self.sources.items():
+            own = imported[name] if name in imported else digest(Path(name))
+            if own != content:
+                remedy = "copy it there and start the worker again"
+                raise ValueError(f"worker {worker.address} has other content of {name}; {remedy}")
 
 
 @contextmanager
-def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
+def connected(address: str, comparison: Comparison, modules: Sequence[str] = ()) -> Iterator[Compute]:
     """Connect to a scheduler and set up its workers; yield the function that computes there.
 
     Args:
         address: address of the scheduler, such as ``tcp://host:8786``.
+        comparison: what is computed.
         modules: modules that workers import, for scenarios, models and rules that they add.
 
     Raises:
@@ -88,7 +101,8 @@ def connected(address: str, modules: Sequence[str] = ()) -> Iterator[Compute]:
             start = f"start some with `dask worker {address}`"
             print(f"ms-highway: waiting for the first worker of {address}; {start}", file=sys.stderr)
             client.wait_for_workers(1)
-        client.register_plugin(Setup(modules))
+        controllers = [each for scenario in comparison.sources().values() for each in scenario.values()]
+        client.register_plugin(Setup(modules, dict(ChainMap(*controllers))))
         yield partial(_compute, client, address)
 
 

@@ -3,16 +3,18 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, product
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from ms_highway.envs import ENVIRONMENTS, scenario_name
-from ms_highway.envs.registry import robot_config
+from ms_highway.envs.registry import controller_settings, robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.loop.step import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.planning.ladders import known_models, rung_names
+from ms_highway.runtime.sources import Sources, digest, imported_sources
 
 EpisodeKey: TypeAlias = tuple[str, str, int]
 """An episode: its scenario, the short name of its controller, and its seed."""
@@ -77,6 +79,21 @@ class Comparison:
         usual = {key: first[key] for key in USUAL if all(first[key] == each[key] for each in defaults)}
         ladder = {"ladder": rung_names(self.config["ladder"])} if "ladder" in self.config else {}
         return {**usual, **self.config, **ladder}
+
+    def sources(self) -> dict[str, dict[str, Sources]]:
+        """Return the digests of what the user has imported and named, by scenario and controller.
+
+        Each controller depends on all imported modules, as scenarios, drivers and features may come from them, and on
+        its own files.
+        """
+        imported = imported_sources()
+        return {
+            scenario: {
+                name: imported | {file: digest(Path(file)) for file in controller_settings(name).files()}
+                for name in controllers
+            }
+            for scenario, controllers in self.controllers.items()
+        }
 
     def columns(self) -> list[str]:
         """Return the columns of a record of steps.
@@ -183,6 +200,9 @@ def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
     absent = sorted({*KEYS, "reward", COUNTED, *needed} - {*table})
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
+    for name in table.columns.intersection(TEXTS):
+        if table[name].isna().any() and name in NEEDED:
+            raise ValueError(f"it has no {name} in row {1 + int(table[name].isna().argmax())}")
     for name in table.columns.difference(TEXTS):
         numbers = pd.to_numeric(table[name], errors="coerce").astype(float)
         wrong = ~np.isfinite(numbers) & (table[name].notna() | (name in NEEDED))

@@ -10,25 +10,71 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeAlias
+from typing import Annotated, Any, NotRequired, TypeAlias, TypedDict
 
-import msgspec
 import pandas as pd
+from msgspec import Meta
 
+from ms_highway.runtime.arrays import Positive, read
 from ms_highway.runtime.files import PART, held, read_json, reading, replacing, tidy, write_json
 from ms_highway.runtime.jax_settings import cores
+from ms_highway.runtime.sources import Sources, package_digest
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
-EXTENDED = ("measured", "asked")
-"""Keys of the settings that later comparisons in the same directory extend: T(M), and numbers of episodes."""
+REMEDY = "choose another directory with --out"
+
+Count = Annotated[int, Meta(ge=0)]
+
+AllSources: TypeAlias = dict[str, dict[str, Sources]]
+"""Digests of what results depend on beside their settings, by scenario and controller."""
+
+
+class Extended(TypedDict, total=False):
+    """Keys of the settings that later comparisons in the same directory extend, all by scenario.
+
+    Attributes:
+        measured: T(M) by model [s].
+        asked: number of requested episodes, by controller.
+        lengths: number of steps of an episode that nothing ends early.
+        sources: see `AllSources`; controllers that depend on none are left out.
+    """
+
+    measured: dict[str, dict[str, Positive]]
+    asked: dict[str, dict[str, Count]]
+    lengths: dict[str, Count]
+    sources: AllSources
+
+
+EXTENDED = tuple(Extended.__annotations__)
 
 CHECKOUT = Path(__file__).parents[2]
 """Directory above the package, which has ``.git`` in a checkout."""
 
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
 
-Run: TypeAlias = dict
-"""Description of a process that computed results, see `this_run`."""
+
+class Run(TypedDict):
+    """Description of a process that computed results.
+
+    Attributes:
+        command: that started it.
+        time: UTC in ISO 8601.
+        versions: by package.
+        machine: ``processor``, ``cores`` that the process may use, and ``platform``.
+        xla_flags: of JAX.
+        code: digest of this package.
+        commit: of a checkout.
+        dirty: whether files of the checkout have changed since the commit.
+    """
+
+    command: str
+    time: str
+    versions: dict[str, str]
+    machine: dict[str, Any]
+    xla_flags: NotRequired[str]
+    code: NotRequired[str]
+    commit: NotRequired[str]
+    dirty: NotRequired[bool]
 
 
 @dataclass(frozen=True)
@@ -60,25 +106,47 @@ class ResultsDirectory:
             ValueError: if the file cannot be read.
         """
         file = self.path / SETTINGS_FILE
+        if not file.exists():
+            return {}
         with reading(file, "choose another directory"):
-            return msgspec.convert(read_json(file), dict) if file.exists() else {}
+            settings = read(read_json(file), dict)
+            read(settings, Extended)
+        return settings
 
-    def take_up(self, settings: Mapping) -> dict:
+    def take_up(self, settings: Mapping, sources: AllSources) -> dict:
         """Return the settings to compute with: those of the results in the directory or, without results, these.
 
+        Args:
+            settings: of the new results.
+            sources: what the new results depend on beside their settings.
+
         Raises:
-            ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, or other files.
+            ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, results of these
+                scenarios and controllers that depend on other content, or other files.
         """
-        remedy = "choose another directory with --out"
-        known, wanted = self.settings(), json.loads(json.dumps(settings))
+        known = self.settings()
+        wanted = json.loads(json.dumps(settings))
         if not known:
             if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):
-                raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {remedy}")
-            return wanted
+                raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {REMEDY}")
+            known = wanted
         differing = _differences(known, wanted, "the default", EXTENDED)
         if differing:
-            raise ValueError(f"{self.path} holds results with {differing}; {remedy}")
+            raise ValueError(f"{self.path} holds results with {differing}; {REMEDY}")
+        self._take_up_sources(known, sources)
         return known
+
+    def _take_up_sources(self, known: dict, sources: AllSources) -> None:
+        """Check the sources of results that are there, and add those of new ones to the settings."""
+        for scenario, controllers in sources.items():
+            for controller, now in controllers.items():
+                before = known.get("sources", {}).get(scenario, {}).get(controller)
+                if before is not None:
+                    place = f"{self.path} holds results of {controller} in {scenario}"
+                    refuse_changed(place, before, now, REMEDY)
+                elif now and controller not in known.get("asked", {}).get(scenario, {}):
+                    own = known.setdefault("sources", {}).setdefault(scenario, {})
+                    own[controller] = now
 
     def write_settings(self, settings: Mapping) -> None:
         """Write the settings of the results.
@@ -95,8 +163,10 @@ class ResultsDirectory:
             ValueError: if the record cannot be read.
         """
         file = self.path / PROVENANCE_FILE
+        if not file.exists():
+            return []
         with reading(file, "move it away or choose another directory", " as a list of runs"):
-            return msgspec.convert(read_json(file), list[Run]) if file.exists() else []
+            return read(read_json(file), list[Run])
 
     def record(self, command: str) -> str:
         """Record this process as a further run, with the command that started it.
@@ -107,19 +177,51 @@ class ResultsDirectory:
         Raises:
             ValueError: if the record of earlier runs cannot be read.
         """
-        runs = [*self.runs(), this_run(command)]
-        write_json(self.path / PROVENANCE_FILE, runs)
-        before, now = (
-            {**run["versions"], "XLA_FLAGS": run.get("xla_flags") or "none", "commit": run.get("commit", "none")}
-            for run in (runs[-2:][0], runs[-1])
-        )
-        return _differences(now, before, "none")
+        run = this_run(command)
+        runs = self.runs()
+        differing = self.differing(run)
+        write_json(self.path / PROVENANCE_FILE, [*runs, run])
+        return differing
+
+    def differing(self, run: Run) -> str:
+        """Say in which versions, flags, code and commit a run differs from the last recorded one; empty if in none."""
+        runs = self.runs() or [run]
+        last = runs[-1]
+        if "code" not in last:  # as in results of earlier versions of this package
+            run = {**run, "code": "none"}
+        return _differences(_software(run), _software(last), "none")
+
+
+def _software(run: Run) -> dict[str, str]:
+    """Return what of a run may change results."""
+    flags = run.get("xla_flags") or "none"
+    names = {"code": run.get("code", "none"), "commit": run.get("commit", "none")}
+    return {**run["versions"], "XLA_FLAGS": flags, **names}
 
 
 def _differences(one: Mapping, other: Mapping, absent: str, but: tuple[str, ...] = ()) -> str:
     """Say in which keys two mappings differ, and what the first one has instead of the second."""
     pairs = {key: (one.get(key, absent), other.get(key, absent)) for key in {**one, **other} if key not in but}
     return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
+
+
+def refuse_changed(what: str, before: Sources, now: Sources, remedy: str) -> None:
+    """Refuse to go on with results that were computed with other content of a file.
+
+    Args:
+        what: such as ``these are results of tom``.
+        before: content that the results depend on.
+        now: content of the same files now.
+        remedy: what the user can do.
+
+    Raises:
+        ValueError: naming the file.
+    """
+    for name, content in before.items():
+        if name not in now:
+            raise ValueError(f"{what} that were computed with {name}, which is not imported now; {remedy}")
+        if now[name] != content:
+            raise ValueError(f"{what} that were computed before {name} changed; {remedy}")
 
 
 def write_table(table: pd.DataFrame, file: Path) -> None:
@@ -132,19 +234,14 @@ def write_table(table: pd.DataFrame, file: Path) -> None:
 
 
 def this_run(command: str = "") -> Run:
-    """Describe this process, which a command started.
-
-    Returns:
-        ``command``; ``time``, UTC in ISO 8601; ``versions`` by package; ``machine`` with its ``processor``, ``cores``
-        that the process may use, and ``platform``; ``xla_flags``; and in a checkout, its ``commit``, and ``dirty``:
-        whether files have changed since.
-    """
+    """Describe this process, which a command started."""
     return {
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
         "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "code": package_digest(),
         **_checkout(CHECKOUT),
     }
 

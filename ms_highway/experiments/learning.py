@@ -131,7 +131,8 @@ def learn(
         numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(batch.loop.game)]
         games.append((name, batch.steps, batch.rungs, crc32(b"".join(numbers))))
     results = ResultsDirectory(kept)
-    results.write_settings(results.take_up({**asdict(learning), "games": games}))
+    settings = results.take_up({**asdict(learning), "games": games}, batches[0].comparison.sources())
+    results.write_settings(settings)
     values, done = fitted(learning, [], 0), list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, batch in enumerate(batches):

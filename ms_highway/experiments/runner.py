@@ -8,18 +8,21 @@ episodes that are in no file.
 
 import json
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import lru_cache, partial
+from io import StringIO
 from itertools import count
 from math import ceil
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, TypeAlias
+from warnings import warn
 
 import gymnasium as gym
+import numpy as np
 import pandas as pd
 
 from ms_highway.envs import environment_id
@@ -28,12 +31,12 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config, robot_config
 from ms_highway.experiments.batch import Tables, make_batch, simulate_parts
 from ms_highway.experiments.comparison import KEYS, NEEDED, Comparison, EpisodeKey, by_column, check_table
-from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, write_table
+from ms_highway.experiments.directory import ResultsDirectory, write_table
 from ms_highway.runtime.files import reading
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
-EPISODES = "episodes"
+EPISODES, STEPS = "episodes", "steps"
 REMEDY = "remove it, to have it computed again"
 MIN_EPISODES = 60  # with fewer, further processes take more time to start than they save
 
@@ -60,24 +63,34 @@ def run(
         ValueError: if the directory holds results of other settings, or records that cannot be read.
     """
     results = ResultsDirectory(Path(directory))
-    settings = results.take_up(comparison.common_config())
-    settings |= {key: settings.get(key, {}) for key in EXTENDED}
-    records = read_steps(results.path, settings)
-    if len(records) and list(records) != comparison.columns():
-        columns = ", ".join(comparison.columns())
-        raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
+    settings = results.take_up(comparison.common_config(), comparison.sources())
+    for key in ("measured", "asked", "lengths"):
+        settings.setdefault(key, {})
+
+    # What each scenario needs to know beside the configuration.
+    environments: dict[str, Any] = {}
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
         asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-        env: Any = make_environment(scenario, "naive", **comparison.config).unwrapped
+        environments[scenario] = make_environment(scenario, "naive", **comparison.config).unwrapped
+        settings["lengths"][scenario] = environments[scenario].episode_steps
+
+    # Episodes that are there: only whole ones count.
+    records = read_steps(results.path, settings, tells=True)
+    if len(records) and list(records) != comparison.columns():
+        columns = ", ".join(comparison.columns())
+        raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
+    known = {*records[KEYS].itertuples(index=False, name=None)}
+    wanted = list(comparison.episodes())
+    missing = [key for key in wanted if key not in known]
+    number = len(wanted) - len(missing)
+
+    # Only now is anything measured or written.
+    for scenario, env in environments.items():
         if env.settings.costs == "measured" and scenario not in settings["measured"]:
             env.measure()
             settings["measured"][scenario] = env.seconds
     results.write_settings(settings)
-
-    known, wanted = {*records[KEYS].itertuples(index=False, name=None)}, list(comparison.episodes())
-    missing = [key for key in wanted if key not in known]
-    number = len(wanted) - len(missing)
     yield number
     drive = partial(_driven, comparison, settings["measured"])
     for steps in _in_processes(drive, missing, min(processes, cores()), modules):
@@ -110,22 +123,51 @@ def run_batched(
     """
     if len(comparison.controllers) != 1:
         raise ValueError(f"there are {len(comparison.controllers)} scenarios; a sweep is of one")
-    make_batch(comparison, *comparison.controllers)  # refuses what cannot be simulated before anything is written
+    # Refuse what cannot be simulated before anything is written.
+    batch = make_batch(comparison, *comparison.controllers)
     asked = {name: getattr(comparison, name) for name in ("controllers", "seeds", "first_seed")}
     results = ResultsDirectory(directory)
-    results.write_settings(results.take_up({**comparison.common_config(), **asked, "part": part, "steps": steps}))
-    keys = list(comparison.episodes())
-    places = [range(len(keys))[first : first + part] for first in range(0, len(keys), part)]
-    parts = {f"part-{number:06d}.parquet": own for number, own in enumerate(places)}
-    number = len(read_episodes(directory, {name: keys[own.start : own.stop] for name, own in parts.items()}))
-    yield number
-    kinds = ("steps", EPISODES) if steps else (EPISODES,)  # episodes last: with them, the part is done
+    settings = {**comparison.common_config(), **asked, "part": part, "steps": steps}
+    settings = results.take_up(settings, comparison.sources())
+    parts = episode_parts(comparison, part)
+
+    # Parts that are there: only whole ones count.
+    whole = len(read_episodes(directory, comparison, part))
     missing = {name: own for name, own in parts.items() if not (directory / EPISODES / name).exists()}
+    if steps:
+        rows = {name: batch.steps * len(own) for name, own in parts.items() if name not in missing}
+        cut = [name for name, count in rows.items() if _rows(directory / STEPS / name) != count]
+        if cut:
+            warn(f"{directory / STEPS}: parts that are not whole are computed again: {len(cut)}", stacklevel=2)
+        missing = {name: own for name, own in parts.items() if name in missing or name in cut}
+        whole -= sum(len(parts[name]) for name in cut)
+    results.write_settings(settings)
+
+    number = whole
+    yield number
+    kinds = (STEPS, EPISODES) if steps else (EPISODES,)  # episodes last: with them, the part is done
     for name, tables in compute(comparison, missing):
         for kind in kinds:
             write_table(tables[kind], directory / kind / name)
         number += len(parts[name])
         yield number
+
+
+def episode_parts(comparison: Comparison, part: int) -> dict[str, range]:
+    """Return the places of the episodes of a sweep in `Comparison.episodes`, by the name of the file of their part."""
+    places = range(len(list(comparison.episodes())))
+    starts = places[::part]
+    return {f"part-{number:06d}.parquet": places[start : start + part] for number, start in enumerate(starts)}
+
+
+def _rows(file: Path) -> int:
+    """Return the number of rows of a Parquet file, 0 if it is missing or cut."""
+    import pyarrow.parquet
+
+    try:
+        return pyarrow.parquet.read_metadata(file).num_rows
+    except (OSError, ValueError):  # pyarrow's own errors are among these
+        return 0
 
 
 def _in_processes(
@@ -163,53 +205,90 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(comparison.episodes(), columns=KEYS).merge(records)
 
 
-def read_steps(directory: Path, settings: Mapping) -> pd.DataFrame:
+def read_steps(directory: Path, settings: Mapping, tells: bool = False) -> pd.DataFrame:
     """Read and check the records of a directory, including episodes that are not in ``steps.csv`` yet.
+
+    Episodes that are not whole are left out. If two files hold an episode, the first one counts.
 
     Args:
         directory: directory of the results.
         settings: settings of the results. Rows are in the order of the controllers in ``asked``, the others last, then
             of the seeds.
+        tells: whether to warn of episodes that are not whole.
 
     Raises:
         ValueError: for a file that cannot be read.
     """
-    records = _read(directory, [STEPS_FILE, f"{PARTS}/[!.]*.csv"], NEEDED)
+    tables = [pd.DataFrame(columns=KEYS)]
+    for file in [directory / STEPS_FILE, *sorted((directory / PARTS).glob("[!.]*.csv"))]:
+        if file.exists():
+            with reading(file, "choose another directory" if file.parent == directory else REMEDY):
+                steps, cut = _whole_episodes(file, settings)
+            tables.append(steps)
+            if cut and tells:
+                warn(f"{file}: episodes that are not whole are computed again: {cut}", stacklevel=2)
+    records = pd.concat(tables[1:] or tables)
     if records.empty:
         return records
+
+    # An episode counts once, from the first file that holds it.
+    files = np.repeat(np.arange(len(tables) - 1), list(map(len, tables[1:])))
+    first = records[KEYS].assign(file=files).groupby(KEYS)["file"].transform("min")
+    records = records[first == files]
+
     asked = settings.get("asked", {})
     order = pd.DataFrame([(name, each) for name in asked for each in asked[name]], columns=KEYS[:2])
     order = pd.concat([order, records[KEYS[:2]]]).drop_duplicates()
-    return order.merge(records.drop_duplicates([*KEYS, "step"]).sort_values(["seed", "step"]))
+    return order.merge(records.sort_values(["seed", "step"]))
 
 
-def read_episodes(directory: Path, parts: Mapping[str, list[EpisodeKey]] | None = None) -> pd.DataFrame:
+def _whole_episodes(file: Path, settings: Mapping) -> tuple[pd.DataFrame, int]:
+    """Return the steps of the whole episodes in a CSV file, and the number of those that lack steps or have one twice.
+
+    Raises:
+        ValueError: if the file holds something else; any other of `ms_highway.runtime.files.DAMAGES`.
+    """
+    text = file.read_text()
+    steps = pd.read_csv(StringIO(text))
+    check_table(steps, NEEDED)
+    if not text.endswith("\n"):  # its last line may be cut
+        steps = steps[:-1]
+
+    # Of each episode: whether its steps count from 0, and whether it was driven to its end.
+    by_episode = steps.groupby(KEYS, sort=False)
+    counts = by_episode["step"].transform("size")
+    in_order = steps["step"].eq(by_episode.cumcount()).groupby([steps[key] for key in KEYS]).transform("all")
+    lengths = steps["scenario"].map(settings.get("lengths", {})).fillna(counts)
+    ended = counts == lengths
+    if settings.get("terminate_on_collision"):
+        ended |= by_episode["collision"].transform("last").astype(bool)
+    whole = in_order & ended
+    cut = len(steps[~whole][KEYS].drop_duplicates())
+    return steps[whole], cut
+
+
+def read_episodes(directory: Path, comparison: Comparison, part: int) -> pd.DataFrame:
     """Read and check the simulated episodes of a directory, a row for each, in the order of the parts.
 
     Args:
         directory: directory of the results.
-        parts: episodes of each part by the name of its file, to be checked; by default, they are not.
+        comparison: what was simulated.
+        part: number of episodes in a part.
 
     Raises:
         ValueError: for a part that cannot be read, or holds other episodes.
     """
-    return _read(directory, [f"{EPISODES}/part-*.parquet"], [], parts)
-
-
-def _read(
-    directory: Path,
-    patterns: Iterable[str],
-    needed: Sequence[str],
-    parts: Mapping[str, list[EpisodeKey]] | None = None,
-) -> pd.DataFrame:
-    """Return the rows of all files; check their columns and, if they are parts, their episodes."""
     tables = [pd.DataFrame(columns=KEYS)]
-    for file in (file for pattern in patterns for file in sorted(directory.glob(pattern))):
-        with reading(file, "choose another directory" if file.parent == directory else REMEDY):
-            tables.append(pd.read_parquet(file) if file.suffix == ".parquet" else pd.read_csv(file))
-            check_table(tables[-1], needed)
-            if parts and parts.get(file.name) != [*tables[-1][KEYS].itertuples(index=False, name=None)]:
-                raise ValueError("it holds other episodes than its number says")
+    keys = list(comparison.episodes())
+    for name, places in episode_parts(comparison, part).items():
+        file = directory / EPISODES / name
+        if file.exists():
+            with reading(file, REMEDY):
+                table = pd.read_parquet(file)
+                check_table(table)
+                if [*table[KEYS].itertuples(index=False, name=None)] != keys[places.start : places.stop]:
+                    raise ValueError("it holds other episodes than its number says")
+                tables.append(table)
     return pd.concat(tables[1:] or tables)
 
 

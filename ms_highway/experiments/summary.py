@@ -3,6 +3,7 @@
 `PUBLISHED` holds the results of the paper.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs.registry import controller_config, priced_types
-from ms_highway.experiments.comparison import models_of, per_episode
-from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, Run
+from ms_highway.envs import ENVIRONMENTS
+from ms_highway.envs.registry import controller_config, of_package, priced_types
+from ms_highway.experiments.comparison import Comparison, models_of, per_episode
+from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run, refuse_changed
 from ms_highway.experiments.runner import read_steps
+from ms_highway.runtime.files import reading
 
 CONFIDENCE = 0.9
 MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_seconds", "decision_ms": "decision_seconds"}
@@ -76,15 +79,23 @@ def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
     return rows.loc[rows.groupby("kind", sort=False)["price"].idxmin(), "controller"].to_list()
 
 
-def most_informative_pair(summaries: pd.DataFrame, scenario: str) -> list[str]:
+def most_informative_pair(summaries: pd.DataFrame, scenario: str, own: bool = True) -> list[str]:
     """Return the two controllers of a scenario that are most informative side by side.
 
     These are the fixed model with the highest mean reward, and the first of `choosing_controllers`. If either is
     missing, the first of the other controllers replaces it, if there is another.
+
+    Args:
+        summaries: result of `summary`.
+        scenario: name of the scenario.
+        own: whether controllers count that run code from elsewhere, see `ms_highway.envs.registry.of_package`.
     """
     rows = summaries.query("scenario == @scenario")
+    if not own:
+        rows = rows[[of_package(name) for name in rows["controller"]]]
     best = rows.query("kind == 'fixed'").nlargest(1, "reward")["controller"]
-    return list(dict.fromkeys([*best, *choosing_controllers(summaries, scenario)[:1], *rows["controller"]]))[:2]
+    choosing = choosing_controllers(rows, scenario)[:1]
+    return list(dict.fromkeys([*best, *choosing, *rows["controller"]]))[:2]
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
@@ -207,6 +218,18 @@ class Results:
         measured = self.settings.get("measured", {})
         return self.common | ({"costs": measured[scenario]} if scenario in measured else {})
 
+    def refuse_changed(self, scenario: str, controllers: Sequence[str]) -> None:
+        """Refuse to drive controllers that depend on other content now than in these results.
+
+        Raises:
+            ValueError: naming the file.
+        """
+        before = self.settings.get("sources", {}).get(scenario, {})
+        now = Comparison({scenario: controllers}).sources()[scenario]
+        for name in controllers:
+            what = f"these are results of {name} in {scenario}"
+            refuse_changed(what, before.get(name, {}), now[name], "add --no-videos")
+
 
 def read_results(directory: Path) -> Results:
     """Read a directory of results.
@@ -214,11 +237,18 @@ def read_results(directory: Path) -> Results:
     Raises:
         ValueError: if it is no such directory, or a file is missing or cannot be read.
     """
-    results = ResultsDirectory(directory)
-    settings = results.settings()
+    directory_of_results = ResultsDirectory(directory)
+    settings = directory_of_results.settings()
     if "asked" not in settings:
         raise ValueError(f"{directory} holds no results of a comparison; {NO_PAGE}")
     records = read_steps(directory, settings)
     if records.empty:
-        raise ValueError(f"{directory} holds no episodes yet; let `ms-highway compare` finish one")
-    return Results(records, summary(records), settings, results.runs())
+        raise ValueError(f"{directory} holds no whole episodes yet; let `ms-highway compare` finish one")
+    results = Results(records, summary(records), settings, directory_of_results.runs())
+
+    # The configuration; scenarios that are not imported are only tables and figures.
+    with reading(directory / SETTINGS_FILE, "choose another directory"):
+        for scenario in results.scenarios:
+            if scenario in ENVIRONMENTS:
+                ENVIRONMENTS[scenario].checked_config({**results.config(scenario), "controller": "naive"})
+    return results

@@ -23,12 +23,14 @@ LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # only names of `part_of`
 
 DAMAGES = (
     ArithmeticError,
+    AttributeError,  # and TypeError: of content of other types
     EOFError,
     LookupError,
     MemoryError,  # of arrays that declare sizes beyond all memory
     OSError,
     RuntimeError,  # of archives that are encrypted, and of JSON nested too deeply
     SyntaxError,  # of XML
+    TypeError,
     ValueError,
     tokenize.TokenError,  # of headers of arrays
     zipfile.BadZipFile,

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from ms_highway.runtime.extras import import_modules
+from ms_highway.runtime.sources import import_modules
 
 KERNEL_BYTES = 100_000
 """Loops with less memory traffic per iteration become one kernel: those of plans and decisions, but not those of

@@ -16,14 +16,17 @@ from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.style import content
 from ms_highway.visualization.tables import cells
 
+UNSEEN = ("asked", "lengths")  # settings that say nothing about how results were made
 
-def page(results: Results, videos: bool = True, progress: Progress = silent) -> str:
+
+def page(results: Results, videos: bool = True, progress: Progress = silent, own: bool = False) -> str:
     """Return the page of a comparison, as HTML: a section for each scenario, and the settings of the results.
 
     Args:
         results: of the comparison.
         videos: whether films are made.
         progress: called with a message before each scenario.
+        own: whether films show controllers that run code from elsewhere, such as files of agents.
 
     Raises:
         ImportError: for videos without the packages of the extra ``video``.
@@ -40,7 +43,7 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
                 "answer": answer(results.records, summaries, scenario),
                 "table": results_table(results, scenario).to_dict("split"),
                 "figures": pictures,
-                "film": _film(results, scenario) if videos else None,
+                "film": _film(results, scenario, own) if videos else None,
             }
         )
     used = [name for name in models_of(summaries, "share") if summaries[f"share_{name}"].any()]
@@ -51,7 +54,7 @@ def page(results: Results, videos: bool = True, progress: Progress = silent) -> 
     return environment.get_template("report.html.jinja").render(
         sections=sections,
         models={name: model_meaning(name) or "a model that was added" for name in used},
-        settings={name: value for name, value in results.settings.items() if name != "asked" and value != {}},
+        settings={name: value for name, value in results.settings.items() if name not in UNSEEN and value != {}},
         runs=results.runs,
         missing=results.missing,
     )
@@ -67,9 +70,15 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
     return texts
 
 
-def _film(results: Results, scenario: str) -> dict:
-    """Film the most informative controllers from the first start that they share; sizes are in px."""
-    controllers = most_informative_pair(results.summaries, scenario)
+def _film(results: Results, scenario: str, own: bool) -> dict | None:
+    """Film the most informative controllers from the first start that they share; sizes are in px.
+
+    None if no controller may be filmed.
+    """
+    controllers = most_informative_pair(results.summaries, scenario, own)
+    if not controllers:
+        return None
+    results.refuse_changed(scenario, controllers)
     seed = next(iter(common_seeds(results.records, scenario, controllers)), 0)
     films = video.film_together(scenario, controllers, seed, **results.config(scenario))
     pictures = video.side_by_side(films)

@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -14,12 +15,14 @@ from html import unescape
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
+from zipfile import ZipFile
 
 import imageio.v3 as imageio
 import pandas as pd
 import pytest
 from commands import run
 
+from ms_highway.cli.main import main
 from ms_highway.cli.options import FORMATS
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import run as run_comparison
@@ -112,6 +115,47 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
     for name in FIGURES:
         assert (begun / f"stay_back_{name}.svg").read_text().count("<path") > 20
     assert not parts.exists()
+
+
+@pytest.mark.filterwarnings("always:.*not whole")
+def test_episodes_that_are_not_whole_are_computed_again(compared, begun, capsys):
+    """One has lost its last rows, the end of its last row, a row in its middle, or has a row twice."""
+    steps, wanted = begun / "steps.csv", untimed(compared)
+    head, *lines = steps.read_text().splitlines(keepends=True)
+    cut = [lines[:-30], [*lines[:-1], lines[-1][:-4]], lines[:80] + lines[81:], [*lines, lines[-1]]]
+    for rest in cut:
+        steps.write_text("".join([head, *rest]))
+        run(f"report {begun} --no-videos")
+        assert "lacks 1 episodes" in capsys.readouterr().err
+        run(f"{COMPARE} {begun}")
+        assert "steps.csv: episodes that are not whole are computed again: 1" in capsys.readouterr().err
+        pd.testing.assert_frame_equal(untimed(begun), wanted)
+
+
+def test_a_page_runs_no_code_that_results_name(begun, capsys):
+    """A file of an agent can run any code when it is opened."""
+    steps, agent, ran = begun / "steps.csv", begun / "agent.zip", begun / "ran"
+    with ZipFile(agent, "w") as archive:
+        archive.writestr("data", pickle.dumps(Traps(str(ran))))
+    steps.write_text(steps.read_text().replace(",switching:0.4,", f",{agent},"))
+    run(f"report {begun}")
+    assert f"films do not show {agent}" in capsys.readouterr().err
+    (film,) = elements((begun / "report.html").read_text(), "video")
+    assert "naive." in film["aria-label"]
+    assert "agent.zip" not in film["aria-label"]
+    assert not ran.exists()
+    main(["report", str(begun), "--film-own"])
+    assert str(agent) in capsys.readouterr().err  # it is opened, and is no agent
+
+
+class Traps:
+    """Writes a file when it is unpickled."""
+
+    def __init__(self, file):
+        self.file = file
+
+    def __reduce__(self):
+        return open, (self.file, "w")
 
 
 def test_a_command_whose_reader_has_left_writes_its_results_without_complaint(begun, monkeypatch, capsys):

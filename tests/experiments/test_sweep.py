@@ -89,6 +89,18 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(swept, tmp_path, mon
     assert (tmp_path / f"imported-{killed[0]}").exists()
 
 
+@pytest.mark.filterwarnings("always:.*not whole")
+def test_parts_whose_steps_are_missing_or_cut_are_computed_again(swept, tmp_path, capsys):
+    out = shutil.copytree(swept, tmp_path / "out")
+    first, second, third = sorted((out / "steps").iterdir())[:3]
+    first.unlink()
+    second.write_bytes(second.read_bytes()[:-100])
+    pd.read_parquet(third)[:-1].to_parquet(third)
+    run(f"{SWEEP} {out}")
+    assert "out/steps: parts that are not whole are computed again: 3" in capsys.readouterr().err
+    assert contents(out) == contents(swept)
+
+
 def test_a_sweep_refuses_directories_with_other_settings_and_damaged_parts(swept, tmp_path, refused):
     out = shutil.copytree(swept, tmp_path / "out")
     first, third = (out / "episodes" / f"part-{number:06d}.parquet" for number in (0, 2))

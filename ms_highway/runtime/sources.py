@@ -1,0 +1,148 @@
+"""Know the files that results depend on: modules that a user imports, what they read, and files that are named.
+
+Results of other content of one of these files must not stand in a table beside new ones. So each file counts as its
+digest, and a directory of results keeps the digests, see `ms_highway.experiments.directory`.
+"""
+
+import importlib
+import os
+import sys
+import sysconfig
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import TypeAlias
+
+Sources: TypeAlias = dict[str, str]
+"""Digests by the name of a module, or by the path of another file."""
+
+DIGITS = 16
+"""Hexadecimal digits of a digest, 64 bits: two versions of a file share one by no chance."""
+
+CODE = (".py", ".pyc", ".pyd", ".so")
+"""Ends of files of code. Modules count by name, however Python reads them."""
+
+PACKAGE = Path(__file__).parents[1]
+
+PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
+INSTALLED = {Path(sysconfig.get_path(place)).resolve() for place in PLACES}
+"""Directories of installed packages, whose versions are recorded instead."""
+
+_notes: dict[str, Sources] = {}  # what each module has brought that `import_modules` imported
+_named: tuple[str, ...] = ()  # the modules of the last `import_modules`
+_opened: set[Path] | None = None  # files that have been read, while imports are noted
+_listens = False  # whether `_note_opened` is a hook of this process; hooks stay for ever
+
+
+def import_modules(names: Sequence[str]) -> None:
+    """Import the modules that a user has named, also from the current directory, and note what they bring.
+
+    Raises:
+        ImportError: naming the module, for any error in it.
+    """
+    global _named
+    _named = tuple(names)
+    if names:
+        sys.path.insert(0, os.getcwd())
+    for name in names:
+        with _noting(name):
+            try:
+                importlib.import_module(name)
+            except Exception as error:
+                remedy = "give the name of a module that can be imported, such as brief for brief.py here"
+                raise ImportError(f"--import {name}: {type(error).__name__}: {error}; {remedy}") from error
+
+
+def imported_sources() -> Sources:
+    """Return the digests of what the modules have brought that the user has named.
+
+    These are modules of Python outside the directories of installed packages, also those that other modules import;
+    and files in the directories of these modules or below that were read meanwhile, except hidden ones. This package
+    is left out.
+    """
+    return {name: content for module in _named for name, content in _notes.get(module, {}).items()}
+
+
+def digest(file: Path) -> str:
+    """Return the digest of a file's content.
+
+    Raises:
+        ValueError: if it cannot be read.
+    """
+    if not file.is_file():
+        raise ValueError(f"{file} is missing, a directory or a device; name a file")
+    try:
+        return sha256(file.read_bytes()).hexdigest()[:DIGITS]
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ValueError(f"{file} cannot be read ({reason}); name another file") from error
+
+
+def package_digest() -> str:
+    """Return the digest of all code and data of this package."""
+    directories = (PACKAGE, PACKAGE / "envs")  # a link in a checkout, which rglob does not follow
+    files = {file for directory in directories for file in directory.rglob("*")}
+    whole = sha256()
+    for file in sorted(files):
+        if file.is_file() and file.suffix != ".pyc":
+            whole.update(file.relative_to(PACKAGE).as_posix().encode())
+            whole.update(file.read_bytes())
+    return whole.hexdigest()[:DIGITS]
+
+
+@contextmanager
+def _noting(module: str) -> Iterator[None]:
+    """Note what the block brings, which imports a module; a module that was imported before keeps its notes."""
+    before = {*sys.modules}
+    with _noting_files() as opened:
+        yield
+    notes = _notes.setdefault(module, {})
+
+    # Modules, under the digest of their source.
+    directories = set()
+    for name in dict.fromkeys([module, *sorted({*sys.modules} - before)]):
+        file = getattr(sys.modules[name], "__file__", None)
+        if file and name.partition(".")[0] != "ms_highway" and _is_own(Path(file)):
+            notes[name] = digest(Path(file))
+            directories.add(Path(file).absolute().parent)
+
+    # Other files, such as the weights of a driver.
+    for path in opened:
+        near = [place for place in directories if path.is_relative_to(place)]
+        hidden = any(part.startswith(".") for place in near for part in path.relative_to(place).parts)
+        if near and not hidden and path.is_file() and _is_own(path):
+            notes[os.path.relpath(path)] = digest(path)
+
+
+@contextmanager
+def _noting_files() -> Iterator[set[Path]]:
+    """Note the files that are opened for reading in the block, except those of code."""
+    global _opened, _listens
+    if not _listens:
+        sys.addaudithook(_note_opened)
+        _listens = True
+    opened: set[Path] = set()
+    _opened = opened
+    try:
+        yield opened
+    finally:
+        _opened = None
+
+
+def _note_opened(event: str, arguments: tuple) -> None:
+    """Note a file that Python opens; see `sys.addaudithook`."""
+    if _opened is None or event != "open":
+        return
+    path, _, flags = arguments
+    reads = not flags & (os.O_WRONLY | os.O_RDWR)
+    if reads and isinstance(path, (str, bytes, os.PathLike)):
+        file = Path(os.fsdecode(path)).absolute()
+        if file.suffix not in CODE:
+            _opened.add(file)
+
+
+def _is_own(file: Path) -> bool:
+    """Return whether a file belongs neither to an installed package nor to this one."""
+    above = {*file.parents, *file.resolve().parents}
+    return not above & {*INSTALLED, PACKAGE, PACKAGE.resolve()}

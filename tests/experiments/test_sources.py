@@ -1,0 +1,106 @@
+"""Results never go stale: what they were computed with, beside their settings, must not change."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ms_highway.choice import learned_value
+from ms_highway.envs.registry import controller_settings
+from ms_highway.experiments.batch import simulate_parts
+from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.runner import run, run_batched
+from ms_highway.loop.controller import HUMAN_DRIVERS
+from ms_highway.runtime.sources import import_modules, imported_sources
+
+DRIVER = """
+from pathlib import Path
+from braking import BRAKING
+import ms_highway
+STRENGTH = float(Path("strength.txt").read_text())
+ms_highway.add_driver("brakes", lambda game, state: [0.0, -BRAKING * STRENGTH])
+"""
+FILES = {"my_driver.py": DRIVER, "braking.py": "BRAKING = 1.0", "strength.txt": "2"}
+"""A user's module, a module that it imports, and a file that it reads."""
+
+SHIPPED = Path(learned_value.__file__).parents[1] / "data"
+
+
+@pytest.fixture
+def imports(tmp_path, monkeypatch):
+    """Return a function that imports the user's module as a new process does."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    for name, text in FILES.items():
+        Path(name).write_text(text)
+
+    def import_anew():
+        for name in ("my_driver", "braking"):
+            sys.modules.pop(name, None)
+        import_modules(["my_driver"])
+
+    yield import_anew
+    import_modules([])
+    HUMAN_DRIVERS.pop("brakes", None)
+
+
+def begin(*controllers, out="out"):
+    """Begin a comparison in a directory, or go on with it, without driving."""
+    next(run(Comparison({"merger": controllers}, seeds=1), out))
+
+
+def begin_sweep():
+    comparison = Comparison({"merger": ["naive"]}, seeds=1)
+    next(run_batched(comparison, Path("swept"), compute=simulate_parts))
+
+
+@pytest.mark.parametrize("changed", FILES)
+def test_results_are_refused_after_a_module_or_a_file_that_it_reads_has_changed(changed, imports):
+    imports()
+    begin("naive", "brakes")
+    begin_sweep()
+    imports()
+    begin("naive", "brakes")
+    with Path(changed).open("a") as file:
+        file.write(" ")
+    imports()
+    before = Path("out/settings.json").read_text()
+    name = changed.removesuffix(".py")
+    with pytest.raises(ValueError, match=f"results of naive in merger .* before {name} changed; choose another"):
+        begin("naive", "brakes")
+    with pytest.raises(ValueError, match=f"swept holds .* before {name} changed; choose another"):
+        begin_sweep()
+    assert Path("out/settings.json").read_text() == before
+    begin("naive", "brakes", out="elsewhere")
+
+
+def test_imports_are_added_to_results_but_not_taken_away(imports):
+    begin("naive")
+    imports()
+    begin("naive", "brakes")
+    import_modules([])
+    begin("naive", "turn")
+    HUMAN_DRIVERS["brakes"] = HUMAN_DRIVERS["never"]  # by another module
+    with pytest.raises(ValueError, match="computed with my_driver, which is not imported now"):
+        begin("brakes")
+
+
+def test_results_are_refused_after_a_file_of_values_has_changed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(SHIPPED / "values.npz", "mine.npz")
+    begin("learned:1:mine.npz", "budget:20:mine.npz")
+    begin("learned:1:mine.npz", "budget:20:mine.npz")
+    with np.load("mine.npz") as arrays:
+        np.savez_compressed("mine.npz", **arrays)
+    for name in ("learned:1:mine.npz", "budget:20:mine.npz"):
+        with pytest.raises(ValueError, match=r"before mine\.npz changed"):
+            begin(name)
+    assert controller_settings("agents/mine.zip").files() == ("agents/mine.zip",)
+
+
+def test_modules_of_packages_and_of_this_one_are_no_sources(imports):
+    imports()
+    assert imported_sources().keys() == {"my_driver", "braking", "strength.txt"}
