@@ -18,7 +18,7 @@ from ms_highway.experiments.directory import write_table
 from ms_highway.experiments.summary import interval
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import Devices
-from ms_highway.runtime.files import reading
+from ms_highway.runtime.files import reading, whole_lines
 
 MEAN_STRETCH = 4  # mean number of steps in a stretch that a mutant changes
 SINGLE_SHARE = 0.5  # share of the changes that are for a single one of several humans
@@ -55,8 +55,14 @@ class Outcomes:
         if file.exists():
             with reading(file, "remove it or choose another directory"):
                 # Python's float restores exactly the numbers that were written.
-                known = pd.read_csv(file, converters=KEPT_COLUMNS)
+                known = pd.read_csv(whole_lines(file), converters=KEPT_COLUMNS)
                 check_table(known)
+                own = batch.environment.scenario.name
+                if other := {*known["scenario"]} - {own}:
+                    raise ValueError(f"it holds episodes of {min(other)!r}, not of {own!r}")
+                if twice := known[INDEX][known.duplicated(INDEX)].to_numpy().tolist():
+                    controller, seed = twice[0]
+                    raise ValueError(f"it holds the episode of {controller} with seed {seed} twice")
                 self.table = known.set_index(INDEX)[list(KEPT_COLUMNS)]
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:

@@ -13,7 +13,6 @@ from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import lru_cache, partial
-from io import StringIO
 from itertools import count
 from math import ceil
 from pathlib import Path
@@ -32,7 +31,7 @@ from ms_highway.envs.registry import controller_config, robot_config
 from ms_highway.experiments.batch import Tables, make_batch, simulate_parts
 from ms_highway.experiments.comparison import KEYS, NEEDED, Comparison, EpisodeKey, by_column, check_table
 from ms_highway.experiments.directory import ResultsDirectory, write_table
-from ms_highway.runtime.files import reading
+from ms_highway.runtime.files import reading, whole_lines
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
@@ -248,11 +247,8 @@ def _whole_episodes(file: Path, settings: Mapping) -> tuple[pd.DataFrame, int]:
     Raises:
         ValueError: if the file holds something else; any other of `ms_highway.runtime.files.DAMAGES`.
     """
-    text = file.read_text()
-    steps = pd.read_csv(StringIO(text))
+    steps = pd.read_csv(whole_lines(file))
     check_table(steps, NEEDED)
-    if not text.endswith("\n"):  # its last line may be cut
-        steps = steps[:-1]
 
     # Of each episode: whether its steps count from 0, and whether it was driven to its end.
     by_episode = steps.groupby(KEYS, sort=False)

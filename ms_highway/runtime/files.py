@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import StringIO
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -194,6 +195,17 @@ def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
         raise ValueError(f"it unpacks to {size} bytes; none is larger than {most}")
     with np.load(path, allow_pickle=False) as arrays:
         return {name: np.asarray(array) for name, array in arrays.items()}
+
+
+def whole_lines(path: Path) -> StringIO:
+    """Return the text of a file up to its last line break: what follows may be part of a line.
+
+    Raises:
+        OSError: if there is no such file.
+        ValueError: if it is no text.
+    """
+    text = path.read_text(encoding="utf-8")
+    return StringIO(text[: text.rfind("\n") + 1])
 
 
 def read_json(path: Path) -> Any:

@@ -11,8 +11,10 @@ import subprocess
 import sys
 import time
 from base64 import b64decode
+from functools import reduce
 from html import unescape
 from importlib.metadata import version
+from operator import getitem
 from pathlib import Path
 from xml.etree import ElementTree
 from zipfile import ZipFile
@@ -25,7 +27,9 @@ from commands import run
 from ms_highway.cli.main import main
 from ms_highway.cli.options import FORMATS
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.experiments.directory import ResultsDirectory, this_run
 from ms_highway.experiments.runner import run as run_comparison
+from ms_highway.experiments.summary import read_results
 from ms_highway.visualization.figures import curve, frontier
 from ms_highway.visualization.style import content
 
@@ -201,6 +205,45 @@ def test_compare_refuses_damaged_records_and_leaves_them_unchanged(pattern, repl
     steps.write_text(spoilt, encoding="latin-1")
     assert message in refused(f"{COMPARE} .")
     assert steps.read_text(encoding="latin-1") == spoilt
+
+
+WRONG = [None, -1, 2.5, "x", [1], {"a": [1]}, True, float("nan")]
+"""Values that replace those of a file: each is of a wrong type somewhere."""
+
+
+def places_of(content, place=()):
+    """Yield the place of every value in the content of a JSON file, as keys and numbers from the top."""
+    yield place
+    if isinstance(content, dict | list):
+        for key in content if isinstance(content, dict) else range(len(content)):
+            yield from places_of(content[key], (*place, key))
+
+
+def test_no_edit_of_settings_or_provenance_ends_in_a_traceback(compared, begun):
+    """Each is read, or refused in one sentence that names the file."""
+    shutil.copy(compared / "provenance.json", begun)
+    asked = Comparison({"stay_back": ["naive", "switching:0.4"]}, seeds=2)
+    sentences = []
+    for name in ("settings.json", "provenance.json"):
+        file = begun / name
+        kept = file.read_text()
+        for number, place in enumerate(places_of(json.loads(kept))):
+            content = {"": json.loads(kept)}
+            *above, last = ("", *place)
+            parent = reduce(getitem, above, content)
+            parent[last] = WRONG[number % len(WRONG)]
+            file.write_text(json.dumps(content[""]))
+            try:
+                read_results(begun)
+                next(run_comparison(asked, begun))
+                ResultsDirectory(begun).differing(this_run())
+            except ValueError as error:
+                sentences.append(str(error))
+        file.write_text(kept)
+    assert len(sentences) > 15
+    for sentence in sentences:
+        assert str(begun) in sentence
+        assert "\n" not in sentence
 
 
 def texts_of(html):
