@@ -60,7 +60,8 @@ def compare(options: argparse.Namespace) -> None:
     ended, a file per episode in parts), summary.csv, and the figures SCENARIO_bars (SCENARIO_curve, reward against
     computation, for three lambdas or more), SCENARIO_timeline and SCENARIO_decisions; settings.json and provenance.json
     say how they were made. The same command with the same --out resumes a comparison that was stopped; more controllers
-    or scenarios are added to it. `ms-highway report` makes a page of the results.
+    or scenarios are added to it. If a module of --import or a file that a controller names has changed since, it is
+    refused. `ms-highway report` makes a page of the results.
 
     Examples:
       ms-highway compare
