@@ -17,12 +17,12 @@ from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
-from ms_highway.envs.viewer import keyboard_control
+from ms_highway.envs.viewer import Keyboard
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
-from ms_highway.loop.controller import HUMAN_DRIVERS, ControlStep, FunctionDriver
+from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, ControlStep, FunctionDriver, draw_key, is_vehicle
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
@@ -180,7 +180,7 @@ class InteractionEnv(GameEnv):
                 remedy = f"{self.scenario.name} needs an array {shape} of finite numbers"
                 raise ValueError(f"options['initial_states'] is {states.tolist()}; {remedy}")
         humans, driver = self.settings.humans, HUMAN_DRIVERS.get(self.settings.human_driver or "")
-        human = driver if isinstance(driver, type) else HumanVehicle
+        human: Any = driver if is_vehicle(driver) else HumanVehicle
         kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         self._place([kind(self.road, state[:2], *state[2:]) for kind, state in zip(kinds, states, strict=True)])
@@ -211,10 +211,13 @@ class InteractionEnv(GameEnv):
         cars, truth = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
         for place, (human, number) in enumerate(zip(self.humans, self.draw_drivers(self.np_random), strict=True)):
             own, name = swap_roles(truth, place), (None, *self.settings.drivers)[number]
-            function = HUMAN_DRIVERS.get(name, keyboard_control) if name else None
-            if not isinstance(function, type):  # a vehicle of a given class drives by itself
-                driver = FunctionDriver(own, name, function) if name and function else fixed(own)
-                human.drive_with(driver, [car for car in cars if car is not human])
+            added = HUMAN_DRIVERS.get(name, Keyboard) if name else None
+            if is_vehicle(added):  # which drives by itself
+                continue
+            driver: Controller = fixed(own)
+            if name:
+                driver = FunctionDriver(own, name, added, draw_key(added, self.np_random))
+            human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
             self._drive_robot(truth if self.settings.beliefs == "true" else self.game)
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
-from highway_env.vehicle.kinematics import Vehicle
 from msgspec import Meta, field, json
 
 from ms_highway.choice.budget import Budget, OneStepGains
@@ -26,7 +25,7 @@ from ms_highway.envs.controllers import (
     ScheduleSettings,
     Start,
 )
-from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, function_names
+from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, RememberingDriver, check_driver, function_names
 from ms_highway.planning.ladders import MODELS, is_model, model_names
 from ms_highway.runtime import retired
 
@@ -204,7 +203,7 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
     AGENTS[name] = AddedAgent(agent, dict(config or {}))
 
 
-def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
+def add_driver(name: str, driver: DriverFunction | RememberingDriver | type) -> None:
     """Add a driver of the real humans by a name; `ms_highway.register` adds a model by which the robot predicts them.
 
     It drives every human of an environment with ``config={"human_driver": name}``, in commands with
@@ -213,20 +212,28 @@ def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
 
     Args:
         name: one word in lower case.
-        driver: a pure function, or a class of highway-env vehicles, such as ``IDMVehicle``. A function takes the game
-            of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and speed [m/s], itself first,
-            then the robot. It returns its curvature omega [1/m] and its acceleration a before friction [m/s^2], under
-            which the speed v changes by ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
-            ``game.world`` makes up for friction. Written with `jax.numpy`, it also drives in simulations of many
-            episodes (``ms-highway sweep``); a class of vehicles does not.
+        driver: a function, a driver that remembers, or a class of highway-env vehicles, such as ``IDMVehicle``.
+
+            A function takes the game of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and
+            speed [m/s], itself first, then the robot; no array may be written. It returns its curvature omega [1/m] and
+            its acceleration a before friction [m/s^2], under which the speed v changes by ``v' = a - friction v``;
+            `ms_highway.game.dynamics.keep_velocity` of ``game.world`` makes up for friction. It must be pure: in the
+            same state of the same game it has to return the same control, which is checked during every episode.
+            Written with `jax.numpy`, it also drives in simulations of many episodes (``ms-highway sweep``); the other
+            two kinds do not.
+
+            A driver that remembers, or draws random numbers, is an object that is called like a function and has a
+            method ``reset(key)``, or a class of such objects that is made without arguments. For every episode, every
+            car gets a copy of the object as it was added, or a new object of the class. Its ``reset`` then takes a
+            whole number, drawn from the environment's seed for this car and episode, as the seed of its random numbers.
+            So the same seed is the same episode, whatever was driven before. A copy of an environment copies the
+            memory.
 
     Raises:
-        ValueError: if the name is taken or not one word in lower case, or if the driver is neither.
+        ValueError: if the name is taken or not one word in lower case, or if the driver is none of these.
     """
     check_name("a human driver", name, [*RESERVED, *CONTROLLERS, *MODELS, *AGENTS])
-    if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
-        remedy = "give a function of the game and the state, or a class of highway-env vehicles"
-        raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
+    check_driver(name, driver)
     HUMAN_DRIVERS[name] = driver
 
 

@@ -72,6 +72,23 @@ def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], star
     return jax.lax.cond(chosen.any(), loop, lambda: start)
 
 
+def read_only(tree: Any) -> Any:
+    """Return a pytree whose NumPy arrays cannot be written; they are views of the same numbers.
+
+    Functions of a user get such arrays, so that none of them can change a game, a state or a record of the package.
+    """
+    return jax.tree.map(_unwritable, tree)
+
+
+def _unwritable(leaf: Any) -> Any:
+    """Return a view of a NumPy array that cannot be written; anything else as it is."""
+    if not isinstance(leaf, np.ndarray):
+        return leaf
+    view = leaf.view()
+    view.flags.writeable = False
+    return view
+
+
 # Structures of numbers, read from JSON
 
 MAX_NUMBER = 1e300
