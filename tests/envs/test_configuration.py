@@ -1,23 +1,27 @@
 """Configurations: how they are read, changed and refused."""
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 
 import gymnasium as gym
+import jax
 import numpy as np
 import pytest
 from episodes import drive, make
 from gymnasium.envs.registration import EnvSpec
+from jax import numpy as jnp
 
 import ms_highway
 from ms_highway import always
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario, environment_id, registry
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
 from ms_highway.envs.agents import AGENTS
 from ms_highway.envs.controllers import ControllerSettings
 from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
+from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
 from ms_highway.game.dynamics import keep_velocity
+from ms_highway.loop.batch import simulate
 
 PAIR, SEVERAL = "merger", "dense_merge"
 NAIVE = {"type": "fixed", "model": "naive"}
@@ -185,6 +189,36 @@ class Dear(SwitchingSettings, tag="dear"):
     """A rule at a lambda."""
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Says(ms_highway.Rule):
+    """Choose a given number for so many humans."""
+
+    number: float
+    humans: int = field(metadata={"static": True})
+    kind: str = field(metadata={"static": True})
+    ladder: tuple = field(metadata={"static": True})
+
+    def decide(self, game, memory, outcome):
+        return ms_highway.unestimated(memory, jnp.full(self.humans, self.number).astype(self.kind))
+
+
+class SaysAtOnce(Says):
+    """The same without a compilation."""
+
+    estimates = False
+
+
+class SaysSettings(ControllerSettings, frozen=True, tag="says"):
+    number: float
+    humans: int = 1
+    kind: str = "int32"
+    compiled: bool = True
+
+    def rule(self, start):
+        return (Says if self.compiled else SaysAtOnce)(self.number, self.humans, self.kind, start.ladder)
+
+
 @pytest.fixture
 def rules(monkeypatch):
     """A table of rules to which some may be added."""
@@ -208,6 +242,45 @@ def test_a_class_that_makes_no_rule_is_refused():
     for kind in (ControllerSettings, ZipperEnv):
         with pytest.raises(ValueError, match=f"{kind.__name__} makes no rule; give a ControllerSettings with a"):
             add_rule(kind)
+
+
+RUNGS = "return one whole number for each human, 1 in all: 0 for naive, 1 for turn"
+
+
+@pytest.mark.usefixtures("rules")
+@pytest.mark.parametrize("loop", ["live", "live, not compiled", "batch", "vector", "functional"])
+def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
+    add_rule(SaysSettings)
+
+    def episode(number, **kinds):
+        controller = {"type": "says", "number": number, "compiled": loop != "live, not compiled", **kinds}
+        config = {"controller": controller, "ladder": ["naive", "turn"], "duration": 0.2}
+        if loop == "vector":
+            envs = gym.make_vec(environment_id("merger-v1"), num_envs=2, config=config)
+            envs.reset(seed=0)
+            return envs.step(np.zeros(2, int))[4]["model"][0]
+        if loop == "functional":
+            env = FunctionalEnv("merger-v1", config)
+            state, _ = env.reset(jax.random.key(0))
+            if number == 7.0:  # a traced step cannot raise an error
+                assert np.isnan(jax.jit(env.step)(state, 0)[2])
+            return env.step(state, 0)
+        if loop == "batch":
+            env = MergerV1Env(config)
+            start = env.settings.start(env.settings.seconds, 2, np.random.default_rng())
+            playing = replace(shared_loop(env, [env.settings.controller]), rule=env.settings.controller.rule(start))
+            drawn = draw_start(env, playing, env.settings.controller, np.random.default_rng(0))
+            return simulate(playing, stack_episodes([drawn]))
+        return drive(gym.make(environment_id("merger-v1"), config=config)).infos[0]["model"]
+
+    episode(1.0)
+    for number in (-1.0, 7.0):
+        with pytest.raises(ValueError, match=rf"the rule Says\w* returned the rungs \[{number:.0f}\]; {RUNGS}"):
+            episode(number)
+    with pytest.raises(ValueError, match=rf"the rule Says\w* returned (the rungs \[nan\]|float32 .*); {RUNGS}"):
+        episode(np.nan, kind="float32")
+    with pytest.raises(ValueError, match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}"):
+        episode(1.0, humans=5)
 
 
 def add_own_scenario(name):
