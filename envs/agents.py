@@ -1,6 +1,7 @@
 """Let agents and planners of one's own drive instead of a controller, so that both can be compared."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from os import PathLike, fspath
@@ -149,7 +150,7 @@ class AgentDrives(gym.Wrapper):
             ValueError: if the environment's action space does not contain the agent's action.
         """
         start = perf_counter()
-        chosen = self.policy(self._seen)
+        chosen = self.policy(deepcopy(self._seen))  # which others hold, too
         seconds = perf_counter() - start
         if isinstance(self.env.action_space, spaces.Box):  # agents may return lists or double precision
             chosen = np.asarray(chosen, self.env.action_space.dtype)

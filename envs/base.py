@@ -26,7 +26,7 @@ from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, ControlStep, F
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
-from ms_highway.runtime.arrays import HumansWeights, State
+from ms_highway.runtime.arrays import HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
 
@@ -172,7 +172,8 @@ class InteractionEnv(GameEnv):
 
     def _reset(self) -> None:
         """Build the road, place the cars, and give them drivers."""
-        states, self.weights = self.draw_episode(self.np_random)
+        states, weights = self.draw_episode(self.np_random)
+        self.weights = read_only(np.asarray(weights))
         given = self.options.get("initial_states")
         if given is not None:
             states, shape = np.array(given, dtype=float), (self.cars, 4)
@@ -297,7 +298,7 @@ class InteractionEnv(GameEnv):
         asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        known = {"belief": step.belief, "counted_seconds": self.counted_seconds(step.thought)}
+        known = {"belief": read_only(step.belief), "counted_seconds": self.counted_seconds(step.thought)}
         info |= {name: value for name, value in known.items() if value is not None}
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}

@@ -28,7 +28,7 @@ from ms_highway.choice.situation import describe, description_names, nearness
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Array, Scalar, Structure, read
+from ms_highway.runtime.arrays import Array, Scalar, Structure, read, read_only
 from ms_highway.runtime.files import read_arrays, reading, replacing
 
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
@@ -251,7 +251,7 @@ def _read(path: Path, changed: int) -> Values:
     if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
         raise ValueError(f"{wrong[0]} holds {arrays[wrong[0]].dtype}; it must hold numbers")
     with np.errstate(over="ignore"):
-        numbers = {name: array.astype(np.float32) for name, array in arrays.items()}
+        numbers = read_only({name: array.astype(np.float32) for name, array in arrays.items()})  # as all share them
     centre, spread, layers = numbers.pop("centre"), numbers.pop("spread"), range(len(numbers) // 2)
     network = tuple((numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers)
     return Values(network, centre, spread, **msgspec.structs.asdict(read(about, _About)), place=str(path))

@@ -18,9 +18,22 @@ from ms_highway.choice.situation import nearness
 from ms_highway.game.game import Game, pair
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array, Control, Flag, Gains, HumansControl, Index, Rungs, Scalar, State, read_only
+from ms_highway.runtime.arrays import (
+    Array,
+    Control,
+    Flag,
+    Gains,
+    HumansControl,
+    Index,
+    Published,
+    Rungs,
+    Scalar,
+    State,
+    naming_writes,
+    read_only,
+)
 
-PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
+PUBLISHED_COSTS = Published({"naive": 0.09, "turn": 0.17, "tom": 0.37})  # s
 """Planning time of each model, as the decisions in the paper's experiments count it."""
 
 SHIPPED_COSTS = {  # s
@@ -226,8 +239,9 @@ def decide(rule: Rule, game: Any, memory: Memory, outcome: Any) -> Decision:
     """
     if is_of_package(rule):
         return rule.decide(game, memory, outcome)
-    decision = rule.decide(*read_only((game, memory, outcome)))
     name, number = type(rule).__name__, len(memory.rungs)
+    with naming_writes(f"the rule {name}"):
+        decision = rule.decide(*read_only((game, memory, outcome)))
     if not isinstance(decision, Decision) or not isinstance(decision.memory, Memory):
         remedy = "return a Decision, such as ms_highway.unestimated(memory, rungs)"
         raise ValueError(f"the rule {name} returned {decision!r}; {remedy}")

@@ -18,6 +18,7 @@ from ms_highway.game.scene import CAR_SIZE, CONE_SIZE, PAPER_UNIT, Scene
 from ms_highway.numerics.convex_newton import EASE
 from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import PAPER_PLANNING, Planner, PlanningSettings, Solver, gradient_steps
+from ms_highway.runtime.arrays import Published, read_only
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
@@ -44,7 +45,9 @@ It limits the first control of every plan and all executed controls, in the pape
 controls of a plan may exceed it by a quarter (`ms_highway.game.game.bounded`).
 """
 
-COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
+COMMON_WEIGHTS = Published(
+    {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
+)
 """Weights that every driver of every scenario has."""
 
 SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
@@ -127,6 +130,8 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Refuse lanes in which two cars overlap, lanes that are far from each other, and cars off all lanes."""
+        for name in ("robot_weights", "human_weights"):
+            object.__setattr__(self, name, Published(getattr(self, name)))
         place, remedy = f"scenario {self.name!r}", "all numbers are in metres, y to the right"
         fewest, most = HUMANS if self.streams else (1, 1)
         if not fewest <= self.humans <= most:
@@ -170,7 +175,7 @@ def build_game(
     planning: PlanningSettings | None = None,
     humans: int | None = None,
 ) -> Game:
-    """Build the game of a scenario, in which all humans have the same reward.
+    """Build the game of a scenario, in which all humans have the same reward; its arrays cannot be written.
 
     Args:
         scenario: to build.
@@ -225,7 +230,7 @@ def build_game(
     planner = replace(planner, persistent=bool(scenario.streams), ease=EASE if planner.smooth else 0.0)
     influence: Influence = "exact" if semantics == "released" else "damped"
     game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
-    return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
+    return read_only(jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game))
 
 
 def driving_game(

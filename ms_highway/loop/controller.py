@@ -24,7 +24,17 @@ from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.step import Status
 from ms_highway.planning.ladders import cheapest_first
-from ms_highway.runtime.arrays import Belief, Control, Controls, Gains, HumansControls, SameArray, State, read_only
+from ms_highway.runtime.arrays import (
+    Belief,
+    Control,
+    Controls,
+    Gains,
+    HumansControls,
+    SameArray,
+    State,
+    naming_writes,
+    read_only,
+)
 
 
 @dataclass(frozen=True)
@@ -220,13 +230,8 @@ class FunctionDriver:
 
     def _ask(self, game: Game, state: State) -> Control:
         """Return the driver's answer, a copy, as drivers may use their array again."""
-        try:
+        with naming_writes(f"the driver {self.name!r}"):
             control = np.array(self._function(game, state), dtype=float)
-        except ValueError as error:
-            if "read-only" not in str(error):
-                raise
-            remedy = "copy an array before you change it, such as state = state.copy()"
-            raise ValueError(f"the driver {self.name!r} writes into the game or the state; {remedy}") from error
         if control.shape != (2,) or not np.isfinite(control).all():
             raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
         return control

@@ -1,6 +1,7 @@
 """Configurations: how they are read, changed and refused."""
 
 import re
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -15,13 +16,17 @@ from jax import numpy as jnp
 
 import ms_highway
 from ms_highway import always
+from ms_highway.choice.learned_value import load_values
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
-from ms_highway.envs.agents import AGENTS
+from ms_highway.envs.agents import AGENTS, AddedAgent
 from ms_highway.envs.controllers import ControllerSettings
 from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
 from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
+from ms_highway.experiments.runner import make_environment
 from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.learned_reward import shipped
 from ms_highway.loop.batch import simulate
+from ms_highway.planning.ladders import MODELS
 
 PAIR, SEVERAL = "merger", "dense_merge"
 NAIVE = {"type": "fixed", "model": "naive"}
@@ -242,6 +247,64 @@ def test_a_class_that_makes_no_rule_is_refused():
     for kind in (ControllerSettings, ZipperEnv):
         with pytest.raises(ValueError, match=f"{kind.__name__} makes no rule; give a ControllerSettings with a"):
             add_rule(kind)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Overwrites(Says):
+    estimates = False
+
+    def decide(self, game, memory, outcome):
+        game.robot.weights[0] = memory.rungs[0] = 1
+        return ms_highway.unestimated(memory, memory.rungs)
+
+
+class OverwritesSettings(ControllerSettings, frozen=True, tag="overwrites"):
+    def rule(self, start):
+        return Overwrites(0, 1, "int32", start.ladder)
+
+
+@dataclass(frozen=True)
+class Bribes(ms_highway.PredictedHuman):
+    name = "bribes"
+
+    def predict(self, game, state, start=None):
+        game.robot.weights[0] = 1e6
+        return jnp.zeros((game.planner.horizon, 2))
+
+
+@pytest.mark.usefixtures("rules")
+def test_neither_rules_nor_models_nor_callers_can_change_what_the_package_computes_with(monkeypatch):
+    add_rule(OverwritesSettings)
+    monkeypatch.setitem(MODELS, "bribes", Bribes())
+    with pytest.raises(ValueError, match="the rule Overwrites writes into an array that it was given; copy"):
+        drive(make("merger-v1", "overwrites"))
+    with pytest.raises(ValueError, match="the human model 'bribes' writes into an array that it was given; copy"):
+        drive(make("merger-v1", "bribes", costs={"bribes": 0.1, "naive": 0.1, "turn": 0.2, "tom": 0.3}))
+    env = make("merger-v1").unwrapped
+    env.reset(seed=0)
+    for array in (env.game.robot.weights, env.game.scene.lanes, env.weights, load_values("shipped").centre):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0.0
+    scenario = ms_highway.SCENARIOS["merger"]
+    learned = shipped("demonstrations").weights
+    for weights in (ms_highway.COMMON_WEIGHTS, ms_highway.PUBLISHED_COSTS, scenario.robot_weights, learned):
+        with pytest.raises(TypeError, match=r"these numbers belong to ms_highway: .*; change a copy"):
+            weights["speed"] = 0.0
+        copied = deepcopy(weights)
+        copied["speed"] = 0.0
+
+
+def test_an_agent_that_changes_its_observation_changes_nobody_elses(monkeypatch):
+    def erases(observation):
+        observation[:] = 0.0
+        return [0.0, 0.0]
+
+    monkeypatch.setitem(AGENTS, "erases", AddedAgent(erases, {}))
+    env = make_environment("merger-v1", "erases")
+    seen, _ = env.reset(seed=0)
+    env.step(0)
+    assert seen.any()
 
 
 RUNGS = "return one whole number for each human, 1 in all: 0 for naive, 1 for turn"

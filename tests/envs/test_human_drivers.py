@@ -148,8 +148,8 @@ def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_it
         ("leaks", "'leaks' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
         ("draws", "'draws' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
         ("counts", "'counts' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
-        ("forgets", "'forgets' writes into the game or the state; copy an array before you change it"),
-        ("moves", "'moves' writes into the game or the state; copy an array before you change it"),
+        ("forgets", "'forgets' writes into an array that it was given; copy an array before you change it"),
+        ("moves", "'moves' writes into an array that it was given; copy an array before you change it"),
     ],
 )
 def test_a_function_that_is_not_pure_is_found_within_an_episode(driver, role, message):
