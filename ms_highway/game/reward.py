@@ -88,7 +88,8 @@ def add_feature(name: str, function: Feature) -> None:
 
     Args:
         name: one word.
-        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans optimise it. It takes
+        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans optimise it. Before the
+            first plan, an environment or a simulation refuses a value or a gradient that is not finite. It takes
             one moment and is mapped over all moments. Lengths are in metres; divide them by ``scene.length_unit`` for
             weights of the size of the others. To be pickled, it must be defined in a module. It is tested on a straight
             scene without a leader: ``scene.bend`` and ``scene.leader`` may be None. There are one or more others.

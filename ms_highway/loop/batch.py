@@ -10,12 +10,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.choice.rule import Decision, is_of_package, refuse_rungs, unestimated
 from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
-from ms_highway.game.features import features
+from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
@@ -63,6 +64,7 @@ def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> 
     """
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
+    check_own_features(loop.game.scene, loop.game.robot, loop.game.number, episodes.starts[0])
     warn_of_limits(loop.models, loop.game, episodes.starts[0])
     shared = share_among(devices or jax.local_devices()[:1], partial(_simulate, loop), episodes, loop.together)
     return checked_records(loop, shared)
@@ -72,10 +74,16 @@ def checked_records(loop: Loop, records: Records) -> Records:
     """Return records without what was to be checked in them.
 
     Raises:
-        ValueError: if a rule of the user's chose what is no rung.
+        ValueError: if a rule of the user's chose what is no rung, or a user-defined feature is not finite.
     """
     if records.chosen is not None:
         refuse_rungs(loop.rule, records.chosen)
+    robot = loop.game.robot
+    if robot.own:
+        rewards, states = np.asarray(records.reward), np.asarray(records.states)
+        failed = states[~np.isfinite(rewards) & np.isfinite(states).all(axis=(-2, -1))]
+        for state in failed[:1]:
+            check_own_features(loop.game.scene, robot, 0, state, gradients=False)
     return records._replace(chosen=None)
 
 
