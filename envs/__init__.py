@@ -13,7 +13,6 @@ import gymnasium
 from gymnasium.envs.registration import EnvCreator
 
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.configuration import check_name
 from ms_highway.envs.demonstration import DemonstrationEnv
 from ms_highway.game.scenario import Scenario
 from ms_highway.game.scenarios import (
@@ -28,6 +27,7 @@ from ms_highway.game.scenarios import (
     STAY_BACK,
     STAY_BACK_V1,
 )
+from ms_highway.runtime.names import check_name
 
 __all__ = [
     "DEMONSTRATION_ID",

@@ -16,6 +16,7 @@ from gymnasium import spaces
 
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.game_env import Timing
+from ms_highway.runtime.names import keep_apart
 
 Policy: TypeAlias = Callable[[Any], Any]
 """A function from an observation to an action."""
@@ -37,6 +38,8 @@ class AddedAgent(NamedTuple):
 
 AGENTS: dict[str, AddedAgent] = {}
 """The agents that `ms_highway.add_agent` has added, by name."""
+
+keep_apart("an agent", lambda: AGENTS)
 
 
 def is_agent(name: str) -> bool:

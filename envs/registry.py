@@ -12,9 +12,8 @@ from ms_highway.choice.learned_value import SHIPPED_VALUES, Values, load_values
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
 from ms_highway.choice.rule import NEVER, Nearest, shipped_kind
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
-from ms_highway.envs.configuration import Config, NotNegative, Positive, check_name, read, refuse_unknown
+from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
 from ms_highway.envs.controllers import (
-    KEYBOARD,
     PLACE,
     AgentSettings,
     ControllerSettings,
@@ -26,8 +25,9 @@ from ms_highway.envs.controllers import (
     Start,
 )
 from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, RememberingDriver, check_driver, function_names
-from ms_highway.planning.ladders import MODELS, is_model, model_names
+from ms_highway.planning.ladders import is_model, model_names
 from ms_highway.runtime import retired
+from ms_highway.runtime.names import check_own_name, keep_apart
 
 BELIEF = "+belief"
 EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
@@ -153,7 +153,7 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {
 }
 """The controllers of the package and those that `add_rule` adds, by type."""
 
-OURS, RESERVED = tuple(CONTROLLERS), (*HUMAN_DRIVERS, KEYBOARD, "usual", "mixed")
+keep_apart("a rule", lambda: CONTROLLERS)
 
 
 def add_rule(settings: type[ControllerSettings]) -> None:
@@ -175,7 +175,7 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     ):
         raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
     name = str(settings.__struct_config__.tag)
-    check_name("a rule", name, [*OURS, *MODELS, *HUMAN_DRIVERS, *AGENTS])
+    check_own_name("a rule", name)
     CONTROLLERS[name] = settings
 
 
@@ -195,7 +195,7 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
         ValueError: if the name is taken or not one word in lower case, or for another key of ``config``.
         TypeError: if it is no agent.
     """
-    check_name("an agent", name, [*CONTROLLERS, *MODELS, *HUMAN_DRIVERS])
+    check_own_name("an agent", name)
     if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
         remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
         raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
@@ -232,7 +232,7 @@ def add_driver(name: str, driver: DriverFunction | RememberingDriver | type) -> 
     Raises:
         ValueError: if the name is taken or not one word in lower case, or if the driver is none of these.
     """
-    check_name("a human driver", name, [*RESERVED, *CONTROLLERS, *MODELS, *AGENTS])
+    check_own_name("a human driver", name)
     check_driver(name, driver)
     HUMAN_DRIVERS[name] = driver
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from inspect import signature
 from time import perf_counter
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias
 
 import jax
 import numpy as np
@@ -35,6 +35,7 @@ from ms_highway.runtime.arrays import (
     naming_writes,
     read_only,
 )
+from ms_highway.runtime.names import keep_apart
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,6 @@ DriverFunction: TypeAlias = Callable[[Game, State], Control]
 """Control of a car from its own game, where it is car 0, and the state of all cars [cars, 4]."""
 
 
-@runtime_checkable
 class RememberingDriver(Protocol):
     """A driver that remembers or draws; every car that it drives in an episode gets a copy of its own."""
 
@@ -276,6 +276,8 @@ always_yields: DriverFunction = partial(unmoved_control, yields=True)
 HUMAN_DRIVERS: dict[str, Any] = {"never": never_yields, "always": always_yields}
 """Human drivers by name. They do not plan: each is a function, a driver that remembers or its class, or a class of
 highway-env vehicles."""
+
+keep_apart("a human driver", lambda: HUMAN_DRIVERS)
 
 
 def function_names() -> list[str]:

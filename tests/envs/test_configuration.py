@@ -3,7 +3,7 @@
 import re
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 
 import gymnasium as gym
@@ -19,14 +19,17 @@ from ms_highway import always
 from ms_highway.choice.learned_value import load_values
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
 from ms_highway.envs.agents import AGENTS, AddedAgent
-from ms_highway.envs.controllers import ControllerSettings
+from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
 from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
+from ms_highway.envs.settings import YIELDING
 from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.learned_reward import shipped
 from ms_highway.loop.batch import simulate
-from ms_highway.planning.ladders import MODELS
+from ms_highway.loop.controller import HUMAN_DRIVERS
+from ms_highway.planning.ladders import BEST, MODELS
+from ms_highway.runtime.names import PACKAGE_NAMES
 
 PAIR, SEVERAL = "merger", "dense_merge"
 NAIVE = {"type": "fixed", "model": "naive"}
@@ -351,21 +354,59 @@ def add_own_scenario(name):
     add_scenario(type("OwnEnv", (MergerEnv,), {"scenario": scenario}))
 
 
-@pytest.mark.usefixtures("rules")
-@pytest.mark.parametrize(
-    ("what", "add", "taken"),
-    [
-        ("a rule", lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)), ("learned", "tom", "never", "coasts")),
-        ("a human driver", lambda name: ms_highway.add_driver(name, keep_velocity), ("learned", "tom", "coasts")),
-        ("an agent", lambda name: ms_highway.add_agent(name, np.zeros_like), ("learned", "tom", "never")),
-        ("a scenario", add_own_scenario, ("merger",)),
-    ],
-)
-def test_what_is_added_needs_an_unused_name_of_one_word(what, add, taken, monkeypatch):
-    monkeypatch.setitem(AGENTS, "coasts", None)
-    for name in (*taken, "two words", "Upper"):
-        with pytest.raises(ValueError, match=f"{what} cannot be called '{name}'; choose one word in lower case"):
-            add(name)
+@dataclass(frozen=True)
+class Coasts(ms_highway.PredictedHuman):
+    name = "coasts"
+
+    def predict(self, game, state, start=None):
+        return jnp.zeros((game.planner.horizon, 2))
+
+
+KINDS = {
+    "a human model": lambda name: ms_highway.register(type("Model", (Coasts,), {"name": name})()),
+    "a rule": lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)),
+    "a human driver": lambda name: ms_highway.add_driver(name, keep_velocity),
+    "an agent": lambda name: ms_highway.add_agent(name, np.zeros_like),
+}
+
+
+@pytest.fixture
+def names(rules):
+    """The names that are known, to which some may be added."""
+    kept = [registry.CONTROLLERS, MODELS, HUMAN_DRIVERS, AGENTS]
+    before = [dict(each) for each in kept]
+    yield
+    for each, content in zip(kept, before, strict=True):
+        each.clear()
+        each.update(content)
+
+
+@pytest.mark.usefixtures("names")
+@pytest.mark.parametrize("first", KINDS)
+@pytest.mark.parametrize("second", KINDS)
+def test_a_name_means_one_thing_whatever_was_added_first(first, second):
+    KINDS[first]("mine")
+    if first == second:  # which is replaced
+        KINDS[second]("mine")
+        return
+    with pytest.raises(ValueError, match=f"{second} cannot be called 'mine'; choose one word.* other than .*mine"):
+        KINDS[second]("mine")
+
+
+@pytest.mark.usefixtures("names")
+@pytest.mark.parametrize("what", KINDS)
+def test_what_is_added_needs_a_name_of_one_word_that_the_package_does_not_use(what):
+    taken = [*chain(*PACKAGE_NAMES.values()), "two words", *(["Upper"] if what != "a human model" else [])]
+    assert {*registry.CONTROLLERS, *MODELS, *HUMAN_DRIVERS, *AGENTS, BEST, KEYBOARD, *YIELDING} <= {*taken}
+    for name in taken:
+        with pytest.raises(ValueError, match=f"{what} cannot be called '{name}'; choose one word"):
+            KINDS[what](name)
+
+
+def test_a_scenario_needs_a_name_of_one_word_that_the_package_does_not_use():
+    for name in ("merger", "two words", "Upper"):
+        with pytest.raises(ValueError, match=f"a scenario cannot be called '{name}'; choose one word in lower case"):
+            add_own_scenario(name)
 
 
 def test_learned_values_warn_only_where_they_were_not_learned():
