@@ -27,6 +27,7 @@ from ms_highway.game.scenarios import (
     STAY_BACK,
     STAY_BACK_V1,
 )
+from ms_highway.planning.ladders import ladder
 from ms_highway.runtime.names import check_name
 
 __all__ = [
@@ -183,10 +184,24 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         The Gymnasium id.
 
     Raises:
-        ValueError: if the package has a scenario of this name, or if it is not such a word.
+        ValueError: if the class is none of such environments; if the package has a scenario of this name, or it is not
+            such a word; and for a scenario that cannot be driven, see `ms_highway.game.scenario.Scenario.check`.
     """
-    name = environment.scenario.name
+    scenario = getattr(environment, "scenario", None)
+    if not (isinstance(environment, type) and issubclass(environment, InteractionEnv)):
+        remedy = "give a class derived from ms_highway.InteractionEnv, with an attribute `scenario`"
+        raise ValueError(f"{environment!r} is no class of environments; {remedy}")
+    if not isinstance(scenario, Scenario):
+        remedy = "make it a ms_highway.Scenario"
+        raise ValueError(f"the attribute `scenario` of {environment.__name__} is {scenario!r}; {remedy}")
+    name = scenario.name
     check_name("a scenario", name, PACKAGE_SCENARIOS)
+    scenario.check()
+    place = f"scenario {name!r} has the ladder {scenario.ladder!r}"
+    try:
+        ladder(scenario.ladder)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}; register a model of your own before") from error
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     bare_id = environment_id(name).removeprefix("ms_highway:")
     gymnasium.registry.pop(bare_id, None)

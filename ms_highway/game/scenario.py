@@ -131,11 +131,16 @@ class Scenario:
     def __post_init__(self) -> None:
         """Refuse lanes in which two cars overlap, lanes that are far from each other, and cars off all lanes."""
         for name in ("robot_weights", "human_weights"):
-            object.__setattr__(self, name, Published(getattr(self, name)))
+            weights = getattr(self, name)
+            if not isinstance(weights, Mapping):
+                raise ValueError(f"scenario {self.name!r} has {name}={weights!r}; give weights by name of a feature")
+            object.__setattr__(self, name, Published(weights))
         place, remedy = f"scenario {self.name!r}", "all numbers are in metres, y to the right"
         fewest, most = HUMANS if self.streams else (1, 1)
         if not fewest <= self.humans <= most:
-            why = "streams say where several humans drive" if not self.streams else f"give {fewest} to {most}"
+            why = "streams say where several humans drive, and without streams there is one"
+            if self.streams:
+                why = f"give {fewest} to {most}"
             raise ValueError(f"{place} has humans={self.humans} and {len(self.streams)} streams; {why}")
         lanes = np.sort(np.asarray(self.lanes, float).ravel())
         apart = np.diff(lanes)
@@ -154,8 +159,33 @@ class Scenario:
                 raise ValueError(f"{place} has a stream of spacing {stream.spacing}; give {wanted}")
         for kind, points in (("a car", self.cars), ("a cone", self.cones)):
             for point in points:
+                if len(point) not in ((2, 3) if points is self.cars else (2,)):
+                    raise ValueError(f"{place} has {kind} at {point}; give x and y, and {remedy}")
                 if not np.isfinite(point).all() or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE:
                     raise ValueError(f"{place} has {kind} at {point}, beside all lanes, at {self.lanes}; {remedy}")
+
+    def check(self) -> None:
+        """Check what an environment needs, and what may be registered only after the scenario is made.
+
+        Raises:
+            ValueError: naming the scenario, the value and a remedy.
+        """
+        place, whole = f"scenario {self.name!r}", isinstance(self.steps, int)
+        if not self.streams and len(self.cars) < 2:
+            remedy = "give the starts of the robot and of the human, or streams of humans"
+            raise ValueError(f"{place} has no human, as its cars are {self.cars}; {remedy}")
+        if not whole or self.steps < 1:
+            raise ValueError(f"{place} has steps={self.steps!r}; give a whole number of steps, 1 or more")
+        if len(self.prices) != 2 or not all(0 <= price < np.inf for price in self.prices):
+            raise ValueError(f"{place} has the prices {self.prices!r}; give two lambdas, 0 or more")
+        if self.merging_car is not None and self.merging_car not in range(len(self.cars)):
+            remedy = f"give the place of one of its {len(self.cars)} cars, or None"
+            raise ValueError(f"{place} has merging_car={self.merging_car!r}; {remedy}")
+        for name in ("robot_weights", "human_weights"):
+            try:
+                linear_reward(getattr(self, name), SPEED_LIMIT)
+            except ValueError as error:
+                raise ValueError(f"{place}, {name}: {error}") from None
 
 
 def title(name: str) -> str:
