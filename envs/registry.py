@@ -208,7 +208,9 @@ def add_driver(name: str, driver: DriverFunction | RememberingDriver | type) -> 
 
     It drives every human of an environment with ``config={"human_driver": name}``, in commands with
     ``--set human_driver=NAME``. It replaces an added driver of the same name. A function also drives the robot, as the
-    controller ``name``: it then takes the game of the robot, and a state in which the humans follow the robot.
+    controller ``name``: it then takes the game of the robot, and a state in which the humans follow the robot. The same
+    name lets it drive on roads of highway-env (`ms_highway.drive`, ``ms-highway bench road``), straightened as
+    `ms_highway.road.added.AddedRoadDriver` says.
 
     Args:
         name: one word in lower case.
