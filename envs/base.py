@@ -67,9 +67,10 @@ class InteractionEnv(GameEnv):
       collision is an overlap of bodies (`ms_highway.game.contact`) instead of the paper's indicator; or
       ``"released"``, the paper's released code; see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
-      demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; or None for the
-      reward of the semantics: published in released semantics, or else learned. Aims of the scenario, such as a human's
-      target lane, stay unless weights name them. A learned reward has no weight of ``collision``.
+      demonstrations; ``"published"``; ``"us101"``, learned from drivers on that highway; weights by name, of
+      `ms_highway.game.reward.weight_names`; or None for the reward of the semantics: published in released semantics,
+      or else learned. Aims of the scenario, such as a human's target lane, stay unless weights name them. A learned
+      reward has no weight of ``collision``, and that of the highway none of leaving the road.
     * ``humans``: number of humans, from 2 to 20 in scenarios with streams.
     * ``beliefs``: which rewards the robot assumes of several humans: ``"learned"``, for all the reward that theirs are
       drawn around; or ``"true"``, for each its own. A controller's ``"belief"`` is about models, not rewards.

@@ -17,6 +17,8 @@ from jax import numpy as jnp
 import ms_highway
 from ms_highway import always
 from ms_highway.choice.learned_value import load_values
+from ms_highway.cli.main import parse
+from ms_highway.cli.options import configuration
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
 from ms_highway.envs.agents import AGENTS, AddedAgent
 from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
@@ -25,7 +27,7 @@ from ms_highway.envs.settings import YIELDING
 from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.game.learned_reward import shipped
+from ms_highway.game.learned_reward import save, shipped
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.planning.ladders import BEST, MODELS
@@ -417,3 +419,38 @@ def test_learned_values_warn_only_where_they_were_not_learned():
         make("merger-v1", "learned:1", horizon=15)
     with pytest.warns(UserWarning, match="not in dense_merge, solver newton"):
         make(SEVERAL, "budget:20", solver="newton")
+    make("merger-v1", "learned:1+belief", yielding="never")  # measured, see the guide
+
+
+def test_learned_values_warn_among_other_humans_than_those_they_were_learned_among(monkeypatch):
+    learn = "`ms-highway values learn merger-v1 --set {} --out values.npz`"
+    for reward, text in (("published", "human_reward=published"), ({"speed": 2.0}, "'human_reward={\"speed\": 2.0}'")):
+        with pytest.warns(
+            UserWarning, match=f"human_reward learned, not in merger-v1, human_reward .*{learn.format(text)}"
+        ):
+            make("merger-v1", "learned:1", human_reward=reward)
+    make("merger-v1", "learned:1", human_reward="learned")
+    monkeypatch.setitem(HUMAN_DRIVERS, "coasts", keep_velocity)
+    with pytest.warns(
+        UserWarning, match="not in merger-v1, where 'coasts' drives the humans; choose another controller"
+    ):
+        make("merger-v1", "learned:1", human_driver="coasts")
+    make("merger-v1", "tom", human_driver="coasts", human_reward="published")
+
+
+def test_humans_drive_for_the_reward_of_us101_by_its_name_and_by_its_file(tmp_path):
+    file = tmp_path / "mine.json"
+    save(shipped("us101"), file)
+    games = []
+    for name in ("us101", str(file)):
+        config = configuration(parse(["compare", "merger-v1", "--set", f"human_reward={name}", "--out", "x"]))
+        games.append(make("merger-v1", **config).unwrapped.game.humans)
+    assert games[0].names == games[1].names
+    np.testing.assert_array_equal(games[0].weights, games[1].weights)
+    weights = dict(zip(games[0].names, games[0].weights[0], strict=True))
+    assert weights["closing_speed"] == pytest.approx(shipped("us101").weights["closing_speed"])
+    _, states, *_ = drive(make("merger-v1", human_reward="us101"), steps=10)
+    usual = drive(make("merger-v1"), steps=10).states
+    assert np.abs(states[-1, 1] - usual[-1, 1]).max() > 0.1
+    with pytest.raises(ValueError, match="'learned', 'published', 'us101', or give finite weights"):
+        make("merger-v1", human_reward="us102")
