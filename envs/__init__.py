@@ -13,7 +13,6 @@ import gymnasium
 from gymnasium.envs.registration import EnvCreator
 
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.configuration import check_name
 from ms_highway.envs.demonstration import DemonstrationEnv
 from ms_highway.game.scenario import Scenario
 from ms_highway.game.scenarios import (
@@ -28,6 +27,9 @@ from ms_highway.game.scenarios import (
     STAY_BACK,
     STAY_BACK_V1,
 )
+from ms_highway.planning.ladders import ladder
+from ms_highway.runtime.names import check_name
+from ms_highway.runtime.sources import note_definition
 
 __all__ = [
     "DEMONSTRATION_ID",
@@ -183,11 +185,26 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         The Gymnasium id.
 
     Raises:
-        ValueError: if the package has a scenario of this name, or if it is not such a word.
+        ValueError: if the class is none of such environments; if the package has a scenario of this name, or it is not
+            such a word; and for a scenario that cannot be driven, see `ms_highway.game.scenario.Scenario.check`.
     """
-    name = environment.scenario.name
+    scenario = getattr(environment, "scenario", None)
+    if not (isinstance(environment, type) and issubclass(environment, InteractionEnv)):
+        remedy = "give a class derived from ms_highway.InteractionEnv, with an attribute `scenario`"
+        raise ValueError(f"{environment!r} is no class of environments; {remedy}")
+    if not isinstance(scenario, Scenario):
+        remedy = "make it a ms_highway.Scenario"
+        raise ValueError(f"the attribute `scenario` of {environment.__name__} is {scenario!r}; {remedy}")
+    name = scenario.name
     check_name("a scenario", name, PACKAGE_SCENARIOS)
+    scenario.check()
+    place = f"scenario {name!r} has the ladder {scenario.ladder!r}"
+    try:
+        ladder(scenario.ladder)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}; register a model of your own before") from error
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
+    note_definition(name, environment)
     bare_id = environment_id(name).removeprefix("ms_highway:")
     gymnasium.registry.pop(bare_id, None)
     module, word = environment.__module__, environment.__qualname__

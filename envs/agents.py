@@ -1,6 +1,7 @@
 """Let agents and planners of one's own drive instead of a controller, so that both can be compared."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from os import PathLike, fspath
@@ -15,6 +16,7 @@ from gymnasium import spaces
 
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.game_env import Timing
+from ms_highway.runtime.names import keep_apart
 from ms_highway.runtime.sources import digest
 
 Policy: TypeAlias = Callable[[Any], Any]
@@ -37,6 +39,8 @@ class AddedAgent(NamedTuple):
 
 AGENTS: dict[str, AddedAgent] = {}
 """The agents that `ms_highway.add_agent` has added, by name."""
+
+keep_apart("an agent", lambda: AGENTS)
 
 
 def is_agent(name: str) -> bool:
@@ -161,7 +165,7 @@ class AgentDrives(gym.Wrapper):
             ValueError: if the environment's action space does not contain the agent's action.
         """
         start = perf_counter()
-        chosen = self.policy(self._seen)
+        chosen = self.policy(deepcopy(self._seen))  # which others hold, too
         seconds = perf_counter() - start
         if isinstance(self.env.action_space, spaces.Box):  # agents may return lists or double precision
             chosen = np.asarray(chosen, self.env.action_space.dtype)

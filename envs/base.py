@@ -17,16 +17,16 @@ from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
-from ms_highway.envs.viewer import keyboard_control
+from ms_highway.envs.viewer import Keyboard
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
-from ms_highway.loop.controller import HUMAN_DRIVERS, ControlStep, FunctionDriver
+from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, ControlStep, FunctionDriver, draw_key, is_vehicle
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
-from ms_highway.runtime.arrays import HumansWeights, State
+from ms_highway.runtime.arrays import HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
 
@@ -67,9 +67,10 @@ class InteractionEnv(GameEnv):
       collision is an overlap of bodies (`ms_highway.game.contact`) instead of the paper's indicator; or
       ``"released"``, the paper's released code; see `ms_highway.game.scenario.build_game`.
     * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
-      demonstrations; ``"published"``; weights by name, of `ms_highway.game.reward.weight_names`; or None for the
-      reward of the semantics: published in released semantics, or else learned. Aims of the scenario, such as a human's
-      target lane, stay unless weights name them. A learned reward has no weight of ``collision``.
+      demonstrations; ``"published"``; ``"us101"``, learned from drivers on that highway; weights by name, of
+      `ms_highway.game.reward.weight_names`; or None for the reward of the semantics: published in released semantics,
+      or else learned. Aims of the scenario, such as a human's target lane, stay unless weights name them. A learned
+      reward has no weight of ``collision``, and that of the highway none of leaving the road.
     * ``humans``: number of humans, from 2 to 20 in scenarios with streams.
     * ``beliefs``: which rewards the robot assumes of several humans: ``"learned"``, for all the reward that theirs are
       drawn around; or ``"true"``, for each its own. A controller's ``"belief"`` is about models, not rewards.
@@ -172,7 +173,8 @@ class InteractionEnv(GameEnv):
 
     def _reset(self) -> None:
         """Build the road, place the cars, and give them drivers."""
-        states, self.weights = self.draw_episode(self.np_random)
+        states, weights = self.draw_episode(self.np_random)
+        self.weights = read_only(np.asarray(weights))
         given = self.options.get("initial_states")
         if given is not None:
             states, shape = np.array(given, dtype=float), (self.cars, 4)
@@ -180,7 +182,7 @@ class InteractionEnv(GameEnv):
                 remedy = f"{self.scenario.name} needs an array {shape} of finite numbers"
                 raise ValueError(f"options['initial_states'] is {states.tolist()}; {remedy}")
         humans, driver = self.settings.humans, HUMAN_DRIVERS.get(self.settings.human_driver or "")
-        human = driver if isinstance(driver, type) else HumanVehicle
+        human: Any = driver if is_vehicle(driver) else HumanVehicle
         kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         self._place([kind(self.road, state[:2], *state[2:]) for kind, state in zip(kinds, states, strict=True)])
@@ -211,10 +213,13 @@ class InteractionEnv(GameEnv):
         cars, truth = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
         for place, (human, number) in enumerate(zip(self.humans, self.draw_drivers(self.np_random), strict=True)):
             own, name = swap_roles(truth, place), (None, *self.settings.drivers)[number]
-            function = HUMAN_DRIVERS.get(name, keyboard_control) if name else None
-            if not isinstance(function, type):  # a vehicle of a given class drives by itself
-                driver = FunctionDriver(own, name, function) if name and function else fixed(own)
-                human.drive_with(driver, [car for car in cars if car is not human])
+            added = HUMAN_DRIVERS.get(name, Keyboard) if name else None
+            if is_vehicle(added):  # which drives by itself
+                continue
+            driver: Controller = fixed(own)
+            if name:
+                driver = FunctionDriver(own, name, added, draw_key(added, self.np_random))
+            human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
             self._drive_robot(truth if self.settings.beliefs == "true" else self.game)
 
@@ -294,7 +299,7 @@ class InteractionEnv(GameEnv):
         asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
         clocked = self.settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        known = {"belief": step.belief, "counted_seconds": self.counted_seconds(step.thought)}
+        known = {"belief": read_only(step.belief), "counted_seconds": self.counted_seconds(step.thought)}
         info |= {name: value for name, value in known.items() if value is not None}
         if streams:
             info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}

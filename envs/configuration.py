@@ -94,18 +94,6 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
             raise ValueError(f"unknown key {key!r} in {place}; {hint}")
 
 
-def check_name(what: str, name: object, taken: Iterable[str]) -> None:
-    """Refuse a name that is taken, or that is not one word in lower case.
-
-    Raises:
-        ValueError: for such a name.
-    """
-    taken = dict.fromkeys(taken)
-    if not (isinstance(name, str) and name.isidentifier() and name.islower()) or name in taken:
-        remedy = f"choose one word in lower case other than {', '.join(taken)}"
-        raise ValueError(f"{what} cannot be called {name!r}; {remedy}")
-
-
 def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind:
     """Return the values of a configuration as a struct; NumPy's numbers and arrays count as Python's.
 

@@ -16,7 +16,7 @@ from ms_highway.envs.agents import agent_file
 from ms_highway.envs.configuration import Config, NotNegative
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import Semantics
-from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, FunctionDriver, function_names
+from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, FunctionDriver, draw_key, function_names
 from ms_highway.loop.driver import Driver, drivable
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -163,7 +163,8 @@ class DriverSettings(NamedSettings, frozen=True, tag="driver"):
 
     def driver(self, game: Game, start: Start, way_out: bool, order: Order | None = None) -> Controller:
         """See `ControllerSettings.driver`."""
-        return FunctionDriver(game, self.name, HUMAN_DRIVERS[self.name])
+        driver = HUMAN_DRIVERS[self.name]
+        return FunctionDriver(game, self.name, driver, draw_key(driver, start.random))
 
 
 class AgentSettings(NamedSettings, frozen=True, tag="agent"):

@@ -11,7 +11,7 @@ from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.configured import ConfiguredEnv
-from ms_highway.game.features import features
+from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import CONE_SIZE
 from ms_highway.runtime.arrays import State
@@ -90,6 +90,8 @@ class GameEnv(ConfiguredEnv):
         super()._simulate(action)
         robot = self.game.robot
         phi = np.asarray(compiled_features(self.game.scene, robot, self.car_states.astype(np.float32)))
+        if robot.own and not np.isfinite(phi).all():
+            check_own_features(self.game.scene, robot, 0, self.car_states, gradients=False)
         self._terms = dict(zip(robot.names, (phi * np.asarray(robot.weights)).tolist(), strict=True))
         self.collision = bool(phi[robot.names.index("collision")])
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from os import PathLike
 from typing import Annotated, Any, ClassVar
 
-from highway_env.vehicle.kinematics import Vehicle
 from msgspec import Meta, field, json
 
 from ms_highway.choice.budget import Budget, OneStepGains
@@ -13,9 +12,8 @@ from ms_highway.choice.learned_value import SHIPPED_VALUES, Values, load_values
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
 from ms_highway.choice.rule import NEVER, Nearest, shipped_kind
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
-from ms_highway.envs.configuration import Config, NotNegative, Positive, check_name, read, refuse_unknown
+from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
 from ms_highway.envs.controllers import (
-    KEYBOARD,
     PLACE,
     AgentSettings,
     ControllerSettings,
@@ -26,10 +24,12 @@ from ms_highway.envs.controllers import (
     ScheduleSettings,
     Start,
 )
-from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, function_names
+from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, RememberingDriver, check_driver, function_names
 from ms_highway.planning.human_models import PACKAGE_TYPES
-from ms_highway.planning.ladders import MODELS, human_model, is_model, model_names
+from ms_highway.planning.ladders import human_model, is_model, model_names
 from ms_highway.runtime import retired
+from ms_highway.runtime.names import PACKAGE_NAMES, check_own_name, keep_apart
+from ms_highway.runtime.sources import note_definition
 
 BELIEF = "+belief"
 EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
@@ -168,7 +168,7 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {
 }
 """The controllers of the package and those that `add_rule` adds, by type."""
 
-OURS, RESERVED = tuple(CONTROLLERS), (*HUMAN_DRIVERS, KEYBOARD, "usual", "mixed")
+keep_apart("a rule", lambda: CONTROLLERS)
 
 
 def add_rule(settings: type[ControllerSettings]) -> None:
@@ -190,8 +190,9 @@ def add_rule(settings: type[ControllerSettings]) -> None:
     ):
         raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
     name = str(settings.__struct_config__.tag)
-    check_name("a rule", name, [*OURS, *MODELS, *HUMAN_DRIVERS, *AGENTS])
+    check_own_name("a rule", name)
     CONTROLLERS[name] = settings
+    note_definition(name, settings)
 
 
 def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
@@ -210,38 +211,50 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
         ValueError: if the name is taken or not one word in lower case, or for another key of ``config``.
         TypeError: if it is no agent.
     """
-    check_name("an agent", name, [*CONTROLLERS, *MODELS, *HUMAN_DRIVERS])
+    check_own_name("an agent", name)
     if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
         remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
         raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
     refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
     AGENTS[name] = AddedAgent(agent, dict(config or {}))
+    note_definition(name, agent)
 
 
-def add_driver(name: str, driver: DriverFunction | type[Vehicle]) -> None:
+def add_driver(name: str, driver: DriverFunction | RememberingDriver | type) -> None:
     """Add a driver of the real humans by a name; `ms_highway.register` adds a model by which the robot predicts them.
 
     It drives every human of an environment with ``config={"human_driver": name}``, in commands with
     ``--set human_driver=NAME``. It replaces an added driver of the same name. A function also drives the robot, as the
-    controller ``name``: it then takes the game of the robot, and a state in which the humans follow the robot.
+    controller ``name``: it then takes the game of the robot, and a state in which the humans follow the robot. The same
+    name lets it drive on roads of highway-env (`ms_highway.drive`, ``ms-highway bench road``), straightened as
+    `ms_highway.road.added.AddedRoadDriver` says.
 
     Args:
         name: one word in lower case.
-        driver: a pure function, or a class of highway-env vehicles, such as ``IDMVehicle``. A function takes the game
-            of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and speed [m/s], itself first,
-            then the robot. It returns its curvature omega [1/m] and its acceleration a before friction [m/s^2], under
-            which the speed v changes by ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
-            ``game.world`` makes up for friction. Written with `jax.numpy`, it also drives in simulations of many
-            episodes (``ms-highway sweep``); a class of vehicles does not.
+        driver: a function, a driver that remembers, or a class of highway-env vehicles, such as ``IDMVehicle``.
+
+            A function takes the game of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and
+            speed [m/s], itself first, then the robot; no array may be written. It returns its curvature omega [1/m] and
+            its acceleration a before friction [m/s^2], under which the speed v changes by ``v' = a - friction v``;
+            `ms_highway.game.dynamics.keep_velocity` of ``game.world`` makes up for friction. It must be pure: in the
+            same state of the same game it has to return the same control, which is checked during every episode.
+            Written with `jax.numpy`, it also drives in simulations of many episodes (``ms-highway sweep``); the other
+            two kinds do not.
+
+            A driver that remembers, or draws random numbers, is an object that is called like a function and has a
+            method ``reset(key)``, or a class of such objects that is made without arguments. For every episode, every
+            car gets a copy of the object as it was added, or a new object of the class. Its ``reset`` then takes a
+            whole number, drawn from the environment's seed for this car and episode, as the seed of its random numbers.
+            So the same seed is the same episode, whatever was driven before. A copy of an environment copies the
+            memory.
 
     Raises:
-        ValueError: if the name is taken or not one word in lower case, or if the driver is neither.
+        ValueError: if the name is taken or not one word in lower case, or if the driver is none of these.
     """
-    check_name("a human driver", name, [*RESERVED, *CONTROLLERS, *MODELS, *AGENTS])
-    if not callable(driver) or (isinstance(driver, type) and not issubclass(driver, Vehicle)):
-        remedy = "give a function of the game and the state, or a class of highway-env vehicles"
-        raise ValueError(f"the human driver {name!r} is {driver!r}; {remedy}")
+    check_own_name("a human driver", name)
+    check_driver(name, driver)
     HUMAN_DRIVERS[name] = driver
+    note_definition(name, driver)
 
 
 def of_package(name: str) -> bool:
@@ -250,7 +263,7 @@ def of_package(name: str) -> bool:
     Files of learned values hold numbers only. Agents, also those in files, and what users have added run other code.
     """
     config = controller_config(name)
-    if config["type"] not in OURS or config["type"] in ("driver", "agent"):
+    if config["type"] not in PACKAGE_NAMES["a rule"] or config["type"] in ("driver", "agent"):
         return False
     return all(type(human_model(model)) in PACKAGE_TYPES for model in controller_settings(config).names())
 

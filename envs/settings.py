@@ -1,6 +1,8 @@
 """Read the configuration of an `ms_highway.envs.base.InteractionEnv`."""
 
 from collections.abc import Mapping
+from json import dumps as to_json
+from shlex import quote
 from typing import Annotated, Any, Literal
 from warnings import warn
 
@@ -26,6 +28,9 @@ from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
 HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "published"}
 """The default of the humans' reward, by semantics."""
 
+NAMED_REWARDS = ("learned", "published", "us101")
+"""Names of the humans' rewards, see `human_weights`."""
+
 YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
 """The human drivers for each way to yield."""
 
@@ -35,8 +40,8 @@ COSTS_REMEDY = (
     "'tom': 0.37}"
 )
 REWARD_REMEDY = (
-    "say 'learned', 'published', or give finite weights by name, such as {'speed': 2, 'lane_alignment': 75}; weights "
-    "that were learned are in ms_highway.game.learned_reward.load(path).weights"
+    "say 'learned', 'published', 'us101', or give finite weights by name, such as {'speed': 2, 'lane_alignment': 75}; "
+    "weights that were learned are in ms_highway.game.learned_reward.load(path).weights"
 )
 LIMIT_REMEDY = "give None for the usual limits, 'unlimited', or two positive bounds, (omega, acceleration)"
 GRIP_REMEDY = "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
@@ -53,7 +58,9 @@ class Settings(Struct, frozen=True):
         Literal["published", "shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS_REMEDY)
     ]
     semantics: Semantics
-    human_reward: Annotated[Literal["learned", "published"] | dict[str, Number] | None, Meta(description=REWARD_REMEDY)]
+    human_reward: Annotated[
+        Literal["learned", "published", "us101"] | dict[str, Number] | None, Meta(description=REWARD_REMEDY)
+    ]
     humans: int
     beliefs: Literal["learned", "true"]
     yielding: Literal["usual", "never", "always", "mixed"]
@@ -115,7 +122,12 @@ class Settings(Struct, frozen=True):
             warn(f"config['step_size'] is {self.step_size:g}: {why}", stacklevel=2)
 
     def warn_of_other_values(self, scenario: Scenario, start: Start) -> None:
-        """Warn of learned values that come from another scenario, semantics, solver or horizon than they serve here."""
+        """Warn of learned values that come from another scene or other humans than they serve here.
+
+        A scene is a scenario with its semantics, solver and horizon. Humans are others if they drive for another
+        reward, or if ``human_driver`` drives them. How humans yield to the robot (``yielding``) is left out, as values
+        are measured among humans who never do.
+        """
         values = self.controller.learned(start)
         if values is None:
             return
@@ -124,14 +136,32 @@ class Settings(Struct, frozen=True):
         learned = {name: known[name] for name in ("semantics", "solver") if name in known}
         learned["horizon"] = known.get("planning_horizon", scenario.planning.horizon)
         other = {name: value for name, value in learned.items() if getattr(self, name) not in np.ravel(value)}
-        if scenario.name in scenarios and not other:
+        present: dict[str, Any] = {name: getattr(self, name) for name in other}
+        reward = known.get("human_reward") or HUMAN_REWARDS[known.get("semantics", self.semantics)]
+        if reward != self.reward:
+            other["human_reward"] = reward
+            present["human_reward"] = self.reward
+        driven = self.human_driver is not None
+        if scenario.name in scenarios and not other and not driven:
             return
         there = ", ".join([*scenarios, *(f"{name} {value}" for name, value in other.items())])
-        here = ", ".join([scenario.name, *(f"{name} {getattr(self, name)}" for name in other)])
-        changes = "".join(f" --set {name}={getattr(self, name)}" for name in other)
-        command = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"
-        remedy = f"learn them with {command}, and say learned:LAMBDA:values.npz"
+        here = ", ".join([scenario.name, *(f"{name} {value}" for name, value in present.items())])
+        if driven:
+            here += f", where {self.human_driver!r} drives the humans"
+            remedy = (
+                "choose another controller, such as tom or switching:0.1, as values are not learned among such humans"
+            )
+        else:
+            texts = {name: value if isinstance(value, str) else to_json(value) for name, value in present.items()}
+            changes = "".join(f" --set {quote(f'{name}={value}')}" for name, value in texts.items())
+            command = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"
+            remedy = f"learn them with {command}, and say learned:LAMBDA:values.npz"
         warn(f"the values of computation were learned in {there}, not in {here}; {remedy}", stacklevel=2)
+
+    @property
+    def reward(self) -> str | dict[str, float]:
+        """The humans' reward: one of `NAMED_REWARDS`, or weights by name."""
+        return HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
 
     @property
     def planning(self) -> PlanningSettings:
@@ -184,16 +214,27 @@ class Settings(Struct, frozen=True):
         limit = self.control_limit
         if limit is None and self.semantics != "released":
             limit = scenario.control_limit
-        reward = HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
-        if isinstance(reward, str):
-            reward = dict(shipped("demonstrations").weights if reward == "learned" else COMMON_WEIGHTS)
         return build_game(
             scenario,
             self.semantics,
             None if limit == "unlimited" else limit,
             self.grip,
             solver=self.solver,
-            human_driving=reward,
+            human_driving=human_weights(self.reward),
             planning=self.planning,
             humans=self.humans,
         )
+
+
+def human_weights(reward: str | dict[str, float]) -> Mapping[str, float]:
+    """Return the weights of a humans' reward, by name.
+
+    * ``learned``: from simulated demonstrations; ``us101``: from drivers on the US-101, as `ms-highway irl fit` learned
+      them and a file of its has them, without weights of collisions and of leaving the road;
+    * ``published``: the paper's.
+    """
+    if not isinstance(reward, str):
+        return reward
+    return (
+        COMMON_WEIGHTS if reward == "published" else shipped("us101" if reward == "us101" else "demonstrations").weights
+    )

@@ -10,14 +10,15 @@ from gymnasium.spaces import Discrete, MultiDiscrete
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import Order
+from ms_highway.choice.rule import Order, in_ladder
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings
 from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls
+from ms_highway.game.features import check_own_features
 from ms_highway.game.starts import Random, TracedRandom
-from ms_highway.loop.batch import Given, Now, begin_episodes, step_episodes
+from ms_highway.loop.batch import Given, Now, begin_episodes, checked_records, step_episodes
 from ms_highway.loop.controller import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.compiled_plans import Costs
@@ -144,10 +145,12 @@ class FunctionalEnv:
         self.loop = shared_loop(env, [controller])
         seconds = [settings.seconds.get(model.name, np.nan) for model in self.loop.models]
         self.costs, self._price = Costs.of(seconds, settings.humans), float(env.config["action"].get("lambda", 0.0))
-        random = np.random.default_rng(0)
+        random, game = np.random.default_rng(0), self.loop.game
+        start, _ = env.draw_episode(random)
+        check_own_features(game.scene, game.robot, game.number, start)
         if not self.agent_drives:
             self.loop = replace(self.loop, belief=controller.belief)
-            warn_of_limits(self.loop.models, self.loop.game, env.draw_episode(random)[0])
+            warn_of_limits(self.loop.models, game, start)
         if controller.chooses and type(kind) is Autopilot:
             rule = controller.rule(settings.start(settings.seconds, self.steps, random))
             self.loop = replace(self.loop, rule=rule)
@@ -171,10 +174,12 @@ class FunctionalEnv:
     ) -> tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
         """Return state, observation, reward, terminated, truncated and info after an action.
 
-        No episode is reset automatically. The number of a model beyond the ladder counts as the nearest rung.
+        No episode is reset automatically. The number of a model beyond the ladder counts as the nearest rung. Where JAX
+        traces a step, the reward is NaN if a rule of the user's chose what is no rung.
 
         Raises:
-            ValueError: for an action of another shape than the action space's.
+            ValueError: for an action of another shape than the action space's; where JAX does not trace the step, also
+                as `ms_highway.loop.batch.checked_records` does.
         """
         action, space = jnp.asarray(action), self.action_space
         if action.shape != space.shape:
@@ -183,6 +188,11 @@ class FunctionalEnv:
             action = jnp.clip(action, 0, len(self.loop.rule.ladder) - 1)
         given = self.given(state, action[None])
         now, records = step_episodes(replace(self.loop, chunk=1), state.episodes, state.now, given)
+        if not isinstance(records.reward, jax.core.Tracer):
+            records = checked_records(self.loop, records)
+        elif records.chosen is not None:
+            wrong = ~in_ladder(self.loop.rule, records.chosen).all(axis=-1)
+            records = records._replace(reward=jnp.where(wrong, jnp.nan, records.reward))
         state = state._replace(now=now, step=state.step + 1)
         info = {"collision": records.collision[0], "states": records.states[0]}
         observation, reward, terminated, truncated = (part[0] for part in self.outcome(records, state.step))

@@ -17,7 +17,7 @@ from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.simulation import EnvState, FunctionalEnv, stack_episodes
-from ms_highway.loop.batch import Given, Now, begin_episodes, step_episodes
+from ms_highway.loop.batch import Given, Now, begin_episodes, checked_records, step_episodes
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.runtime.compilation import jit_quickly
@@ -174,6 +174,7 @@ class InteractionVectorEnv(VectorEnv):
         results = list(self._threads.map(advance, groups))
         _, back = np.unique(groups, return_index=True)  # the first place of every environment
         now, records = jax.tree.map(lambda *parts: np.concatenate(np.concatenate(parts))[back], *results)
+        records = checked_records(loop, records)
         self._state = state._replace(now=now, step=state.step + 1)
         return records
 

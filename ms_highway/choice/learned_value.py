@@ -15,7 +15,7 @@ from importlib import resources
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, TypedDict
 
 import jax
 import msgspec
@@ -28,7 +28,7 @@ from ms_highway.choice.situation import describe, description_names, nearness
 from ms_highway.game.game import Game
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.runtime.arrays import Array, Scalar, Structure, read
+from ms_highway.runtime.arrays import Array, Scalar, Structure, read, read_only
 from ms_highway.runtime.files import read_arrays, reading, replacing
 from ms_highway.runtime.sources import digest
 
@@ -200,6 +200,16 @@ class Values:
         return LearnedValue(costs, price, network, self.centre, self.spread, models)
 
 
+class _Provenance(TypedDict, total=False):
+    """Entries of the provenance of values by which scenes are compared; all others are for people to read."""
+
+    scenarios: list[str]
+    semantics: Literal["paper", "released", "physical"]
+    solver: str
+    planning_horizon: int | list[int]
+    human_reward: str | dict[str, float] | None
+
+
 class _About(Structure):
     """Description in a file of values; the fields are those of `Values`."""
 
@@ -252,7 +262,8 @@ def _read(path: Path, content: str) -> Values:
     if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
         raise ValueError(f"{wrong[0]} holds {arrays[wrong[0]].dtype}; it must hold numbers")
     with np.errstate(over="ignore"):
-        numbers = {name: array.astype(np.float32) for name, array in arrays.items()}
+        numbers = read_only({name: array.astype(np.float32) for name, array in arrays.items()})  # as all share them
     centre, spread, layers = numbers.pop("centre"), numbers.pop("spread"), range(len(numbers) // 2)
     network = tuple((numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers)
+    read(about.get("provenance"), _Provenance)
     return Values(network, centre, spread, **msgspec.structs.asdict(read(about, _About)), place=str(path))

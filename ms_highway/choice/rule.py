@@ -18,9 +18,22 @@ from ms_highway.choice.situation import nearness
 from ms_highway.game.game import Game, pair
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array, Control, Flag, Gains, HumansControl, Index, Rungs, Scalar, State
+from ms_highway.runtime.arrays import (
+    Array,
+    Control,
+    Flag,
+    Gains,
+    HumansControl,
+    Index,
+    Published,
+    Rungs,
+    Scalar,
+    State,
+    naming_writes,
+    read_only,
+)
 
-PUBLISHED_COSTS = {"naive": 0.09, "turn": 0.17, "tom": 0.37}  # s
+PUBLISHED_COSTS = Published({"naive": 0.09, "turn": 0.17, "tom": 0.37})  # s
 """Planning time of each model, as the decisions in the paper's experiments count it."""
 
 SHIPPED_COSTS = {  # s
@@ -210,9 +223,65 @@ class Nearest(Rule):
         return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))
 
 
+def is_of_package(rule: Rule) -> bool:
+    """Return whether a rule is the package's own, whose decisions need no check."""
+    return type(rule).__module__.partition(".")[0] == __name__.partition(".")[0]
+
+
 def decide(rule: Rule, game: Any, memory: Memory, outcome: Any) -> Decision:
-    """Choose the rungs of the coming step by a rule, see `Rule.decide`."""
-    return rule.decide(game, memory, outcome)
+    """Choose the rungs of the coming step by a rule, see `Rule.decide`.
+
+    Another rule than the package's gets arrays that it cannot write, and its decision is checked.
+
+    Raises:
+        ValueError: if a decision has no whole number for each human; if they are known now, also for numbers that are
+            no rungs. Where JAX traces the decision, `refuse_rungs` checks these afterwards.
+    """
+    if is_of_package(rule):
+        return rule.decide(game, memory, outcome)
+    name, number = type(rule).__name__, len(memory.rungs)
+    with naming_writes(f"the rule {name}"):
+        decision = rule.decide(*read_only((game, memory, outcome)))
+    if not isinstance(decision, Decision) or not isinstance(decision.memory, Memory):
+        remedy = "return a Decision, such as ms_highway.unestimated(memory, rungs)"
+        raise ValueError(f"the rule {name} returned {decision!r}; {remedy}")
+    rungs = decision.memory.rungs
+    rungs = rungs if isinstance(rungs, np.ndarray) else jnp.asarray(rungs)
+    traced = isinstance(rungs, jax.core.Tracer)
+    if rungs.shape != (number,) or not jnp.isdtype(rungs.dtype, ("bool", "integral")):
+        found = f"{rungs.dtype} numbers of shape {rungs.shape}" if traced else f"the rungs {rungs.tolist()}"
+        raise ValueError(f"the rule {name} returned {found}; {_rungs_remedy(rule, number)}")
+    if jnp.shape(decision.gains) != (number, len(rule.ladder)):
+        remedy = f"return one for each human and rung, an array {(number, len(rule.ladder))}"
+        raise ValueError(f"the rule {name} returned gains of shape {jnp.shape(decision.gains)}; {remedy}")
+    if not traced:
+        refuse_rungs(rule, rungs)
+    whole = rungs.__array_namespace__().asarray(rungs, dtype=np.int32)
+    return decision._replace(memory=decision.memory._replace(rungs=whole))
+
+
+def in_ladder(rule: Rule, rungs: Any) -> Any:
+    """Return where numbers are rungs of the rule's ladder."""
+    return (rungs >= 0) & (rungs < len(rule.ladder))
+
+
+def refuse_rungs(rule: Rule, rungs: Int[Any, "*steps humans"]) -> None:
+    """Refuse numbers that a rule chose and that are no rungs of its ladder.
+
+    Raises:
+        ValueError: naming the rule and the first such numbers.
+    """
+    rungs = np.asarray(rungs)
+    wrong = ~in_ladder(rule, rungs).all(axis=-1)
+    if wrong.any():
+        first = rungs[wrong][0] if rungs.ndim > 1 else rungs
+        remedy = _rungs_remedy(rule, rungs.shape[-1])
+        raise ValueError(f"the rule {type(rule).__name__} returned the rungs {first.tolist()}; {remedy}")
+
+
+def _rungs_remedy(rule: Rule, humans: int) -> str:
+    names = ", ".join(f"{place} for {model.name}" for place, model in enumerate(rule.ladder))
+    return f"return one whole number for each human, {humans} in all: {names}"
 
 
 def with_human(game: Game, outcome: Outcome, human: Index) -> tuple[Game, Outcome]:
@@ -244,7 +313,10 @@ def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     """Return the decision for these rungs, without estimated gains."""
     xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
     gains = xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
-    return Decision(memory._replace(rungs=xp.asarray(rungs, dtype=xp.int32)), gains, xp.asarray(False))
+    rungs = xp.asarray(rungs)
+    if not xp.isdtype(rungs.dtype, "real floating"):  # which `decide` refuses, instead of cutting its numbers off
+        rungs = xp.asarray(rungs, dtype=xp.int32)
+    return Decision(memory._replace(rungs=rungs), gains, xp.asarray(False))
 
 
 def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.ndarray, "*steps rungs"]:

@@ -119,10 +119,11 @@ def bench_road(options: argparse.Namespace) -> None:
     the models.
 
     Drivers of this package are priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
-    +intentions (such as priced+intentions), other cars that have a route show it, as by indicators. Others are idm,
-    highway-env's IDM and MOBIL instead of the ego, and files of agents that stable-baselines3 has saved (it has to be
-    installed), such as those of notebooks/examples/train_peers.py: open only files that you trust, as they may hold any
-    program. Drivers above 10 m/s^2 are labelled unphysical.
+    +intentions (such as priced+intentions), other cars that have a route show it, as by indicators. Your own are those
+    that a module of --import adds: planners of add_driver, and agents of add_agent. Others are idm, highway-env's IDM
+    and MOBIL instead of the ego, and files of agents that stable-baselines3 has saved (it has to be installed), such as
+    those of notebooks/examples/train_peers.py: open only files that you trust, as they may hold any program. Drivers
+    above 10 m/s^2 are labelled unphysical.
 
     The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package).
     With --egos changing, it has a start in the place of every vehicle that was recorded to change lanes; the goal is
@@ -139,6 +140,7 @@ def bench_road(options: argparse.Namespace) -> None:
       ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
       ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
       ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
+      ms-highway --import notebooks.examples.agents bench road merge-v0 --drivers merges idm
       ms-highway bench road recorded
       ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm --export drives
     """

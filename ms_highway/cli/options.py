@@ -54,7 +54,8 @@ keys; the most useful ones are:
                           what tyres hold (default of scenarios that end in -v1); or released, exactly the paper's
                           released code
   human_reward=published  what humans drive for: learned from demonstrations (default), published (default in released
-                          semantics), or a file that `ms-highway irl fit` wrote
+                          semantics), us101, learned from drivers on that highway, or a file that `ms-highway irl fit`
+                          wrote
   ladder=naive,tom        models to choose from, cheapest first (default: the scenario's), or best, the rungs that
                           served best; tom@8 plans in 8 ascent steps, tom@8+warm starts from the rest of the last plan
   costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37; default
@@ -125,7 +126,7 @@ def configuration(options: argparse.Namespace) -> dict:
     Raises:
         ValueError: for anything but a key and a value, and for a file of a human's reward that cannot be read.
     """
-    from ms_highway.envs.settings import HUMAN_REWARDS
+    from ms_highway.envs.settings import NAMED_REWARDS
     from ms_highway.game.learned_reward import load
 
     config = {}
@@ -135,12 +136,12 @@ def configuration(options: argparse.Namespace) -> dict:
             remedy = "give a key and a value, such as horizon=10; controller and action cannot be set"
             raise ValueError(f"--set {text}: {remedy}")
         config[key] = _value(value)
-    reward, known = config.get("human_reward"), dict.fromkeys(HUMAN_REWARDS.values())
-    if isinstance(reward, str) and reward not in known:
+    reward = config.get("human_reward")
+    if isinstance(reward, str) and reward not in NAMED_REWARDS:
         try:
             config["human_reward"] = load(Path(reward)).weights
         except ValueError as error:
-            raise ValueError(f"--set human_reward is neither {' nor '.join(known)}: {error}") from error
+            raise ValueError(f"--set human_reward is neither {' nor '.join(NAMED_REWARDS)}: {error}") from error
     return config
 
 

@@ -1,5 +1,6 @@
 """Define comparisons and the columns of their records of steps; check records, and summarise them by episode."""
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, product
@@ -14,7 +15,7 @@ from ms_highway.envs.registry import controller_settings, robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.loop.step import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.planning.ladders import known_models, rung_names
-from ms_highway.runtime.sources import Sources, digest, imported_sources
+from ms_highway.runtime.sources import Sources, definition_sources, digest, imported_sources
 
 EpisodeKey: TypeAlias = tuple[str, str, int]
 """An episode: its scenario, the short name of its controller, and its seed."""
@@ -83,17 +84,19 @@ class Comparison:
     def sources(self) -> dict[str, dict[str, Sources]]:
         """Return the digests of what the user has imported and named, by scenario and controller.
 
-        Each controller depends on all imported modules, as scenarios, drivers and features may come from them, and on
-        its own files.
+        Each controller depends on all imported modules, as scenarios, drivers and features may come from them; on what
+        was added by names that its configuration or the scenario has; and on its own files.
         """
-        imported = imported_sources()
-        return {
-            scenario: {
-                name: imported | {file: digest(Path(file)) for file in controller_settings(name).files()}
-                for name in controllers
-            }
-            for scenario, controllers in self.controllers.items()
-        }
+        found: dict[str, dict[str, Sources]] = {}
+        for name, controllers in self.controllers.items():
+            scenario = ENVIRONMENTS[name].scenario
+            weights = [*scenario.robot_weights, *scenario.human_weights]
+            for controller in controllers:
+                named = [name, controller, *scenario.ladder, *weights, json.dumps(self.config, default=str)]
+                files = {file: digest(Path(file)) for file in controller_settings(controller).files()}
+                own = imported_sources() | definition_sources(" ".join(named)) | files
+                found.setdefault(name, {})[controller] = own
+        return found
 
     def columns(self) -> list[str]:
         """Return the columns of a record of steps.

@@ -5,9 +5,10 @@ so that weights do not depend on metres.
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
@@ -108,6 +109,51 @@ def _at_every_moment(function: Feature, scene: Scene, own: Motion, others: Motio
     for _ in range(own.x.ndim):
         mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
     return jnp.asarray(mapped(own, others), own.x.dtype)
+
+
+def check_own_features(
+    scene: Scene, parameters: Reward, humans: int, state: Float[Array, "cars 4"], gradients: bool = True
+) -> None:
+    """Check that user-defined features, as the robot and every human sees a state, are finite with their gradients.
+
+    Args:
+        scene: road, obstacles and bodies.
+        parameters: the reward; without a user-defined feature, nothing is computed.
+        humans: their number.
+        state: of all cars.
+        gradients: whether gradients are checked, too; plans need them.
+
+    Raises:
+        ValueError: naming the feature.
+    """
+    names = parameters.names[len(parameters.names) - len(parameters.own) :]
+    for name, function in zip(names, parameters.own, strict=True):
+        for car in range(1 + humans):
+            others = [other for other in range(len(state)) if other != car]  # a human's partner is the robot
+            seen = np.asarray(state, np.float32)[np.array([car, *others])]
+            place = f"of car {car} in the state {np.round(np.asarray(state, float), 2).tolist()}"
+            try:
+                value, finite = _with_gradient(function)(scene, seen)
+            except Exception as error:  # a user's function may fail in any way
+                reason = str(error).partition("\n")[0]
+                raise ValueError(f"the feature {name!r} {place} cannot be computed: {reason}") from error
+            if not np.isfinite(value):
+                raise ValueError(f"the feature {name!r} {place} is {float(value):g}; return a finite number")
+            if gradients and not finite:
+                remedy = "keep roots and divisions away from 0, such as jnp.sqrt(x + 1e-6)"
+                raise ValueError(f"the feature {name!r} {place} has a gradient that is not finite; {remedy}")
+
+
+@cache
+def _with_gradient(function: Feature) -> Callable[[Scene, Array], tuple[jax.Array, jax.Array]]:
+    """Compile what returns a feature of car 0 in a state, and whether its gradient is finite."""
+
+    def found(scene: Scene, state: Array) -> tuple[jax.Array, jax.Array]:
+        both = _apart(state)
+        value, slopes = jax.value_and_grad(lambda both: jnp.asarray(function(scene, *both), jnp.float32))(both)
+        return value, jnp.stack([jnp.isfinite(part).all() for part in jax.tree.leaves(slopes)]).all()
+
+    return jax.jit(found)
 
 
 def _traffic(scene: Scene, parameters: Reward, own: Motion, others: Motion) -> list[Times]:

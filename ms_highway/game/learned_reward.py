@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.runtime.arrays import Positive, Structure, read
+from ms_highway.runtime.arrays import Positive, Published, Structure, read
 from ms_highway.runtime.files import read_json, reading, write_json
 
 VERSION = 3
@@ -120,7 +120,8 @@ def shipped(name: str) -> LearnedReward:
     """
     if name not in SHIPPED:
         raise ValueError(f"no learned reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}")
-    return load(Path(str(resources.files("ms_highway") / "data" / f"{name}.json")))
+    learned = load(Path(str(resources.files("ms_highway") / "data" / f"{name}.json")))
+    return msgspec.structs.replace(learned, weights=Published(learned.weights))
 
 
 def named(name: str) -> LearnedReward:

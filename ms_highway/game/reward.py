@@ -12,6 +12,7 @@ from jaxtyping import Float
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array, Scalar, Weights
+from ms_highway.runtime.sources import note_definition
 
 PAPER_FEATURES = (
     "speed",
@@ -88,7 +89,8 @@ def add_feature(name: str, function: Feature) -> None:
 
     Args:
         name: one word.
-        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans optimise it. It takes
+        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans optimise it. Before the
+            first plan, an environment or a simulation refuses a value or a gradient that is not finite. It takes
             one moment and is mapped over all moments. Lengths are in metres; divide them by ``scene.length_unit`` for
             weights of the size of the others. To be pickled, it must be defined in a module. It is tested on a straight
             scene without a leader: ``scene.bend`` and ``scene.leader`` may be None. There are one or more others.
@@ -116,6 +118,7 @@ def add_feature(name: str, function: Feature) -> None:
         message = f"{value.dtype} of shape {value.shape}" if number else f"{type(value).__name__}"
         raise ValueError(f"the feature {name!r} returns {message} for one moment; it must return one number")
     OWN_FEATURES[name] = function
+    note_definition(name, function)
 
 
 def weight_names() -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from ms_highway.game.scene import CAR_SIZE, CONE_SIZE, PAPER_UNIT, Scene
 from ms_highway.numerics.convex_newton import EASE
 from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import PAPER_PLANNING, Planner, PlanningSettings, Solver, gradient_steps
+from ms_highway.runtime.arrays import Published, read_only
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
@@ -44,7 +45,9 @@ It limits the first control of every plan and all executed controls, in the pape
 controls of a plan may exceed it by a quarter (`ms_highway.game.game.bounded`).
 """
 
-COMMON_WEIGHTS = {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
+COMMON_WEIGHTS = Published(
+    {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
+)
 """Weights that every driver of every scenario has."""
 
 SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
@@ -127,10 +130,17 @@ class Scenario:
 
     def __post_init__(self) -> None:
         """Refuse lanes in which two cars overlap, lanes that are far from each other, and cars off all lanes."""
+        for name in ("robot_weights", "human_weights"):
+            weights = getattr(self, name)
+            if not isinstance(weights, Mapping):
+                raise ValueError(f"scenario {self.name!r} has {name}={weights!r}; give weights by name of a feature")
+            object.__setattr__(self, name, Published(weights))
         place, remedy = f"scenario {self.name!r}", "all numbers are in metres, y to the right"
         fewest, most = HUMANS if self.streams else (1, 1)
         if not fewest <= self.humans <= most:
-            why = "streams say where several humans drive" if not self.streams else f"give {fewest} to {most}"
+            why = "streams say where several humans drive, and without streams there is one"
+            if self.streams:
+                why = f"give {fewest} to {most}"
             raise ValueError(f"{place} has humans={self.humans} and {len(self.streams)} streams; {why}")
         lanes = np.sort(np.asarray(self.lanes, float).ravel())
         apart = np.diff(lanes)
@@ -149,8 +159,33 @@ class Scenario:
                 raise ValueError(f"{place} has a stream of spacing {stream.spacing}; give {wanted}")
         for kind, points in (("a car", self.cars), ("a cone", self.cones)):
             for point in points:
+                if len(point) not in ((2, 3) if points is self.cars else (2,)):
+                    raise ValueError(f"{place} has {kind} at {point}; give x and y, and {remedy}")
                 if not np.isfinite(point).all() or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE:
                     raise ValueError(f"{place} has {kind} at {point}, beside all lanes, at {self.lanes}; {remedy}")
+
+    def check(self) -> None:
+        """Check what an environment needs, and what may be registered only after the scenario is made.
+
+        Raises:
+            ValueError: naming the scenario, the value and a remedy.
+        """
+        place, whole = f"scenario {self.name!r}", isinstance(self.steps, int)
+        if not self.streams and len(self.cars) < 2:
+            remedy = "give the starts of the robot and of the human, or streams of humans"
+            raise ValueError(f"{place} has no human, as its cars are {self.cars}; {remedy}")
+        if not whole or self.steps < 1:
+            raise ValueError(f"{place} has steps={self.steps!r}; give a whole number of steps, 1 or more")
+        if len(self.prices) != 2 or not all(0 <= price < np.inf for price in self.prices):
+            raise ValueError(f"{place} has the prices {self.prices!r}; give two lambdas, 0 or more")
+        if self.merging_car is not None and self.merging_car not in range(len(self.cars)):
+            remedy = f"give the place of one of its {len(self.cars)} cars, or None"
+            raise ValueError(f"{place} has merging_car={self.merging_car!r}; {remedy}")
+        for name in ("robot_weights", "human_weights"):
+            try:
+                linear_reward(getattr(self, name), SPEED_LIMIT)
+            except ValueError as error:
+                raise ValueError(f"{place}, {name}: {error}") from None
 
 
 def title(name: str) -> str:
@@ -170,7 +205,7 @@ def build_game(
     planning: PlanningSettings | None = None,
     humans: int | None = None,
 ) -> Game:
-    """Build the game of a scenario, in which all humans have the same reward.
+    """Build the game of a scenario, in which all humans have the same reward; its arrays cannot be written.
 
     Args:
         scenario: to build.
@@ -225,7 +260,7 @@ def build_game(
     planner = replace(planner, persistent=bool(scenario.streams), ease=EASE if planner.smooth else 0.0)
     influence: Influence = "exact" if semantics == "released" else "damped"
     game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
-    return jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
+    return read_only(jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game))
 
 
 def driving_game(

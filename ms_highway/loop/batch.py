@@ -10,11 +10,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import Decision, unestimated
+from ms_highway.choice.rule import Decision, is_of_package, refuse_rungs, unestimated
+from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
-from ms_highway.game.features import features
+from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
@@ -58,12 +60,31 @@ def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> 
         NumPy arrays.
 
     Raises:
-        ValueError: without an episode.
+        ValueError: without an episode, and as `checked_records` does.
     """
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
+    check_own_features(loop.game.scene, loop.game.robot, loop.game.number, episodes.starts[0])
     warn_of_limits(loop.models, loop.game, episodes.starts[0])
-    return share_among(devices or jax.local_devices()[:1], partial(_simulate, loop), episodes, loop.together)
+    shared = share_among(devices or jax.local_devices()[:1], partial(_simulate, loop), episodes, loop.together)
+    return checked_records(loop, shared)
+
+
+def checked_records(loop: Loop, records: Records) -> Records:
+    """Return records without what was to be checked in them.
+
+    Raises:
+        ValueError: if a rule of the user's chose what is no rung, or a user-defined feature is not finite.
+    """
+    if records.chosen is not None:
+        refuse_rungs(loop.rule, records.chosen)
+    robot = loop.game.robot
+    if robot.own:
+        rewards, states = np.asarray(records.reward), np.asarray(records.states)
+        failed = states[~np.isfinite(rewards) & np.isfinite(states).all(axis=(-2, -1))]
+        for state in failed[:1]:
+            check_own_features(loop.game.scene, robot, 0, state, gradients=False)
+    return records._replace(chosen=None)
 
 
 class Now(NamedTuple):
@@ -133,9 +154,10 @@ def _step(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Recor
     robot, by_rule = complete_outcome(game, now.robot, seen, loop.belief), given.scheduled == DECIDES
 
     def decide() -> Decision:
-        return loop.rule.at_price(own.prices).decide(game, robot.memory, robot.outcome)
+        return chosen_by(loop.rule.at_price(own.prices), game, robot.memory, robot.outcome)
 
     decision = _where_needed(loop, by_rule.any(), decide, unestimated(robot.memory, robot.memory.rungs))
+    chosen = None if is_of_package(loop.rule) else jnp.where(by_rule, decision.memory.rungs, 0)
     rungs = jnp.where(by_rule, decision.memory.rungs, given.scheduled).astype(jnp.int32)
     rungs = responsive_rungs(loop.models, rungs, robot.belief, loop.unresponsive)
     decision = decision._replace(memory=decision.memory._replace(rungs=rungs))
@@ -146,7 +168,8 @@ def _step(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Recor
     control = _executed(game, now.state[0, 3], followed.now.plan.robot[0] * game.planner.control_scale)
     gains = jnp.asarray(decision.gains, jnp.float32)
     now = now._replace(robot=advance(robot, decision, followed, seen), rest=followed.kept)
-    return _world(loop, now, own, control, Records(followed.now.rungs, rungs, followed.status, gains=gains))
+    records = Records(followed.now.rungs, rungs, followed.status, gains=gains, chosen=chosen)
+    return _world(loop, now, own, control, records)
 
 
 def _where_needed(loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any) -> Any:

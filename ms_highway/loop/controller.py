@@ -4,9 +4,12 @@ Controllers take and return float64 NumPy states and controls in SI units. They 
 partners. Two functions of the package drive humans: one who never yields, and one who always yields.
 """
 
+import re
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
+from inspect import signature
 from time import perf_counter
 from typing import Any, Protocol, TypeAlias
 
@@ -21,7 +24,18 @@ from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.step import Status
 from ms_highway.planning.ladders import cheapest_first
-from ms_highway.runtime.arrays import Belief, Control, Controls, Gains, HumansControls, SameArray, State
+from ms_highway.runtime.arrays import (
+    Belief,
+    Control,
+    Controls,
+    Gains,
+    HumansControls,
+    SameArray,
+    State,
+    naming_writes,
+    read_only,
+)
+from ms_highway.runtime.names import keep_apart
 
 
 @dataclass(frozen=True)
@@ -105,39 +119,133 @@ MIN_GAP = 0.5  # m, below which braking grows no further
 YIELD_LANES = 1.5  # lanes to the side, within which a human makes room
 
 RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
+REMEMBER = "give add_driver an object with `reset(key)`, which keeps its memory and its random numbers in itself"
+SAME_ANSWER = 1e-6  # largest relative difference between two answers to the same question, for rounding
+KEYS = 2**31  # number of keys of episodes; NumPy and JAX take each of them as a seed
 
 DriverFunction: TypeAlias = Callable[[Game, State], Control]
-"""Control of a human from its own game, where it is car 0 and the robot car 1, and the state of all cars [cars, 4]."""
+"""Control of a car from its own game, where it is car 0, and the state of all cars [cars, 4]."""
+
+
+class RememberingDriver(Protocol):
+    """A driver that remembers or draws; every car that it drives in an episode gets a copy of its own."""
+
+    def reset(self, key: int) -> Any:
+        """Forget the past, before a new episode, and take ``key`` as the seed of all random numbers."""
+
+    def __call__(self, game: Game, state: State) -> Control:
+        """Return the control of the coming step."""
+
+
+def remembers(driver: Any) -> bool:
+    """Return whether a driver has a memory, see `RememberingDriver`, or is a class of such drivers."""
+    return hasattr(driver, "reset") and not is_vehicle(driver)
+
+
+def is_vehicle(driver: Any) -> bool:
+    """Return whether a driver is a class of highway-env vehicles."""
+    return isinstance(driver, type) and issubclass(driver, Vehicle)
+
+
+def new_driver(driver: Any) -> DriverFunction:
+    """Return what drives one car in one episode: a function itself, a copy of an object, or an object of a class."""
+    if not remembers(driver):
+        return driver
+    return driver() if isinstance(driver, type) else deepcopy(driver)
+
+
+def draw_key(driver: Any, random: np.random.Generator) -> int:
+    """Return the key of an episode for a driver that remembers; draw nothing for others."""
+    return int(random.integers(KEYS)) if remembers(driver) else 0
+
+
+def check_driver(name: str, driver: Any) -> None:
+    """Check that something drives: a function, an object or a class with a memory, or a class of vehicles.
+
+    Raises:
+        ValueError: if it does not; it names the driver and a remedy.
+    """
+    place = f"the human driver {name!r} is {driver!r}"
+    if is_vehicle(driver):
+        return
+    if not callable(driver) or (isinstance(driver, type) and not remembers(driver)):
+        remedy = "give a function of the game and the state, an object with `reset(key)` that is called like one"
+        raise ValueError(f"{place}; {remedy}, or a class of highway-env vehicles")
+    if not remembers(driver):
+        return
+    try:
+        own = new_driver(driver)
+        signature(own.reset).bind(0)  # type: ignore[attr-defined]
+    except Exception as error:  # anything that code of the user's raises
+        remedy = "its class must be made without arguments, or its object be copied, and `reset` take a key"
+        raise ValueError(f"{place}, which cannot begin an episode: {error}; {remedy}") from error
+    if not callable(own) or own is driver:
+        remedy = "give an object of a class with the methods `reset(key)` and `__call__(game, state)`"
+        raise ValueError(f"{place}, whose memory cannot be copied or which is not called; {remedy}")
 
 
 class FunctionDriver:
-    """Drive a car by a function of the state; plan nothing, and remember nothing.
+    """Drive a car by a function of the state, or by an object that remembers; plan nothing.
+
+    A function has to answer the same question in the same way. In the first, second, fourth, eighth step and so on, it
+    is asked once more what it was asked in the first one. An object with a memory is not.
 
     Args:
         game: of which car 0 is driven.
         name: in records.
-        function: see `ms_highway.add_driver`.
+        driver: see `ms_highway.add_driver`.
+        key: of the episode, for an object.
     """
 
-    def __init__(self, game: Game, name: str, function: DriverFunction) -> None:
-        self.game, self.name, self.function = game, name, function
+    def __init__(self, game: Game, name: str, driver: Any, key: int = 0) -> None:
+        self.game = game
+        self.name = name
+        self._added = driver
+        self._key = key
+        self.reset()
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Begin an episode: an object that remembers is copied anew, and gets the key."""
+        self._function = new_driver(self._added)
+        self._steps = 0
+        self._first: tuple[Game, State, Control] | None = None
+        if remembers(self._added):
+            self._function.reset(self._key)  # type: ignore[attr-defined]
 
     def step(self, state: State) -> ControlStep:
         """Return the control of the coming step.
 
         Raises:
-            ValueError: if the function does not return two finite numbers.
+            ValueError: if the driver does not return two finite numbers, writes into what it is given, or is a function
+                that answers the same question in two ways.
         """
+        shown = read_only(self.game)
+        seen = read_only(np.array(state, dtype=float))
         start = perf_counter()
-        control = np.asarray(self.function(self.game, np.asarray(state, dtype=float)), dtype=float)
+        control = self._ask(shown, seen)
         seconds = perf_counter() - start
-        if control.shape != (2,) or not np.isfinite(control).all():
-            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
+        self._check_answers(shown, seen, control)
         kept = np.tile(control, (self.game.planner.horizon, 1))
         return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * self.game.number, seconds)
+
+    def _ask(self, game: Game, state: State) -> Control:
+        """Return the driver's answer, a copy, as drivers may use their array again."""
+        with naming_writes(f"the driver {self.name!r}"):
+            control = np.array(self._function(game, state), dtype=float)
+        if control.shape != (2,) or not np.isfinite(control).all():
+            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
+        return control
+
+    def _check_answers(self, game: Game, state: State, control: Control) -> None:
+        """Ask a function again what it was asked first, in steps whose numbers are powers of two."""
+        self._steps += 1
+        if remembers(self._added) or self._steps & (self._steps - 1):
+            return
+        first_game, first_state, first = self._first = self._first or (game, state, control)
+        again = self._ask(first_game, first_state)
+        if not np.allclose(again, first, rtol=SAME_ANSWER, atol=SAME_ANSWER):
+            answers = f"{first.tolist()} and then {again.tolist()} in the same state"
+            raise ValueError(f"the driver {self.name!r} returned {answers}, so it remembers or draws; {REMEMBER}")
 
 
 def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) -> Float[SameArray, "2"]:
@@ -165,29 +273,47 @@ def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) 
 never_yields: DriverFunction = partial(unmoved_control, yields=False)
 always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
-HUMAN_DRIVERS: dict[str, DriverFunction | type[Vehicle]] = {"never": never_yields, "always": always_yields}
-"""Human drivers by name. They do not plan: each is a function, or a class of highway-env vehicles."""
+HUMAN_DRIVERS: dict[str, Any] = {"never": never_yields, "always": always_yields}
+"""Human drivers by name. They do not plan: each is a function, a driver that remembers or its class, or a class of
+highway-env vehicles."""
+
+keep_apart("a human driver", lambda: HUMAN_DRIVERS)
 
 
 def function_names() -> list[str]:
-    """Return the names of the drivers that are functions."""
-    return [name for name, driver in HUMAN_DRIVERS.items() if not isinstance(driver, type)]
+    """Return the names of the drivers that are called with a game and a state."""
+    return [name for name, driver in HUMAN_DRIVERS.items() if not is_vehicle(driver)]
 
 
 def traceable(name: str, game: Game) -> DriverFunction:
     """Return the function of a human driver, if JAX can trace it as part of a simulation.
 
     Raises:
-        ValueError: if the driver is a class of vehicles, the keyboard, or a function that JAX cannot trace.
+        ValueError: if the driver is a class of vehicles, the keyboard, a driver that remembers, or a function that JAX
+            cannot trace or traces in two ways.
     """
     driver, remedy = HUMAN_DRIVERS.get(name), "give add_driver a pure function of jax.numpy, or use `compare`"
-    if driver is None or isinstance(driver, type):
+    if driver is None or is_vehicle(driver):
         raise ValueError(f"config['human_driver'] is {name!r}, which cannot be simulated; {remedy}")
+    if remembers(driver):
+        raise ValueError(f"config['human_driver'] is {name!r}, which remembers and cannot be simulated; {remedy}")
+    question = swap_roles(game), jnp.zeros((2 + game.number, 4))
     try:
-        control = jax.eval_shape(driver, swap_roles(game), jnp.zeros((2 + game.number, 4)))
+        control = jax.eval_shape(driver, *question)
+        programs = {_program(driver, question) for _ in range(2)}
     except Exception as error:  # anything that code of the user's raises
         reason = str(error).partition("\n")[0]
         raise ValueError(f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}") from error
     if jax.tree.map(jnp.shape, control) != (2,):
         raise ValueError(f"the human driver {name!r} returns {control}; {RETURN}")
+    if len(programs) > 1:
+        raise ValueError(f"the human driver {name!r} computes something else when it is asked again; {REMEMBER}")
     return driver
+
+
+def _program(driver: DriverFunction, question: tuple[Game, State]) -> str:
+    """Return the text of what JAX computes for a driver, with its constants."""
+    # JAX keeps what it has traced of a function; a new one is traced anew.
+    traced = jax.make_jaxpr(lambda game, state: driver(game, state))(*question)
+    text = f"{traced} {[np.asarray(each).tolist() for each in traced.consts]}"
+    return re.sub("0x[0-9a-f]+", "", text)  # addresses differ

@@ -6,7 +6,8 @@ from time import perf_counter
 import jax
 import numpy as np
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always, is_of_package, refuse_rungs
+from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.game import Game
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.step import (
@@ -190,7 +191,9 @@ class Driver:
             belief, decision = jax.tree.map(np.asarray, found)
             carry = carry._replace(belief=belief)
         else:
-            decision = self.rule.decide(self.game, carry.memory, carry.outcome)
+            decision = jax.tree.map(np.asarray, chosen_by(self.rule, self.game, carry.memory, carry.outcome))
+        if not is_of_package(self.rule):
+            refuse_rungs(self.rule, decision.memory.rungs)
         gains = np.where(decision.gains == NOT_ESTIMATED, np.nan, decision.gains)
         if self.game.number == 1:  # gains of switching: there is none for the model in use
             gains[0, carry.memory.rungs[0]] = np.nan

@@ -105,6 +105,8 @@ class Records(NamedTuple):
         collision: whether the robot collides in it.
         gains: of each rung for each human, estimated before the step, see `ms_highway.choice.rule.Decision`.
         states: all cars after the step.
+        chosen: what a rule that is not the package's chose, 0 where a schedule did; to be checked by
+            `ms_highway.choice.rule.refuse_rungs`. None for the package's rules.
     """
 
     rungs: Int[Array, "episodes steps humans"]
@@ -114,3 +116,4 @@ class Records(NamedTuple):
     collision: Bool[Array, "episodes steps"] = None
     gains: Float[Array, "episodes steps humans rungs"] = None
     states: Float[Array, "episodes steps cars 4"] = None
+    chosen: Int[Array, "episodes steps humans"] | None = None

@@ -13,7 +13,8 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.choice.belief import counted_on, first_belief, infer
-from ms_highway.choice.rule import Decision, Memory, Outcome, Rule, first_memory
+from ms_highway.choice.rule import Decision, Memory, Outcome, Rule, first_memory, in_ladder, is_of_package
+from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.dynamics import keep_velocity, recover_control
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game
@@ -129,8 +130,11 @@ def decide(
         unresponsive: see `responsive_rungs`; None without a belief.
     """
     carry = complete_outcome(game, carry, now, unresponsive is not None)
-    decision = rule.decide(game, carry.memory, carry.outcome)
-    rungs = responsive_rungs(rule.ladder, decision.memory.rungs, carry.belief, unresponsive)
+    decision = chosen_by(rule, game, carry.memory, carry.outcome)
+    chosen = decision.memory.rungs
+    rungs = responsive_rungs(rule.ladder, chosen, carry.belief, unresponsive)
+    if not is_of_package(rule):  # what is no rung is refused afterwards, not replaced
+        rungs = jnp.where(in_ladder(rule, chosen), rungs, chosen)
     return carry.belief, decision._replace(memory=decision.memory._replace(rungs=rungs))
 
 

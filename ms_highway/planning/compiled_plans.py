@@ -9,6 +9,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.features import check_own_features
 from ms_highway.game.game import Game, constant_velocity, pair
 from ms_highway.planning.human_models import HumanModel, Naive, is_of_package, scaled_prediction, warn_of_limits
 from ms_highway.planning.joint import Interaction, joint_ascent
@@ -148,6 +149,7 @@ class CompiledPlans:
 
     def warm_up(self, state: State, way_out: bool = False) -> float:
         """Compile and run what has not run before: plans and, if wanted, the way out; return the seconds spent."""
+        check_own_features(self.game.scene, self.game.robot, self.game.number, state)
         warn_of_limits(self.ladder, self.game, state)
         several = self.game.number > 1
         assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
@@ -182,7 +184,8 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 
     Raises:
         TypeError: if the game is no `Game`.
-        ValueError: for an unknown model, or a state that is not a finite array [cars, 4] of the game's cars or more.
+        ValueError: for an unknown model, a state that is not a finite array [cars, 4] of the game's cars or more, or a
+            user-defined feature that is not finite in it.
     """
     if not isinstance(game, Game):
         raise TypeError(f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game")
@@ -191,6 +194,7 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
     now = checked_state(state)
     if len(now) <= game.number:
         raise ValueError(f"the state has {len(now)} cars; the game has a robot and {game.number} humans")
+    check_own_features(game.scene, game.robot, game.number, now)
     planned, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
     scale = np.asarray(game.planner.control_scale, dtype=float)
     return Plan(planned.robot * scale, planned.humans * scale)

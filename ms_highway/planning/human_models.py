@@ -25,7 +25,7 @@ from ms_highway.numerics.solvers import STEP_SHARE, longest_step
 from ms_highway.planning.joint import Interaction, joint_ascent
 from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration
 from ms_highway.planning.plans import Plan, cold_start, plan_against
-from ms_highway.runtime.arrays import Car, Control, Controls, State
+from ms_highway.runtime.arrays import Car, Control, Controls, State, naming_writes, read_only
 
 HEADWAY, STANDSTILL = 0.1, 1.0  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 
@@ -244,8 +244,9 @@ def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> No
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue
-        own, cars = pair(model.within(game), jnp.asarray(state), 0)
-        predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
+        own, cars = pair(read_only(model.within(game)), jnp.asarray(state), 0)
+        with naming_writes(f"the human model {model.name!r}"):
+            predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
         kept = np.asarray(_scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale)
         finite = np.isfinite(predicted)
         cut = np.argwhere(~finite | (np.abs(predicted - kept) > 1e-3 * np.abs(predicted)))

@@ -11,6 +11,8 @@ from math import inf
 
 from ms_highway.numerics.solvers import MAX_ITERATIONS
 from ms_highway.planning.human_models import PACKAGE_TYPES, HumanModel, PredictedHuman
+from ms_highway.runtime.names import check_own_name, keep_apart
+from ms_highway.runtime.sources import note_definition
 
 NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")
 
@@ -35,7 +37,7 @@ PACKAGE_MODELS = tuple(MODELS)
 PAPER_MODELS = ("naive", "turn", "tom")
 """Names of the paper's models, cheapest first."""
 
-RESERVED = (*PACKAGE_MODELS, BEST)
+keep_apart("a human model", lambda: MODELS)
 
 
 def register(model: HumanModel, before: str | None = None) -> None:
@@ -46,8 +48,8 @@ def register(model: HumanModel, before: str | None = None) -> None:
         before: name of the next more expensive model on ladders; by default, the new model is the most expensive.
 
     Raises:
-        ValueError: if the name is one of the package's models or no word, or ``before`` names no other model; if the
-            model is no `HumanModel`, or not hashable.
+        ValueError: if the name is the package's, that of a controller, a driver or an agent, or no word, or ``before``
+            names no other model; if the model is no `HumanModel`, or not hashable.
     """
     if not isinstance(model, HumanModel) or getattr(type(model), "name", None) != model.name:
         remedy = "make it a frozen dataclass derived from ms_highway.HumanModel, whose class has a name"
@@ -60,8 +62,7 @@ def register(model: HumanModel, before: str | None = None) -> None:
         hash(model)
     except TypeError as error:
         raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
-    if not isinstance(model.name, str) or not model.name.isidentifier() or model.name in RESERVED:
-        raise ValueError(f"a model cannot be called {model.name!r}; choose one word other than {', '.join(RESERVED)}")
+    check_own_name("a human model", model.name, lower=False)
     names = [name for name in MODELS if name != model.name]
     if before is not None and before not in names:
         raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(names)}")
@@ -69,6 +70,7 @@ def register(model: HumanModel, before: str | None = None) -> None:
     known = MODELS | {model.name: model}
     MODELS.clear()  # not replaced, as other modules hold it
     MODELS.update((name, known[name]) for name in names)
+    note_definition(model.name, model)
 
 
 def human_model(name: str) -> HumanModel:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from copy import deepcopy
 from math import ceil
 from typing import Any
 
@@ -60,7 +61,8 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
         env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment. highway-env
             itself cannot make merge and roundabout with ``ContinuousAction``.
         config: any of these keys, see `ms_highway.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
-            default; ``"fixed:naive"``, ...), ``price`` [reward/s] or ``budget`` [ms] of computation,
+            default; ``"fixed:naive"``, ...; or a name of `ms_highway.add_driver`, see
+            `ms_highway.road.added.AddedRoadDriver`), ``price`` [reward/s] or ``budget`` [ms] of computation,
             ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs`` and
             ``intentions`` (whether the robot knows the routes of others).
 
@@ -149,10 +151,13 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         if enable_pictures(base) and self.env.observation_space == base.observation_space:
             observation = base.observation_type.observe()  # the first picture was black
         planning = self.settings.planning(desired_speed_of(base))
+        random = deepcopy(base.np_random)  # so that traffic does not depend on who drives
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
             goal, robot = destination_of(base, number), replace_ego(base, RoadRobot.create_from, number)
-            robot.drive_with(self.settings.build(planning), goal, self.settings.acceleration, self.settings.intentions)
+            robot.drive_with(
+                self.settings.build(planning, random), goal, self.settings.acceleration, self.settings.intentions
+            )
             self.robots.append(robot)
         return observation, {**info, **self._road_info()}
 

@@ -47,7 +47,7 @@ class RoadStep(ControlStep):
     Attributes:
         path: planned x, y and heading of the robot's centre in world coordinates; no steps if the plan failed.
         owners: number of the car that each path belongs to, -1 without one.
-        source: what drives: ``proposal``, ``last plan`` or ``braking``.
+        source: what drives: ``proposal``, ``last plan`` or ``braking``; ``driver`` for one of `ms_highway.add_driver`.
         broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
     """
 

@@ -14,6 +14,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.geometry.lane_paths import Point
 from ms_highway.perception.observation import observe_road
 from ms_highway.perception.scene import RoadScene
+from ms_highway.road.added import AddedRoadDriver
 from ms_highway.road.driver import RoadDriver, RoadStep
 from ms_highway.road.simulation import MAX_SLIP_SINE
 from ms_highway.road.timed_goal import RobotGoal, TimedGoal, destination_for
@@ -124,10 +125,16 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         return car
 
     def drive_with(
-        self, driver: RoadDriver | None, goal: RobotGoal = None, grip: float = GRIP, intentions: bool = False
+        self,
+        driver: RoadDriver | AddedRoadDriver | None,
+        goal: RobotGoal = None,
+        grip: float = GRIP,
+        intentions: bool = False,
     ) -> None:
         """Let a driver drive to a goal; see the attributes for the arguments."""
         self.driver, self.goal, self.grip, self.intentions, self.time = driver, goal, grip, intentions, 0.0
+        if isinstance(driver, AddedRoadDriver):  # which straightens the road along the robot's way
+            driver.robot = self
 
     def forget(self) -> None:
         """Forget the record of steps and frames."""

@@ -19,9 +19,11 @@ from msgspec import Meta, Struct, ValidationError, convert
 from ms_highway.choice.budget import Budget
 from ms_highway.choice.rule import Decision, Memory, Rule, always
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
+from ms_highway.loop.controller import HUMAN_DRIVERS, draw_key
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import human_model
+from ms_highway.road.added import AddedRoadDriver, added_drivers
 from ms_highway.road.constants import MODELS, RoadPlanning
 from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
 from ms_highway.road.robot import GRIP_MARGIN
@@ -66,7 +68,8 @@ class RoadSettings(Struct, frozen=True):
     Attributes:
         driver: ``"priced"`` chooses a rung for each car by ``price``, or by ``budget`` if there is one;
             ``"priced:PRICE"`` and ``"budget:MS"`` do the same with the number given here; ``"fixed:RUNG"`` takes the
-            same rung for all cars.
+            same rung for all cars. The name of a driver of `ms_highway.add_driver` that is called, see
+            `ms_highway.road.added.AddedRoadDriver`; it predicts nobody, and price, costs and ladder do not matter.
         price: reward that a second of computation costs.
         budget: milliseconds of computation per plan, instead of a price; None for no budget.
         costs: ``"shipped"``, or milliseconds that each rung adds to a plan per car, by name, 0 where left out. Episodes
@@ -100,7 +103,8 @@ class RoadSettings(Struct, frozen=True):
             ValueError: for anything unknown or impossible; it names the key, the value and the remedy.
         """
         config = {} if config is None else config
-        if gone := retired.replacement(retired.DRIVERS, *re.findall(r"[\w:-]+", repr(config))):
+        words = [word for word in re.findall(r"[\w:-]+", repr(config)) if word not in added_drivers()]
+        if gone := retired.replacement(retired.DRIVERS, *words):
             raise ValueError(gone)
         return read(cls, "config", config)
 
@@ -121,13 +125,16 @@ class RoadSettings(Struct, frozen=True):
             return ("priced", self.price) if self.budget is None else ("budget", self.budget)
         if self.budget is not None:
             raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
+        if self.driver in added_drivers():
+            return "added", self.driver
         kind, _, value = self.driver.partition(":")
         values = {"priced": NotNegative, "budget": NotNegative, "fixed": Literal[self.ladder]}
         try:
             return kind, convert(value, values[kind], strict=False)
         except (KeyError, ValidationError):
-            remedy = f"choose one of {', '.join(DRIVERS)}, with numbers from 0 and rungs of config['ladder']"
-            raise ValueError(f"{message}; {remedy}, which is {self.ladder}") from None
+            known = f"{', '.join([*DRIVERS, *added_drivers()])} or a name of ms_highway.add_driver"
+            remedy = f"choose one of {known}, with numbers from 0 and rungs of config['ladder'], which is {self.ladder}"
+            raise ValueError(f"{message}; {remedy}") from None
 
     def rule(self, costs: Costs) -> Rule:
         """Return the rule that chooses the models.
@@ -159,9 +166,17 @@ class RoadSettings(Struct, frozen=True):
         """
         return RoadPlanning(self.desired_speed or desired_speed, GRIP_MARGIN * self.acceleration, self.curvature)
 
-    def build(self, planning: RoadPlanning) -> RoadDriver:
-        """Return a driver with these limits and wishes."""
+    def build(self, planning: RoadPlanning, random: np.random.Generator | None = None) -> RoadDriver | AddedRoadDriver:
+        """Return a driver with these limits and wishes.
+
+        Args:
+            planning: limits and wishes.
+            random: source of the key of a driver that remembers, see `ms_highway.add_driver`.
+        """
         kind, value = self._choice()
+        if kind == "added":
+            key = draw_key(HUMAN_DRIVERS[value], random or np.random.default_rng(0))
+            return AddedRoadDriver(planning, value, key)
         costs = SHIPPED_COSTS
         if isinstance(self.costs, dict):
             costs = Costs(0.0, np.array([self.costs.get(model, 0.0) / 1e3 for model in MODELS]))

@@ -10,6 +10,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.lane_paths import Point
 from ms_highway.geometry.road_map import MAX_ROADS, Spot, road_map
+from ms_highway.road.added import AddedRoadDriver
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.driver import RoadDriver
 
@@ -81,7 +82,7 @@ class TimedGoal:
             wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE_BRAKING * max(left - STOP_MARGIN, 0.0))), MIN_SPEED
         )
 
-    def guide(self, driver: RoadDriver, vehicle: Vehicle, now: float) -> None:
+    def guide(self, driver: RoadDriver | AddedRoadDriver, vehicle: Vehicle, now: float) -> None:
         """Let a vehicle's driver plan to be there in time; the speed after that time has no value.
 
         Args:

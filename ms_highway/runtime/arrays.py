@@ -4,9 +4,10 @@ All types except `SameArray` may be of NumPy or JAX, which a type checker cannot
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from reprlib import repr as shortened
-from typing import Annotated, Any, TypeAlias, TypeVar
+from typing import Annotated, Any, NoReturn, TypeAlias, TypeVar
 
 import jax
 import msgspec
@@ -70,6 +71,57 @@ def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], star
         return jax.lax.fori_loop(0, jnp.sum(chosen), lambda place, found: function(order[place], found), start)
 
     return jax.lax.cond(chosen.any(), loop, lambda: start)
+
+
+def read_only(tree: Any) -> Any:
+    """Return a pytree whose NumPy arrays cannot be written; they are views of the same numbers.
+
+    Functions of a user get such arrays, so that none of them can change a game, a state or a record of the package.
+    """
+    return jax.tree.map(_unwritable, tree)
+
+
+def _unwritable(leaf: Any) -> Any:
+    """Return a view of a NumPy array that cannot be written; anything else as it is."""
+    if not isinstance(leaf, np.ndarray):
+        return leaf
+    view = leaf.view()
+    view.flags.writeable = False
+    return view
+
+
+@contextmanager
+def naming_writes(user: str) -> Iterator[None]:
+    """Name a function of a user that writes into what `read_only` returned.
+
+    Raises:
+        ValueError: in place of NumPy's, which names nothing.
+    """
+    try:
+        yield
+    except ValueError as error:
+        if "read-only" not in str(error):
+            raise
+        remedy = "copy an array before you change it, such as state = state.copy()"
+        raise ValueError(f"{user} writes into an array that it was given; {remedy}") from error
+
+
+class Published(dict[str, Any]):
+    """Numbers by name that the package publishes, and that nobody can change; a copy is a usual dictionary.
+
+    Raises:
+        TypeError: from every method that would change it.
+    """
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError(f"these numbers belong to ms_highway: {dict(self)!r}; change a copy, such as dict(weights)")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[type, tuple[dict]]:
+        """Copy and pickle as a usual dictionary."""
+        return dict, (dict(self),)
 
 
 # Structures of numbers, read from JSON

@@ -6,13 +6,16 @@ digest, and a directory of results keeps the digests, see `ms_highway.experiment
 
 import importlib
 import os
+import re
 import sys
 import sysconfig
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from hashlib import sha256
+from inspect import getsource
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 Sources: TypeAlias = dict[str, str]
 """Digests by the name of a module, or by the path of another file."""
@@ -31,6 +34,7 @@ INSTALLED = {Path(sysconfig.get_path(place)).resolve() for place in PLACES}
 
 _notes: dict[str, Sources] = {}  # what each module has brought that `import_modules` imported
 _named: tuple[str, ...] = ()  # the modules of the last `import_modules`
+_definitions: Sources = {}  # of what a user has added, by name
 _opened: set[Path] | None = None  # files that have been read, while imports are noted
 _listens = False  # whether `_note_opened` is a hook of this process; hooks stay for ever
 
@@ -62,6 +66,36 @@ def imported_sources() -> Sources:
     is left out.
     """
     return {name: content for module in _named for name, content in _notes.get(module, {}).items()}
+
+
+def note_definition(name: str, added: Any) -> None:
+    """Note the source of what a user adds by a name: the file of its module or, in a notebook, its own text.
+
+    Args:
+        name: under which it is added.
+        added: function, class or object.
+    """
+    while isinstance(added, partial):
+        added = added.func
+    defined = added if hasattr(added, "__qualname__") else type(added)
+    module = sys.modules.get(defined.__module__)
+    file = Path(getattr(module, "__file__", None) or "")
+    _definitions.pop(name, None)
+    if defined.__module__ != "__main__" and file.is_file():
+        if _is_own(file):
+            _definitions[name] = digest(file)
+        return
+    try:
+        text = getsource(defined).encode()
+    except (OSError, TypeError):  # as of functions that were typed into a prompt
+        text = getattr(getattr(defined, "__code__", None), "co_code", b"")
+    _definitions[name] = sha256(text).hexdigest()[:DIGITS]
+
+
+def definition_sources(text: str) -> Sources:
+    """Return the digests of what the user has added by names that a text has as words."""
+    words = {*re.findall(r"[\w-]+", text), *re.findall(r"\w+", text)}
+    return {f"the definition of {name}": content for name, content in _definitions.items() if name in words}
 
 
 def digest(file: Path) -> str:

@@ -75,9 +75,14 @@ def states_of(cars: Iterable[RoadObject]) -> State:
     return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
-def look(driver: Vehicle) -> RoadView:
-    """Return the present view of a driver, which follows its ``route``, if any; all cars get the driver's size."""
-    seen = observe_road(driver)
+def look(driver: Vehicle, seen: RoadScene | None = None) -> RoadView:
+    """Return the present view of a driver; all cars get the driver's size.
+
+    Args:
+        driver: whose view it is.
+        seen: what it observes now; by default, on the way along its ``route``, if it has one.
+    """
+    seen = seen or observe_road(driver)
     x, y, heading, speed = states_of([driver])[0]
     own, others = np.array([*seen.route.project(x, y, heading), speed]), _others(seen)
     lanes, wanted, (first, last) = interpolate(seen.lanes, own[0]), 1 + int(np.sign(seen.changes[1])), TAPER

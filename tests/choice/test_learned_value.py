@@ -62,6 +62,11 @@ def test_a_file_is_read_as_it_was_written(file):
     ("name", "change", "problem"),
     [
         ("about", lambda about: np.array(json.dumps(json.loads(str(about)) | {"version": 99})), "version 99"),
+        (
+            "about",
+            lambda about: np.array(json.dumps(json.loads(str(about)) | {"provenance": {"scenarios": None}})),
+            "scenarios is None: Expected `array`",
+        ),
         ("weights_2", lambda weights: weights * 1e9, "weights of the networks are beyond 1000"),
         ("biases_1", lambda biases: biases[:1], "shapes"),
     ],

@@ -1,23 +1,37 @@
 """Configurations: how they are read, changed and refused."""
 
 import re
-from dataclasses import replace
-from itertools import product
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from itertools import chain, product
 from pathlib import Path
 
 import gymnasium as gym
+import jax
 import numpy as np
 import pytest
 from episodes import drive, make
 from gymnasium.envs.registration import EnvSpec
+from jax import numpy as jnp
 
 import ms_highway
 from ms_highway import always
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario, environment_id, registry
-from ms_highway.envs.agents import AGENTS
-from ms_highway.envs.controllers import ControllerSettings
+from ms_highway.choice.learned_value import load_values
+from ms_highway.cli.main import parse
+from ms_highway.cli.options import configuration
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
+from ms_highway.envs.agents import AGENTS, AddedAgent
+from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
 from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
+from ms_highway.envs.settings import YIELDING
+from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
+from ms_highway.experiments.runner import make_environment
 from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.learned_reward import save, shipped
+from ms_highway.loop.batch import simulate
+from ms_highway.loop.controller import HUMAN_DRIVERS
+from ms_highway.planning.ladders import BEST, MODELS
+from ms_highway.runtime.names import PACKAGE_NAMES
 
 PAIR, SEVERAL = "merger", "dense_merge"
 NAIVE = {"type": "fixed", "model": "naive"}
@@ -185,6 +199,36 @@ class Dear(SwitchingSettings, tag="dear"):
     """A rule at a lambda."""
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Says(ms_highway.Rule):
+    """Choose a given number for so many humans."""
+
+    number: float
+    humans: int = field(metadata={"static": True})
+    kind: str = field(metadata={"static": True})
+    ladder: tuple = field(metadata={"static": True})
+
+    def decide(self, game, memory, outcome):
+        return ms_highway.unestimated(memory, jnp.full(self.humans, self.number).astype(self.kind))
+
+
+class SaysAtOnce(Says):
+    """The same without a compilation."""
+
+    estimates = False
+
+
+class SaysSettings(ControllerSettings, frozen=True, tag="says"):
+    number: float
+    humans: int = 1
+    kind: str = "int32"
+    compiled: bool = True
+
+    def rule(self, start):
+        return (Says if self.compiled else SaysAtOnce)(self.number, self.humans, self.kind, start.ladder)
+
+
 @pytest.fixture
 def rules(monkeypatch):
     """A table of rules to which some may be added."""
@@ -210,26 +254,161 @@ def test_a_class_that_makes_no_rule_is_refused():
             add_rule(kind)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Overwrites(Says):
+    estimates = False
+
+    def decide(self, game, memory, outcome):
+        game.robot.weights[0] = memory.rungs[0] = 1
+        return ms_highway.unestimated(memory, memory.rungs)
+
+
+class OverwritesSettings(ControllerSettings, frozen=True, tag="overwrites"):
+    def rule(self, start):
+        return Overwrites(0, 1, "int32", start.ladder)
+
+
+@dataclass(frozen=True)
+class Bribes(ms_highway.PredictedHuman):
+    name = "bribes"
+
+    def predict(self, game, state, start=None):
+        game.robot.weights[0] = 1e6
+        return jnp.zeros((game.planner.horizon, 2))
+
+
+@pytest.mark.usefixtures("rules")
+def test_neither_rules_nor_models_nor_callers_can_change_what_the_package_computes_with(monkeypatch):
+    add_rule(OverwritesSettings)
+    monkeypatch.setitem(MODELS, "bribes", Bribes())
+    with pytest.raises(ValueError, match="the rule Overwrites writes into an array that it was given; copy"):
+        drive(make("merger-v1", "overwrites"))
+    with pytest.raises(ValueError, match="the human model 'bribes' writes into an array that it was given; copy"):
+        drive(make("merger-v1", "bribes", costs={"bribes": 0.1, "naive": 0.1, "turn": 0.2, "tom": 0.3}))
+    env = make("merger-v1").unwrapped
+    env.reset(seed=0)
+    for array in (env.game.robot.weights, env.game.scene.lanes, env.weights, load_values("shipped").centre):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0.0
+    scenario = ms_highway.SCENARIOS["merger"]
+    learned = shipped("demonstrations").weights
+    for weights in (ms_highway.COMMON_WEIGHTS, ms_highway.PUBLISHED_COSTS, scenario.robot_weights, learned):
+        with pytest.raises(TypeError, match=r"these numbers belong to ms_highway: .*; change a copy"):
+            weights["speed"] = 0.0
+        copied = deepcopy(weights)
+        copied["speed"] = 0.0
+
+
+def test_an_agent_that_changes_its_observation_changes_nobody_elses(monkeypatch):
+    def erases(observation):
+        observation[:] = 0.0
+        return [0.0, 0.0]
+
+    monkeypatch.setitem(AGENTS, "erases", AddedAgent(erases, {}))
+    env = make_environment("merger-v1", "erases")
+    seen, _ = env.reset(seed=0)
+    env.step(0)
+    assert seen.any()
+
+
+RUNGS = "return one whole number for each human, 1 in all: 0 for naive, 1 for turn"
+
+
+@pytest.mark.usefixtures("rules")
+@pytest.mark.parametrize("loop", ["live", "live, not compiled", "batch", "vector", "functional"])
+def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
+    add_rule(SaysSettings)
+
+    def episode(number, **kinds):
+        controller = {"type": "says", "number": number, "compiled": loop != "live, not compiled", **kinds}
+        config = {"controller": controller, "ladder": ["naive", "turn"], "duration": 0.2}
+        if loop == "vector":
+            envs = gym.make_vec(environment_id("merger-v1"), num_envs=2, config=config)
+            envs.reset(seed=0)
+            return envs.step(np.zeros(2, int))[4]["model"][0]
+        if loop == "functional":
+            env = FunctionalEnv("merger-v1", config)
+            state, _ = env.reset(jax.random.key(0))
+            if number == 7.0:  # a traced step cannot raise an error
+                assert np.isnan(jax.jit(env.step)(state, 0)[2])
+            return env.step(state, 0)
+        if loop == "batch":
+            env = MergerV1Env(config)
+            start = env.settings.start(env.settings.seconds, 2, np.random.default_rng())
+            playing = replace(shared_loop(env, [env.settings.controller]), rule=env.settings.controller.rule(start))
+            drawn = draw_start(env, playing, env.settings.controller, np.random.default_rng(0))
+            return simulate(playing, stack_episodes([drawn]))
+        return drive(gym.make(environment_id("merger-v1"), config=config)).infos[0]["model"]
+
+    episode(1.0)
+    for number in (-1.0, 7.0):
+        with pytest.raises(ValueError, match=rf"the rule Says\w* returned the rungs \[{number:.0f}\]; {RUNGS}"):
+            episode(number)
+    with pytest.raises(ValueError, match=rf"the rule Says\w* returned (the rungs \[nan\]|float32 .*); {RUNGS}"):
+        episode(np.nan, kind="float32")
+    with pytest.raises(ValueError, match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}"):
+        episode(1.0, humans=5)
+
+
 def add_own_scenario(name):
     scenario = replace(MergerEnv.scenario, name=name)
     add_scenario(type("OwnEnv", (MergerEnv,), {"scenario": scenario}))
 
 
-@pytest.mark.usefixtures("rules")
-@pytest.mark.parametrize(
-    ("what", "add", "taken"),
-    [
-        ("a rule", lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)), ("learned", "tom", "never", "coasts")),
-        ("a human driver", lambda name: ms_highway.add_driver(name, keep_velocity), ("learned", "tom", "coasts")),
-        ("an agent", lambda name: ms_highway.add_agent(name, np.zeros_like), ("learned", "tom", "never")),
-        ("a scenario", add_own_scenario, ("merger",)),
-    ],
-)
-def test_what_is_added_needs_an_unused_name_of_one_word(what, add, taken, monkeypatch):
-    monkeypatch.setitem(AGENTS, "coasts", None)
-    for name in (*taken, "two words", "Upper"):
-        with pytest.raises(ValueError, match=f"{what} cannot be called '{name}'; choose one word in lower case"):
-            add(name)
+@dataclass(frozen=True)
+class Coasts(ms_highway.PredictedHuman):
+    name = "coasts"
+
+    def predict(self, game, state, start=None):
+        return jnp.zeros((game.planner.horizon, 2))
+
+
+KINDS = {
+    "a human model": lambda name: ms_highway.register(type("Model", (Coasts,), {"name": name})()),
+    "a rule": lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)),
+    "a human driver": lambda name: ms_highway.add_driver(name, keep_velocity),
+    "an agent": lambda name: ms_highway.add_agent(name, np.zeros_like),
+}
+
+
+@pytest.fixture
+def names(rules):
+    """The names that are known, to which some may be added."""
+    kept = [registry.CONTROLLERS, MODELS, HUMAN_DRIVERS, AGENTS]
+    before = [dict(each) for each in kept]
+    yield
+    for each, content in zip(kept, before, strict=True):
+        each.clear()
+        each.update(content)
+
+
+@pytest.mark.usefixtures("names")
+@pytest.mark.parametrize("first", KINDS)
+@pytest.mark.parametrize("second", KINDS)
+def test_a_name_means_one_thing_whatever_was_added_first(first, second):
+    KINDS[first]("mine")
+    if first == second:  # which is replaced
+        KINDS[second]("mine")
+        return
+    with pytest.raises(ValueError, match=f"{second} cannot be called 'mine'; choose one word.* other than .*mine"):
+        KINDS[second]("mine")
+
+
+@pytest.mark.usefixtures("names")
+@pytest.mark.parametrize("what", KINDS)
+def test_what_is_added_needs_a_name_of_one_word_that_the_package_does_not_use(what):
+    taken = [*chain(*PACKAGE_NAMES.values()), "two words", *(["Upper"] if what != "a human model" else [])]
+    assert {*registry.CONTROLLERS, *MODELS, *HUMAN_DRIVERS, *AGENTS, BEST, KEYBOARD, *YIELDING} <= {*taken}
+    for name in taken:
+        with pytest.raises(ValueError, match=f"{what} cannot be called '{name}'; choose one word"):
+            KINDS[what](name)
+
+
+def test_a_scenario_needs_a_name_of_one_word_that_the_package_does_not_use():
+    for name in ("merger", "two words", "Upper"):
+        with pytest.raises(ValueError, match=f"a scenario cannot be called '{name}'; choose one word in lower case"):
+            add_own_scenario(name)
 
 
 def test_learned_values_warn_only_where_they_were_not_learned():
@@ -240,3 +419,38 @@ def test_learned_values_warn_only_where_they_were_not_learned():
         make("merger-v1", "learned:1", horizon=15)
     with pytest.warns(UserWarning, match="not in dense_merge, solver newton"):
         make(SEVERAL, "budget:20", solver="newton")
+    make("merger-v1", "learned:1+belief", yielding="never")  # measured, see the guide
+
+
+def test_learned_values_warn_among_other_humans_than_those_they_were_learned_among(monkeypatch):
+    learn = "`ms-highway values learn merger-v1 --set {} --out values.npz`"
+    for reward, text in (("published", "human_reward=published"), ({"speed": 2.0}, "'human_reward={\"speed\": 2.0}'")):
+        with pytest.warns(
+            UserWarning, match=f"human_reward learned, not in merger-v1, human_reward .*{learn.format(text)}"
+        ):
+            make("merger-v1", "learned:1", human_reward=reward)
+    make("merger-v1", "learned:1", human_reward="learned")
+    monkeypatch.setitem(HUMAN_DRIVERS, "coasts", keep_velocity)
+    with pytest.warns(
+        UserWarning, match="not in merger-v1, where 'coasts' drives the humans; choose another controller"
+    ):
+        make("merger-v1", "learned:1", human_driver="coasts")
+    make("merger-v1", "tom", human_driver="coasts", human_reward="published")
+
+
+def test_humans_drive_for_the_reward_of_us101_by_its_name_and_by_its_file(tmp_path):
+    file = tmp_path / "mine.json"
+    save(shipped("us101"), file)
+    games = []
+    for name in ("us101", str(file)):
+        config = configuration(parse(["compare", "merger-v1", "--set", f"human_reward={name}", "--out", "x"]))
+        games.append(make("merger-v1", **config).unwrapped.game.humans)
+    assert games[0].names == games[1].names
+    np.testing.assert_array_equal(games[0].weights, games[1].weights)
+    weights = dict(zip(games[0].names, games[0].weights[0], strict=True))
+    assert weights["closing_speed"] == pytest.approx(shipped("us101").weights["closing_speed"])
+    _, states, *_ = drive(make("merger-v1", human_reward="us101"), steps=10)
+    usual = drive(make("merger-v1"), steps=10).states
+    assert np.abs(states[-1, 1] - usual[-1, 1]).max() > 0.1
+    with pytest.raises(ValueError, match="'learned', 'published', 'us101', or give finite weights"):
+        make("merger-v1", human_reward="us102")

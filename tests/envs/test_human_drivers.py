@@ -1,6 +1,7 @@
 """Drivers of the real humans: functions, vehicles of highway-env, and a person at the keyboard."""
 
 from collections import Counter
+from copy import deepcopy
 
 import numpy as np
 import pygame
@@ -25,6 +26,43 @@ def looks_for_itself(game, state):
     return [0.0, 4.0] if state[0, 0] > 0 else [0.0, 3.0]
 
 
+class Remembers:
+    """Accelerate by the way of the last six steps, and by chance."""
+
+    def reset(self, key):
+        self.places, self.random = [], np.random.default_rng(key)
+
+    def __call__(self, game, state):
+        self.places = [*self.places[-5:], state[0, 0]]
+        way = self.places[-1] - self.places[0]
+        return keep_velocity(game.world, state[0]) + np.array([0.0, 0.1 * way + self.random.normal()])
+
+
+def leaks(game, state, places=[]):  # noqa: B006
+    """Remember the last six steps, also those of the episode before."""
+    places[:] = [*places[-5:], state[0, 0]]
+    return keep_velocity(game.world, state[0]) + np.array([0.0, 0.1 * (places[-1] - places[0])])
+
+
+def draws(game, state):
+    return [0.0, np.random.default_rng().normal()]
+
+
+def counts(game, state, calls=[0]):  # noqa: B006
+    calls[0] += 1
+    return keep_velocity(game.world, state[0]) + jnp.array([0.0, -0.1 * calls[0]])
+
+
+def forgets_the_reward(game, state):
+    game.robot.weights[:] = 0.0
+    return [0.0, 4.0]
+
+
+def moves_the_cars(game, state):
+    state[:, 0] += 10.0
+    return [0.0, 4.0]
+
+
 def batch_of(driver):
     config = {"human_driver": driver, "ladder": ["naive"]}
     return simulated(Comparison({"merger-v1": ["naive"]}, seeds=1, config=config))
@@ -32,7 +70,18 @@ def batch_of(driver):
 
 @pytest.fixture
 def added():
-    drivers = {"brakes": brakes, "follows": IDMVehicle, "looks": looks_for_itself}
+    drivers = {
+        "brakes": brakes,
+        "follows": IDMVehicle,
+        "looks": looks_for_itself,
+        "remembers": Remembers(),
+        "made": Remembers,
+        "leaks": leaks,
+        "draws": draws,
+        "counts": counts,
+        "forgets": forgets_the_reward,
+        "moves": moves_the_cars,
+    }
     for name, driver in drivers.items():
         ms_highway.add_driver(name, driver)
     yield
@@ -63,6 +112,8 @@ def test_a_vehicle_of_highway_env_drives_by_itself():
     [
         ("follows", "'follows', which cannot be simulated"),
         ("looks", "cannot trace the human driver 'looks'.*use `compare`"),
+        ("remembers", "'remembers', which remembers and cannot be simulated.*use `compare`"),
+        ("counts", "'counts' computes something else when it is asked again; give add_driver an object with `reset"),
     ],
 )
 def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, message):
@@ -70,6 +121,51 @@ def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, me
         batch_of(driver)
     with pytest.raises(ValueError, match="<class 'int'>"):
         ms_highway.add_driver("mine", int)
+
+
+@pytest.mark.usefixtures("added")
+@pytest.mark.parametrize("how", [{"controller": "remembers"}, {"controller": "made"}, {"human_driver": "remembers"}])
+def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_its_environment(how):
+    env = make("merger-v1", **how)
+    alone = drive(env, seed=4, steps=10).states
+    other = drive(env, seed=0, steps=10).states
+    np.testing.assert_array_equal(drive(env, seed=4, steps=5).states, alone[:6])
+    copied = deepcopy(env)
+    for each in (env, copied, env):  # a copy's steps are not the original's
+        each.step(0)
+    np.testing.assert_array_equal(copied.unwrapped.car_states, alone[6])
+    np.testing.assert_array_equal(env.unwrapped.car_states, alone[7])
+    driven = 0 if "controller" in how else 1
+    gained = [np.diff(states[:, driven, 3]) for states in (alone, other)]
+    assert not np.allclose(*gained, atol=1e-2)  # as their keys differ
+
+
+@pytest.mark.usefixtures("added")
+@pytest.mark.parametrize("role", ["controller", "human_driver"])
+@pytest.mark.parametrize(
+    ("driver", "message"),
+    [
+        ("leaks", "'leaks' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
+        ("draws", "'draws' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
+        ("counts", "'counts' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
+        ("forgets", "'forgets' writes into an array that it was given; copy an array before you change it"),
+        ("moves", "'moves' writes into an array that it was given; copy an array before you change it"),
+    ],
+)
+def test_a_function_that_is_not_pure_is_found_within_an_episode(driver, role, message):
+    with pytest.raises(ValueError, match=message):
+        drive(make("merger-v1", **{role: driver}))
+
+
+def test_an_object_that_cannot_begin_an_episode_is_refused():
+    takes_no_key = type("TakesNoKey", (Remembers,), {"reset": lambda self: None})
+    needs_numbers = type("NeedsNumbers", (Remembers,), {"__init__": lambda self, number: None})
+    for driver in (takes_no_key, takes_no_key(), needs_numbers):
+        with pytest.raises(ValueError, match=r"cannot begin an episode: .*`reset` take a key"):
+            ms_highway.add_driver("mine", driver)
+    never_called = type("NeverCalled", (), {"reset": lambda self, key: None})
+    with pytest.raises(ValueError, match=r"an object with `reset\(key\)` that is called like one"):
+        ms_highway.add_driver("mine", never_called())
 
 
 def test_arrow_keys_drive_the_human(monkeypatch):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ms_highway import add_driver
 from ms_highway.choice import learned_value
 from ms_highway.envs.registry import controller_settings
 from ms_highway.experiments.batch import simulate_parts
@@ -86,6 +87,28 @@ def test_imports_are_added_to_results_but_not_taken_away(imports):
     HUMAN_DRIVERS["brakes"] = HUMAN_DRIVERS["never"]  # by another module
     with pytest.raises(ValueError, match="computed with my_driver, which is not imported now"):
         begin("brakes")
+
+
+def test_results_are_refused_after_a_name_has_got_another_meaning(tmp_path, monkeypatch):
+    """As in a notebook, where a driver is defined again, or by two modules that add one name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(HUMAN_DRIVERS, "mine", None)
+
+    def brakes(game, state):
+        return [0.0, -1.0]
+
+    def stays(game, state):
+        return [0.0, 0.0]
+
+    brakes.__module__ = stays.__module__ = "__main__"
+    add_driver("mine", brakes)
+    begin("mine", "naive")
+    add_driver("mine", brakes)
+    begin("mine", "naive")
+    add_driver("mine", stays)
+    begin("naive")
+    with pytest.raises(ValueError, match="results of mine in merger .* before the definition of mine changed"):
+        begin("mine", "naive")
 
 
 def test_results_are_refused_after_a_file_of_values_has_changed(tmp_path, monkeypatch):

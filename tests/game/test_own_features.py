@@ -3,12 +3,17 @@
 import pickle
 from dataclasses import replace
 
+import gymnasium as gym
 import jax
 import numpy as np
 import pytest
+from episodes import drive, make
 from jax import numpy as jnp
 
 from ms_highway.choice.quadratic import expand
+from ms_highway.envs import environment_id
+from ms_highway.experiments.batch import simulated
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.features import features
 from ms_highway.game.game import total_reward
 from ms_highway.game.reward import OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
@@ -98,6 +103,46 @@ def test_taken_names_and_unusable_functions_are_refused(name, function, message)
     with pytest.raises(ValueError, match=message):
         add_feature(name, function)
     assert weight_names() == before
+
+
+BROKEN = {
+    "nowhere": (lambda scene, own, others: jnp.log(-1.0 - own.speed**2), "is nan; return a finite number"),
+    "endless": (lambda scene, own, others: own.speed / (0.0 * own.x), "is -?inf; return a finite number"),
+    "edgy": (lambda scene, own, others: jnp.sqrt(jnp.maximum(-own.speed, 0.0)), "has a gradient that is not finite"),
+    "later": (
+        lambda scene, own, others: jnp.where(own.x > 15.0, jnp.nan, own.speed),
+        "of car 0 in the state .* is nan; return a finite number",
+    ),
+}
+
+
+@pytest.mark.parametrize("loop", ["live", "agent", "batch", "vector", "one plan"])
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_feature_that_is_not_finite_is_refused_by_its_name(name, loop):
+    function, message = BROKEN[name]
+    start = np.array([[-4.0, 0.0, 0.0, 20.0], [-7.0, -3.3, 0.0, 20.0], [2.0, -3.3, 0.0, 20.0]])
+    add_feature(name, function)
+    config = {"human_reward": {"speed": 2.0, "lane_alignment": 75.0, name: 1e-3}, "ladder": ["naive"]}
+    runs = {
+        "live": lambda: drive(make("merger-v1", **config)),
+        "agent": lambda: step_all(make("merger-v1", action={"type": "ContinuousAction"}, **config), np.zeros(2)),
+        "batch": lambda: simulated(Comparison({"merger-v1": ["naive"]}, seeds=1, config=config)),
+        "vector": lambda: step_all(
+            gym.make_vec(environment_id("merger-v1"), 2, config={"controller": "naive", **config}), np.zeros(2, int)
+        ),
+        "one plan": lambda: plan(make("merger-v1", **config).unwrapped.game, start, "naive"),
+    }
+    if (name, loop) == ("later", "one plan"):
+        runs[loop]()  # where nothing is wrong
+        return
+    with pytest.raises(ValueError, match=f"the feature '{name}' .*{message}"):
+        runs[loop]()
+
+
+def step_all(envs, actions):
+    envs.reset(seed=0)
+    for _ in range(39):
+        envs.step(actions.copy())
 
 
 def test_weights_of_unknown_or_left_out_features_are_refused():

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pytest
 
+from ms_highway.envs import ENVIRONMENTS, MergerEnv, add_scenario
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.scenario import HUMANS, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
@@ -68,3 +70,37 @@ def test_humans_drive_for_given_weights_for_their_own_aims_and_more_boldly_in_de
 def test_impossible_scenarios_are_refused(numbers, told):
     with pytest.raises(ValueError, match=f"scenario 'merger' has {told}"):
         replace(MERGER, **numbers)
+
+
+WRONG = {
+    "no human": ({"cars": MERGER.cars[:1]}, "has no human, as its cars are .*give the starts of the robot and of the"),
+    "humans": ({"humans": 0}, "has humans=0 and 0 streams; streams say where .*, and without streams there is one"),
+    "weight": ({"robot_weights": {"sped": 2}}, r"robot_weights: unknown reward features \['sped'\]; the features are"),
+    "infinite": ({"human_weights": {"speed": np.inf}}, "human_weights: the weight of speed is inf; it must be a fin"),
+    "no weights": ({"human_weights": ["speed"]}, r"has human_weights=\['speed'\]; give weights by name"),
+    "model": ({"ladder": ("naive", "tomm")}, r"has the ladder .*: unknown human model 'tomm'; the models are naive"),
+    "order": ({"ladder": ("tom", "naive")}, "has the ladder .*: impossible ladder .*name each model once, cheapest"),
+    "no model": ({"ladder": ()}, r"has the ladder \(\): impossible ladder"),
+    "steps": ({"steps": 0}, "has steps=0; give a whole number of steps, 1 or more"),
+    "price": ({"prices": (1.0,)}, r"has the prices \(1.0,\); give two lambdas"),
+    "car": ({"merging_car": 7}, "has merging_car=7; give the place of one of its 3 cars"),
+    "point": ({"cars": ((0.0,), *MERGER.cars[1:])}, r"has a car at \(0.0,\); give x and y"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
+def test_a_scenario_that_cannot_be_driven_is_refused_when_it_is_added(changes, message):
+    before = list(gymnasium.registry)
+    with pytest.raises(ValueError, match=f"scenario 'mine'.*{message}"):
+        add_scenario(type("MineEnv", (MergerEnv,), {"scenario": replace(MERGER, name="mine", **changes)}))
+    assert "mine" not in ENVIRONMENTS
+    assert list(gymnasium.registry) == before
+
+
+def test_only_a_class_of_environments_with_a_scenario_is_added():
+    for wrong, message in (
+        (MERGER, "is no class of environments; give a class derived from ms_highway.InteractionEnv"),
+        (type("NoneEnv", (MergerEnv,), {"scenario": None}), "`scenario` of NoneEnv is None; make it a ms_highway.Sc"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            add_scenario(wrong)

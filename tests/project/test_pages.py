@@ -11,11 +11,14 @@ from pathlib import Path
 from pkgutil import resolve_name, walk_packages
 
 import nbformat
+import numpy as np
 import pytest
+from episodes import drive, make
 from markdown_it import MarkdownIt
 
 import ms_highway
 from ms_highway.cli.main import parse
+from ms_highway.loop.controller import HUMAN_DRIVERS
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "notebooks"
@@ -114,3 +117,16 @@ def resolves(name):
         resolve_name(name)
         return ":" in name or "." in name
     return False
+
+
+def test_the_driver_with_a_memory_of_the_guide_drives_the_same_episode_again():
+    (example,) = fences(MAP, "python")
+    exec(example, {})
+    try:
+        env = make("merger-v1", human_driver="reacts")
+        first = drive(env, seed=1, steps=8).states
+        drive(env, seed=2, steps=8)
+        np.testing.assert_array_equal(drive(env, seed=1, steps=8).states, first)
+        assert first[-1, 1, 3] < first[0, 1, 3]  # it has braked
+    finally:
+        HUMAN_DRIVERS.pop("reacts", None)

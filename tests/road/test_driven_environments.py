@@ -4,10 +4,14 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
+from commands import run
 from gymnasium.envs.registration import registry
 
 import ms_highway
+from ms_highway.benchmarks.road.episodes import Block, check_driver, run_episode, summary
 from ms_highway.envs.viewer import PAPER, model_color
+from ms_highway.game.dynamics import keep_velocity
+from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.perception.scene import TRAFFIC
 from ms_highway.road.graphics import PANEL
 
@@ -136,3 +140,69 @@ def test_vector_environments_collect_infos_although_episodes_end_at_different_ti
     envs.envs[1].unwrapped.config["duration"] = 3
     infos = [envs.step(envs.action_space.sample())[4]["road"] for _ in range(4)]
     assert all(len(road["models"][0]) == TRAFFIC and road["gains"]["idm"].shape == (2, TRAFFIC) for road in infos)
+
+
+class Follows:
+    """Keep to the target lane, and keep a distance that is drawn for the episode, to what is ahead."""
+
+    def reset(self, key):
+        self.distance, self.seen = np.random.default_rng(key).uniform(10.0, 30.0), []
+
+    def __call__(self, game, state):
+        self.seen.append((game, state))
+        aside, heading = state[0, 1:3]
+        curvature = 0.02 * (float(game.scene.target_lane) - aside) - 0.5 * heading
+        free = state[1, 0] < 0 or state[1, 0] - state[0, 0] > self.distance
+        return keep_velocity(game.world, state[0]) + np.array([curvature, 0.0 if free else -4.0])
+
+
+@pytest.fixture
+def follows(monkeypatch):
+    monkeypatch.setitem(HUMAN_DRIVERS, "follows", Follows)
+
+
+@pytest.mark.usefixtures("follows")
+@pytest.mark.parametrize("name", ["racetrack-v1", "merge-v0"])
+def test_a_driver_of_ones_own_drives_stock_roads_and_sees_them_straightened(name):
+    env, drives = ms_highway.drive(gym.make(name), {"driver": "follows"}), []
+    for seed in (3, 4, 3):
+        _, first = env.reset(seed=seed)
+        for _ in range(8):
+            *_, terminated, _, info = env.step(None)
+            if terminated:
+                break
+        drives.append([*env.unwrapped.vehicle.position, env.unwrapped.vehicle.speed])
+        assert env.unwrapped.vehicle.on_road
+    np.testing.assert_array_equal(drives[0], drives[2])
+    assert not np.allclose(drives[0], drives[1])
+    assert forms(info["road"]) == forms(first["road"])
+    assert info["road"]["source"] == "driver"
+    game, state = env.robots[0].driver._driver._function.seen[-1]
+    assert state.shape == (7, 4)
+    assert abs(state[0, 1:3]).max() < 1.0  # in the straightened lane
+    assert float(game.world.time_step) == pytest.approx(0.2)
+    assert not state.flags.writeable
+
+
+@pytest.mark.usefixtures("follows")
+def test_a_driver_of_ones_own_is_measured_on_stock_roads_under_its_name():
+    check_driver("follows")
+    block = Block("merge-v0", "follows")
+    figures = summary(block, [run_episode(block, seed) for seed in range(2)])
+    assert figures["sources"] == {"driver": 1.0}
+    assert figures["label"] == ""  # within its grip
+    assert figures["p50_ms"] > 0
+    with pytest.raises(ValueError, match=r"unknown driver 'folows'.*a name of add_driver or add_agent"):
+        check_driver("folows")
+    with pytest.raises(ValueError, match=r"config\['driver'\] is 'never'"):  # which drives humans beside a robot
+        ms_highway.drive(gym.make("merge-v0"), {"driver": "never"})
+
+
+@pytest.mark.slow
+def test_the_module_that_adds_a_planner_serves_paper_scenes_and_stock_roads(tmp_path):
+    """A planner of the example drives in both under the same name."""
+    asks = "--import notebooks.examples.agents"
+    run(f"{asks} bench road merge-v0 --drivers merges --seeds 1 --json {tmp_path / 'road.json'}")
+    run(f"{asks} compare merger-v1 --controllers merges --seeds 1 --out {tmp_path / 'own'}")
+    assert (tmp_path / "own" / "summary.csv").is_file()
+    assert (tmp_path / "road.json").is_file()

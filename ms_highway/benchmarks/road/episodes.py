@@ -76,7 +76,9 @@ def check_driver(name: str) -> None:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join([*OTHERS, *DRIVERS, f"DRIVER[{INTENTIONS}]", "AGENT.zip", "a name of add_agent"])
+            known = ", ".join(
+                [*OTHERS, *DRIVERS, f"DRIVER[{INTENTIONS}]", "AGENT.zip", "a name of add_driver or add_agent"]
+            )
             raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
 
 

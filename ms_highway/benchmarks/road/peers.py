@@ -3,6 +3,7 @@
 Starts in recordings are planning problems, or vehicles that change lanes.
 """
 
+from copy import deepcopy
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -89,7 +90,7 @@ class Agent(Peer):
 
     def choose(self) -> Any:
         """Return the agent's action for the last observation."""
-        return self.policy(self.seen)
+        return self.policy(deepcopy(self.seen))  # which others hold, too
 
 
 class IdmEgo(OfferedSpeeds, IDMVehicle):

@@ -1,0 +1,51 @@
+"""Keep names apart: in configurations and commands, a name of a user's means one thing, whatever was added first."""
+
+from collections.abc import Callable, Iterable
+from itertools import chain
+
+PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
+    "a human model": ("naive", "idm", "turn", "tom", "best"),
+    "a rule": (
+        *("switching", "horizon", "learned", "budget", "nearest"),
+        *("driver", "agent", "fixed", "schedule", "period", "random"),
+    ),
+    "a human driver": ("never", "always", "keyboard", "usual", "mixed"),
+    "an agent": (),
+    "a driver of roads": ("priced", "human"),
+}
+"""Names of the package by what they name, repeated here, as a user may add a name before its module is loaded."""
+
+_ADDED: dict[str, Callable[[], Iterable[str]]] = {}
+
+
+def keep_apart(what: str, names: Callable[[], Iterable[str]]) -> None:
+    """Let the names that a function returns be refused for anything else than ``what``, a key of `PACKAGE_NAMES`."""
+    _ADDED[what] = names
+
+
+def check_own_name(what: str, name: object, lower: bool = True) -> None:
+    """Check a name for something that a user adds; it may replace a user's of the same kind.
+
+    Args:
+        what: a key of `PACKAGE_NAMES`.
+        name: to be checked.
+        lower: whether it must be in lower case.
+
+    Raises:
+        ValueError: if the package or something else has the name, or if it is not one word.
+    """
+    others = (names() for other, names in _ADDED.items() if other != what)
+    check_name(what, name, chain(*PACKAGE_NAMES.values(), *others), lower)
+
+
+def check_name(what: str, name: object, taken: Iterable[str], lower: bool = True) -> None:
+    """Refuse a name that is taken, or that is not one word, in lower case if wanted.
+
+    Raises:
+        ValueError: for such a name.
+    """
+    taken = dict.fromkeys(taken)
+    word = isinstance(name, str) and name.isidentifier() and (name.islower() or not lower)
+    if not word or name in taken:
+        remedy = f"choose one word{' in lower case' * lower} other than {', '.join(taken)}"
+        raise ValueError(f"{what} cannot be called {name!r}; {remedy}")
