@@ -4,7 +4,18 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ms_highway.cli.console import command, count_episodes, number, option, output, print_tables, save_figure, say, tell
+from ms_highway.cli.console import (
+    command,
+    count_episodes,
+    number,
+    option,
+    output,
+    print_tables,
+    save_figure,
+    say,
+    tell,
+    warn,
+)
 from ms_highway.cli.options import FORMAT
 from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 
@@ -80,6 +91,8 @@ def evaluate(options: argparse.Namespace) -> None:
     With --figures, a directory gets figures of errors, likelihood and calibration and, with --theta, of the predicted
     and recorded paths of all drivers at one moment.
 
+    A warning says if FILE was learned from some of the same recordings.
+
     Examples:
       ms-highway irl evaluate --theta us101 --data recordings --figures results/us101
       ms-highway irl evaluate --theta us101 --data recordings --json
@@ -89,15 +102,25 @@ def evaluate(options: argparse.Namespace) -> None:
 
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
+    from ms_highway.irl.recording import known_from
     from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
 
     if bool(options.theta) == bool(options.folds):
         raise ValueError("give either --theta FILE, to predict by, or --folds N, to learn and predict")
-    learned = named(options.theta).drivers if options.theta else None
-    if options.theta and not learned:
+    reward = named(options.theta) if options.theta else None
+    learned = reward.drivers if reward else None
+    if reward and not learned:
         raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
     recordings = read_recordings(options.data)
+    known = known_from(recordings, reward.learned_from) if reward else []
+    if known:
+        warn(
+            f"{options.theta} was learned from {len(known)} of these {len(recordings)} recordings: errors of learned "
+            "drivers and of the fitted IDM are smaller than for new drivers; --folds 4 instead of --theta predicts only"
+            " drivers that were not learned from"
+        )
     found = evaluate(recordings, learned, parts=options.folds, progress=tell)
+    found = msgspec.structs.replace(found, learned_from=len(known))
     if options.figures:
         figures = evaluation_figures(found)
         if learned:

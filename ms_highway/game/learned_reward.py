@@ -44,6 +44,8 @@ class LearnedReward(Structure):
         provenance: data, groups of recordings, and versions of the software.
         tails: nu of `ms_highway.irl.maximum_entropy`, None for a normal distribution.
         drivers: what was learned seconds ahead; None from simulated demonstrations.
+        learned_from: the recordings that were learned from, as fingerprints of their content by group; empty in files
+            of earlier versions.
     """
 
     weights: dict[str, float]
@@ -59,6 +61,7 @@ class LearnedReward(Structure):
     provenance: dict[str, Any]
     tails: Positive | None = None
     drivers: LearnedDrivers | None = None
+    learned_from: dict[str, list[str]] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the reward.
