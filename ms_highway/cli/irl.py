@@ -1,6 +1,7 @@
 """Define the commands ``ms-highway irl ...``."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from ms_highway.cli.console import (
     option,
     output,
     print_tables,
-    save_figure,
+    save_figures,
     say,
     tell,
     warn,
@@ -103,7 +104,7 @@ def evaluate(options: argparse.Namespace) -> None:
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
     from ms_highway.irl.recording import known_from
-    from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
+    from ms_highway.visualization.irl import PANELS, evaluation_tables, metrics_figure, paths_figure
 
     if bool(options.theta) == bool(options.folds):
         raise ValueError("give either --theta FILE, to predict by, or --folds N, to learn and predict")
@@ -121,16 +122,15 @@ def evaluate(options: argparse.Namespace) -> None:
         )
     found = evaluate(recordings, learned, parts=options.folds, progress=tell)
     found = msgspec.structs.replace(found, learned_from=len(known))
-    if options.figures:
-        figures = evaluation_figures(found)
-        if learned:
-            figures["paths"] = paths_figure(recordings, learned)
-        for name, figure in figures.items():
-            save_figure(figure, options.figures / f"{name}.{options.format}")
     if options.json:
         say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
     else:
         print_tables(*evaluation_tables(found))
+    if options.figures:
+        drawings = {name: partial(metrics_figure, found, name) for name in PANELS}
+        if learned:
+            drawings["paths"] = partial(paths_figure, recordings, learned)
+        save_figures(drawings, options.figures, options.format)
 
 
 @command(
