@@ -103,6 +103,7 @@ def evaluate(options: argparse.Namespace) -> None:
 
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
+    from ms_highway.irl.prediction import check_peers
     from ms_highway.irl.recording import known_from
     from ms_highway.visualization.irl import PANELS, evaluation_tables, metrics_figure, paths_figure
 
@@ -112,6 +113,11 @@ def evaluate(options: argparse.Namespace) -> None:
     learned = reward.drivers if reward else None
     if reward and not learned:
         raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
+    if learned:
+        try:
+            check_peers(learned)
+        except ValueError as error:
+            raise ValueError(f"--theta {options.theta} cannot be used ({error})") from error
     recordings = read_recordings(options.data)
     known = known_from(recordings, reward.learned_from) if reward else []
     if known:

@@ -27,7 +27,16 @@ FORMAT = 1
 """Version of recorded data sets; `load_demonstrations` reads no other."""
 
 PROVENANCE = "ms_highway"  # key in the data set's metadata
-BROKEN = OSError, ValueError, LookupError, TypeError, AssertionError  # of Minari and HDF5
+BROKEN = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AssertionError,
+    AttributeError,  # of JSON that is no mapping
+    RuntimeError,  # of damaged HDF5
+)
+"""Errors of Minari and HDF5 for files that are damaged."""
 
 
 def record(

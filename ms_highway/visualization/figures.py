@@ -9,7 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import NullFormatter
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from ms_highway.envs.registry import controller_config, controller_settings, fixed_order_types, priced_types
 from ms_highway.envs.viewer import model_color
@@ -117,7 +118,9 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
         spot = axes.transAxes.inverted().transform(axes.transData.transform(place))  # as shares of the axes
         if all((np.abs(spot - other) > LABEL).any() for other in labelled):  # else labels would cover each other
             labelled.append(spot)
-            axes.annotate(f"{price:.3g}", tuple(place), xytext=(5, -11), textcoords="offset points", fontsize="x-small")
+            halo = [withStroke(linewidth=2, foreground="white")]  # over whiskers and markers
+            form = {"xytext": (5, -11), "textcoords": "offset points", "fontsize": "x-small"}
+            axes.annotate(f"{price:.3g}", tuple(place), path_effects=halo, **form)
 
 
 def episode_count(rows: pd.DataFrame) -> str:
@@ -265,6 +268,7 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
         above.plot(means[name], linewidth=1.6, **_marked_line(each, look))
     above.set(title=f"{title(scenario)}: computation along the episode", ylabel="planning + deciding [ms]")
     above.set_yscale("log")
+    above.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     above.yaxis.set_major_formatter(plain_ticks)
     above.yaxis.set_minor_formatter(NullFormatter())
     for name, panel in zip(choosing, panels, strict=True):

@@ -161,6 +161,19 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     assert {path.stem for path in tmp_path.glob("*.png")} == {"errors", "likelihood", "calibration"}
 
 
+def test_drivers_with_damaged_peers_are_refused_before_recordings_are_read(tmp_path, refused):
+    peers = DRIVERS.peers
+    damaged = structs.replace(peers["fitted_idm"], parameters={**peers["fitted_idm"].parameters, "braking": -1.0})
+    theta = tmp_path / "theta.json"
+    for wrong, message in (
+        ({**peers, "fitted_idm": damaged}, "drivers.peers.fitted_idm.parameters: braking is -1.0"),
+        ({"idm": peers["idm"]}, "drivers.peers lacks constant_velocity"),
+    ):
+        save(structs.replace(shipped("us101"), drivers=structs.replace(DRIVERS, peers=wrong)), theta)
+        line = refused(f"irl evaluate --theta {theta} --data nowhere")
+        assert f"{theta} cannot be used ({message}" in line
+
+
 def test_impossible_predictions_are_refused():
     with pytest.raises(ValueError, match=r"states are of shape \(4,\)"):
         ms_highway.predict([0.0, 0.0, 0.0, 20.0], LANES, 30.0)
