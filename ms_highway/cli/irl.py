@@ -156,7 +156,9 @@ def fit(options: argparse.Namespace) -> None:
     differences between drivers, their lane changes and the errors of predictions. `ms-highway irl evaluate` predicts
     with these.
 
-    --out gets weights, temperature, covariance, likelihoods, drivers and provenance.
+    Drivers that only stand, jump, drive backwards, were seen with a gap or are where another one is, are left out with
+    a warning. --out gets weights, temperature, covariance, likelihoods, drivers, provenance and fingerprints of the
+    recordings, by which `ms-highway irl evaluate` knows them again.
 
     Examples:
       ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
