@@ -5,7 +5,7 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from inspect import getdoc
@@ -224,10 +224,17 @@ def record(results: "ResultsDirectory", options: argparse.Namespace, computes: b
         warn(f"{options.out} was computed by other software ({differing} now); nothing is computed again")
 
 
-def save_figure(figure: "Figure", file: Path) -> None:
-    """Write a figure to a file, ``.png``, ``.pdf`` or ``.svg``."""
-    from ms_highway.runtime.files import replacing
-    from ms_highway.visualization.style import content
+def save_figures(figures: Mapping[str, "Callable[[], Figure]"], directory: Path, kind: str) -> None:
+    """Draw figures into files of a directory, ``NAME.png``, ``.pdf`` or ``.svg``.
 
-    with replacing(file) as path:
-        path.write_bytes(content(figure, file.suffix[1:]))
+    Results are to be on disk before. A figure that cannot be drawn or written is a warning.
+    """
+    from ms_highway.runtime.files import replacing
+    from ms_highway.visualization.style import drawn
+
+    for name, content in drawn(figures, kind).items():
+        try:
+            with replacing(directory / f"{name}.{kind}") as path:
+                path.write_bytes(content)
+        except OSError as error:
+            warn(error)

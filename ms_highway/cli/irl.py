@@ -1,10 +1,22 @@
 """Define the commands ``ms-highway irl ...``."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ms_highway.cli.console import command, count_episodes, number, option, output, print_tables, save_figure, say, tell
+from ms_highway.cli.console import (
+    command,
+    count_episodes,
+    number,
+    option,
+    output,
+    print_tables,
+    save_figures,
+    say,
+    tell,
+    warn,
+)
 from ms_highway.cli.options import FORMAT
 from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 
@@ -80,6 +92,8 @@ def evaluate(options: argparse.Namespace) -> None:
     With --figures, a directory gets figures of errors, likelihood and calibration and, with --theta, of the predicted
     and recorded paths of all drivers at one moment.
 
+    A warning says if FILE was learned from some of the same recordings.
+
     Examples:
       ms-highway irl evaluate --theta us101 --data recordings --figures results/us101
       ms-highway irl evaluate --theta us101 --data recordings --json
@@ -89,25 +103,40 @@ def evaluate(options: argparse.Namespace) -> None:
 
     from ms_highway.game.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
-    from ms_highway.visualization.irl import evaluation_figures, evaluation_tables, paths_figure
+    from ms_highway.irl.prediction import check_peers
+    from ms_highway.irl.recording import known_from
+    from ms_highway.visualization.irl import PANELS, evaluation_tables, metrics_figure, paths_figure
 
     if bool(options.theta) == bool(options.folds):
         raise ValueError("give either --theta FILE, to predict by, or --folds N, to learn and predict")
-    learned = named(options.theta).drivers if options.theta else None
-    if options.theta and not learned:
+    reward = named(options.theta) if options.theta else None
+    learned = reward.drivers if reward else None
+    if reward and not learned:
         raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
+    if learned:
+        try:
+            check_peers(learned)
+        except ValueError as error:
+            raise ValueError(f"--theta {options.theta} cannot be used ({error})") from error
     recordings = read_recordings(options.data)
+    known = known_from(recordings, reward.learned_from) if reward else []
+    if known:
+        warn(
+            f"{options.theta} was learned from {len(known)} of these {len(recordings)} recordings: errors of learned "
+            "drivers and of the fitted IDM are smaller than for new drivers; --folds 4 instead of --theta predicts only"
+            " drivers that were not learned from"
+        )
     found = evaluate(recordings, learned, parts=options.folds, progress=tell)
-    if options.figures:
-        figures = evaluation_figures(found)
-        if learned:
-            figures["paths"] = paths_figure(recordings, learned)
-        for name, figure in figures.items():
-            save_figure(figure, options.figures / f"{name}.{options.format}")
+    found = msgspec.structs.replace(found, learned_from=len(known))
     if options.json:
         say(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
     else:
         print_tables(*evaluation_tables(found))
+    if options.figures:
+        drawings = {name: partial(metrics_figure, found, name) for name in PANELS}
+        if learned:
+            drawings["paths"] = partial(paths_figure, recordings, learned)
+        save_figures(drawings, options.figures, options.format)
 
 
 @command(
@@ -127,7 +156,9 @@ def fit(options: argparse.Namespace) -> None:
     differences between drivers, their lane changes and the errors of predictions. `ms-highway irl evaluate` predicts
     with these.
 
-    --out gets weights, temperature, covariance, likelihoods, drivers and provenance.
+    Drivers that only stand, jump, drive backwards, were seen with a gap or are where another one is, are left out with
+    a warning. --out gets weights, temperature, covariance, likelihoods, drivers, provenance and fingerprints of the
+    recordings, by which `ms-highway irl evaluate` knows them again.
 
     Examples:
       ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json

@@ -14,7 +14,7 @@ from ms_highway.cli.console import (
     option,
     print_tables,
     record,
-    save_figure,
+    save_figures,
     say,
     warn,
 )
@@ -58,7 +58,8 @@ def compare(options: argparse.Namespace) -> None:
 
     Episodes run on two cores if there are two. Results go to --out: steps.csv (a row per step; before all episodes have
     ended, a file per episode in parts), summary.csv, and the figures SCENARIO_bars (SCENARIO_curve, reward against
-    computation, for three lambdas or more), SCENARIO_timeline and SCENARIO_decisions; settings.json and provenance.json
+    computation, for three lambdas or more), SCENARIO_reward (reward along the episode, with 90 % intervals),
+    SCENARIO_timeline and SCENARIO_decisions; settings.json and provenance.json
     say how they were made. The same command with the same --out resumes a comparison that was stopped; more controllers
     or scenarios are added to it. If a module of --import or a file that a controller names has changed since, it is
     refused. `ms-highway report` makes a page of the results.
@@ -97,8 +98,9 @@ def compare(options: argparse.Namespace) -> None:
         print_tables(*(table(own, scenario) for scenario in asked.controllers))
         write_table(results.summaries, options.out / "summary.csv")
         for scenario in asked.controllers:
-            for name, draw in figures(results.records, results.summaries, scenario).items():
-                save_figure(draw(), options.out / f"{scenario}_{name}.{options.format}")
+            drawings = figures(results.records, results.summaries, scenario)
+            named = {f"{scenario}_{name}": draw for name, draw in drawings.items()}
+            save_figures(named, options.out, options.format)
     say(f"results are in {options.out}")
 
 
@@ -198,6 +200,6 @@ def sweep(options: argparse.Namespace) -> None:
         (scenario,) = asked.controllers
         summaries = summary(read_episodes(out, asked, options.part))
         write_table(summaries, out / "summary.csv")
-        save_figure(curve(summaries, scenario), out / f"{scenario}_curve.{options.format}")
         print_tables(table(summaries, scenario))
+        save_figures({f"{scenario}_curve": partial(curve, summaries, scenario)}, out, options.format)
     say(f"results are in {out}")

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 
 from ms_highway.cli.console import (
@@ -11,7 +12,7 @@ from ms_highway.cli.console import (
     output,
     print_tables,
     record,
-    save_figure,
+    save_figures,
     say,
     tell,
     warn,
@@ -41,7 +42,7 @@ KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_err
     "report",
     "make a page of a comparison",
     option("directory", "of `ms-highway compare`", type=Path, metavar="DIR"),
-    output("--out", "an .html file (default: report.html in DIR)", ".html"),
+    output("--out", "an .html file (default: report.html in DIR), or a .tex file for the tables only", ".html", ".tex"),
     option("--videos", FILM, action=argparse.BooleanOptionalAction, default=True),
     option("--film-own", OWN, action="store_true"),
 )
@@ -50,16 +51,18 @@ def report(options: argparse.Namespace) -> None:
     with the answers in sentences. For each scenario, it has a table, a film of two controllers and figures; at its end
     are the settings, versions, machine and commands that made the results.
 
-    Results of others are safe to open: without --film-own, no code runs that they name.
+    Results of others are safe to open: without --film-own, no code runs that they name. With --out FILE.tex, only the
+    tables are written, as LaTeX with booktabs.
 
     Examples:
       ms-highway report results/compare
+      ms-highway report results/compare --out results.tex
       ms-highway report results/merger --no-videos --out merger.html
     """
     from ms_highway.envs.registry import of_package
     from ms_highway.experiments.summary import read_results
     from ms_highway.runtime.files import check_writable, replacing
-    from ms_highway.visualization.html_page import page
+    from ms_highway.visualization.html_page import latex_tables, page
     from ms_highway.visualization.video import check_format
 
     directory = options.directory
@@ -69,6 +72,11 @@ def report(options: argparse.Namespace) -> None:
     if results.missing:
         remedy = "start the same `ms-highway compare` again, and it resumes"
         warn(f"{directory} lacks {results.missing} episodes; {remedy}")
+    if out.suffix == ".tex":
+        with replacing(out) as path:
+            path.write_text(latex_tables(results), encoding="utf-8")
+        say(f"the tables are in {out}")
+        return
     if options.videos:
         try:
             check_format(Path("film.mp4"))
@@ -236,7 +244,8 @@ def frontier(options: argparse.Namespace) -> None:
                 behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
             write_table(orders, out / "orders.csv")
             write_table(behind, out / "regrets.csv")
-            save_figure(frontier(behind, scenario, options.seeds), out / f"{scenario}_frontier.{options.format}")
+            drawing = {f"{scenario}_frontier": partial(frontier, behind, scenario, options.seeds)}
+            save_figures(drawing, out, options.format)
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")

@@ -1,14 +1,20 @@
 """Hold learned parameters of drivers other than the reward: traits, lane changes and prediction errors."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Array, Finite, Positive, Structure, pytree
+from ms_highway.runtime.arrays import Array, Structure, pytree
 
 Scalar = float | Float[Array, "*drivers"]
+
+LARGEST = 1e30  # of learned numbers: they are computed with as float32
+Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0, le=LARGEST)]
 
 LEARNED = ("speed", "headway", "closing_speed", "lane_alignment", "direction", "comfort_steering")
 """Weights that are learned seconds ahead, relative to that of the comfort of acceleration."""
@@ -153,5 +159,5 @@ class LearnedDrivers(Drivers):
     """
 
     spread: Spread
-    deviations: dict[str, Finite]
+    deviations: dict[str, NotNegative]
     peers: dict[str, FittedPeer]

@@ -1,24 +1,27 @@
 """A learned reward and its file: weights, their covariance, and provenance."""
 
+from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.game.learned_drivers import LearnedDrivers
+from ms_highway.game.learned_drivers import Finite, LearnedDrivers, Positive
 from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
-from ms_highway.runtime.arrays import Positive, Published, Structure, read
+from ms_highway.runtime.arrays import Published, Structure, read
 from ms_highway.runtime.files import read_json, reading, write_json
 
 VERSION = 3
 """Version of the file format; files of others are refused."""
 
 REMEDY = "learn it again with `ms-highway irl fit`"
+
+Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 
 SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "learned from drivers on US-101"}
 """Name and description of the learned rewards in the package."""
@@ -44,21 +47,24 @@ class LearnedReward(Structure):
         provenance: data, groups of recordings, and versions of the software.
         tails: nu of `ms_highway.irl.maximum_entropy`, None for a normal distribution.
         drivers: what was learned seconds ahead; None from simulated demonstrations.
+        learned_from: the recordings that were learned from, as fingerprints of their content by group; empty in files
+            of earlier versions.
     """
 
     weights: dict[str, float]
     temperature: Positive
     learned: tuple[str, ...]
-    covariance: list[list[float]]
-    horizon: int
+    covariance: list[list[Finite]]
+    horizon: Annotated[int, msgspec.Meta(ge=1, le=10**9)]
     converged: bool
-    iterations: int
-    windows: int
-    log_likelihood: dict[str, float | None]
-    feature_counts: dict[str, dict[str, float]]
+    iterations: Count
+    windows: Count
+    log_likelihood: dict[str, Finite | None]
+    feature_counts: dict[str, dict[str, Finite]]
     provenance: dict[str, Any]
     tails: Positive | None = None
     drivers: LearnedDrivers | None = None
+    learned_from: dict[str, list[str]] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the reward.
@@ -67,13 +73,19 @@ class LearnedReward(Structure):
             ValueError: naming the problem.
         """
         linear_reward(self.weights, 1.0)
-        if set(self.learned) - set(self.weights) or set(self.model.names) != set(self.weights):
-            raise ValueError(f"the learned weights {self.learned} are not among the weights")
+        if unknown := sorted(set(self.learned) - set(self.weights)):
+            raise ValueError(f"learned has {', '.join(unknown)}, which is not among the weights")
+        RewardModel(self.learned, {name: self.weights[name] for name in self.weights if name not in self.learned})
         covariance, size = np.array(self.covariance, dtype=float), len(self.learned) + 1 + (self.tails is not None)
         if covariance.shape != (size, size) or not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
             raise ValueError(f"the covariance is no finite array of shape {(size, size)} with variances")
-        if self.horizon < 1 or set(self.feature_counts) != {"human", "model"}:
-            raise ValueError(f"the horizon is {self.horizon}, or the feature counts are not those of human and model")
+        if set(self.feature_counts) != {"human", "model"}:
+            raise ValueError(f"feature_counts are of {', '.join(self.feature_counts) or 'nobody'}, not human and model")
+        for who, counts in self.feature_counts.items():
+            if set(counts) != set(self.weights):
+                raise ValueError(f"feature_counts.{who} lacks or has unknown {_differing(counts, self.weights)}")
+        if set(self.log_likelihood) != {"train", "held_out"}:
+            raise ValueError("log_likelihood has other keys than train and held_out")
 
     @property
     def model(self) -> RewardModel:
@@ -85,6 +97,11 @@ class LearnedReward(Structure):
         """Return the 90 % interval of a learned weight."""
         index = self.learned.index(name)
         return log_normal_interval(self.weights[name], np.sqrt(self.covariance[index][index]))
+
+
+def _differing(names: Iterable[str], others: Iterable[str]) -> str:
+    """Return the names that are only in one of two collections."""
+    return ", ".join(sorted(set(names) ^ set(others)))
 
 
 def log_normal_interval(value: float, deviation: float) -> Float[np.ndarray, "2"]:

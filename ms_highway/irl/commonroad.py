@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ms_highway.geometry.curve import Curve
-from ms_highway.irl.recording import Recording
+from ms_highway.irl.recording import Recording, fingerprint
 from ms_highway.recorded.commonroad import read_scenario, scenario_files
 from ms_highway.recorded.network import fits
 from ms_highway.recorded.scenario import SPEED_LIMIT, Points, TrafficRecording
@@ -18,8 +18,8 @@ LANE_SPREAD = 0.5  # m, median deviation from the median offset between two lane
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
     """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
 
-    Every vehicle that drives in lanes is a driver, unless it was seen only once or drives against the road; all other
-    road users are only neighbours. Files cut from one recording, such as ``USA_US101-10_4_T-1`` and
+    Every vehicle that drives in lanes is a driver, unless it was seen only once or with a gap, or drives against the
+    road; all other road users are only neighbours. Files cut from one recording, such as ``USA_US101-10_4_T-1`` and
     ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in the first file that has it, and
     only a neighbour in the others.
 
@@ -45,6 +45,8 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     road, tracks = straight_road(scenario), scenario.tracks
     curve, lanes = _parallel_lanes(road.lines)
     states, drivers = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan), []
+    labels = [f"obstacle {track.number}" for track in tracks]
+    left_out = {}
     for car, track in enumerate(tracks):
         times, *_, orientation, speed = track.samples.T
         x, y = road.axes.positions(track.samples[:, 1:3]).T
@@ -53,11 +55,26 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
         identity = (scenario.group, track.number, *track.samples[0, 1:3].round(2))
         with_the_road = np.abs(np.median(heading)) < np.pi / 2
         if track.drives and len(times) > 1 and with_the_road and identity not in counted:
-            drivers.append(car)
             counted.add(identity)
+            if np.ptp(times) < len(times):
+                drivers.append(car)
+            else:
+                left_out[labels[car]] = f"was not seen at each step from {times[0]:g} to {times[-1]:g}"
     cars = np.array(drivers, dtype=int), np.array([track.size for track in tracks])
     width = float(np.median(np.diff(lanes))) if len(lanes) > 1 else road.lane_width
-    return Recording(scenario.name, scenario.group, states, *cars, lanes, width, SPEED_LIMIT)
+    content = fingerprint(np.concatenate([track.samples for track in tracks]))
+    return Recording(
+        scenario.name,
+        scenario.group,
+        states,
+        *cars,
+        lanes,
+        width,
+        SPEED_LIMIT,
+        labels=labels,
+        fingerprint=content,
+        left_out=left_out,
+    )
 
 
 def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:

@@ -19,7 +19,7 @@ from ms_highway.envs.viewer import check_display
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl import DRIVERS, TEMPERATURE
 from ms_highway.irl.demonstrator import DRIVER_WEIGHTS, maxent, seen_from
-from ms_highway.irl.recording import Recording
+from ms_highway.irl.recording import Recording, fingerprint
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import check_writable, naming
 
@@ -27,7 +27,16 @@ FORMAT = 1
 """Version of recorded data sets; `load_demonstrations` reads no other."""
 
 PROVENANCE = "ms_highway"  # key in the data set's metadata
-BROKEN = OSError, ValueError, LookupError, TypeError, AssertionError  # of Minari and HDF5
+BROKEN = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AssertionError,
+    AttributeError,  # of JSON that is no mapping
+    RuntimeError,  # of damaged HDF5
+)
+"""Errors of Minari and HDF5 for files that are damaged."""
 
 
 def record(
@@ -154,7 +163,8 @@ def _episode(name: str, observations: np.ndarray) -> Recording:
     game = demonstration_game()
     states, sizes = np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan), [game.scene.car_size] * tracks.shape[1]
     road = game.scene.lanes, game.scene.lane_width, game.robot.speed_limit
-    return Recording(name, name, states, np.array([0]), np.array(sizes), *road, measured=False)
+    content = fingerprint(tracks)
+    return Recording(name, name, states, np.array([0]), np.array(sizes), *road, measured=False, fingerprint=content)
 
 
 def _data_directory(dataset: str) -> Path:

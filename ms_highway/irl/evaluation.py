@@ -11,7 +11,7 @@ from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.scene import leaders
 from ms_highway.irl.mixture import Mixture, Steps, density_level, expected_path, log_density
 from ms_highway.irl.prediction import PREDICTORS, predict_with
-from ms_highway.irl.recording import Flags, Recording, folds
+from ms_highway.irl.recording import Flags, Recording, folds, usable_recordings
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.snapshots import AT, HORIZONS, Paths, Snapshots, cut_snapshots
 from ms_highway.runtime.process import Progress, silent
@@ -42,6 +42,7 @@ class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
         windows: number of predictions.
         tracks: number of drivers.
         folds: weights that were learned in each fold of a cross-validation.
+        learned_from: number of recordings that the drivers were learned from, or that may share drivers with these.
     """
 
     predictors: dict[str, dict[str, ByHorizon]]
@@ -49,6 +50,7 @@ class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
     windows: int
     tracks: int
     folds: Sequence[dict[str, Any]] = ()
+    learned_from: int = 0
 
 
 class Errors(NamedTuple):
@@ -109,6 +111,8 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate learned drivers on recordings; or cross-validate: learn from the other folds to predict each fold.
 
+    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning that names them.
+
     Args:
         recordings: all recordings; a cross-validation splits them by group, and so by driver.
         learned: the drivers; None for a cross-validation.
@@ -118,7 +122,7 @@ def evaluate(
     Raises:
         ValueError: if a peer is missing, a cross-validation has only one fold, or no driver was seen for long enough.
     """
-    snapshots = cut_snapshots(recordings)
+    snapshots = cut_snapshots(usable_recordings(recordings)[0])
     held_out = folds(snapshots.group, 1 if learned else parts)
     if not learned and len(held_out) < 2:
         raise ValueError(

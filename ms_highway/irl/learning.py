@@ -1,5 +1,6 @@
 """Learn a reward from recordings: cut them into segments, fit the weights, cross-validate, compare feature counts."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -8,15 +9,21 @@ from importlib.metadata import version
 import jax
 import numpy as np
 
-from ms_highway.game.dynamics import observe
+from ms_highway.game.dynamics import keep_velocity, observe
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS
 from ms_highway.irl.demonstrator import optimal
-from ms_highway.irl.maximum_entropy import Fit, differentiate, fit_weights, segment_log_likelihoods
-from ms_highway.irl.recording import Controls, Recording, folds
+from ms_highway.irl.maximum_entropy import (
+    DivergenceError,
+    Fit,
+    differentiate,
+    fit_weights,
+    segment_log_likelihoods,
+)
+from ms_highway.irl.recording import Controls, Flags, Recording, folds, listed, sources, usable_recordings
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.segments import Segments, cut_segments, driver_game, with_segment
 from ms_highway.irl.snapshots import cut_snapshots
@@ -26,6 +33,12 @@ from ms_highway.runtime.process import Progress, silent
 
 COMFORT_GIVEN = 0.1
 """Given comfort weight, which sets the scale of all others; small against the curvature of the published weights."""
+
+STEADY = 1e-4
+"""Controls that differ by less than this part of the planner's scale from those that keep the velocity are no choice.
+
+In SI units, this is 3 mm/s^2; recorded accelerations waver by more than 100.
+"""
 
 SIMULATED = RewardModel(
     SIMULATED_WEIGHTS, {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)}
@@ -51,6 +64,10 @@ def learn_reward(
 ) -> LearnedReward:
     """Learn a reward from all drivers of the recordings; from measured recordings, also learn drivers seconds ahead.
 
+    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning that names them. Where a driver
+    never steers or never changes its speed, its controls are exactly the best ones, and weights may grow without bound.
+    Only if they do, these segments are left out as well, with a warning.
+
     Args:
         recordings: the recordings to learn from.
         model: the weights to learn and those given.
@@ -60,15 +77,40 @@ def learn_reward(
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if no segment is regular, the weights diverge, a fit does not converge, or `learn_drivers` fails.
+        ValueError: if no driver is usable, no segment is regular, the weights diverge, a fit does not converge, or
+            `learn_drivers` fails.
     """
+    recordings, left_out = usable_recordings(recordings)
     progress("cutting segments")
     segments = cut_segments(recordings, horizon)
     progress(f"differentiating {len(segments)} segments")
     derivatives = differentiate(segments, model.names)
     progress("fitting")
     real = recordings[0].measured
-    found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
+    labels = [f"{label} of {each.name}" for each in recordings for label in map(each.label, each.drivers)]
+    try:
+        found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
+    except DivergenceError as error:
+        steady = keeps_velocity(segments)
+        if not steady.any():
+            driver = labels[segments.driver[error.likeliest]]
+            raise ValueError(
+                f"the weights cannot be learned: {error.what} without bound, because the driving of {driver} fits them "
+                "perfectly; leave this driver out, learn fewer weights, or learn from more driving"
+            ) from error
+        names = list(dict.fromkeys(labels[driver] for driver in segments.driver[steady]))
+        if steady.all():
+            raise ValueError(
+                f"nothing can be learned from {listed(names)}: no driver ever steers, or none changes its speed"
+            ) from error
+        left_out |= dict.fromkeys(names, "has segments in which its speed or heading does not change at all")
+        warnings.warn(
+            f"{steady.sum()} of {len(segments)} segments are left out, in which the speed or the heading does not "
+            f"change at all ({listed(names)}): with them, {error.what} without bound",
+            stacklevel=2,
+        )
+        segments, derivatives = segments.of(~steady), derivatives.of(~steady)
+        found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
     held_out, parts = list[float](), folds(segments.group, validations)
     for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):
         progress(f"cross-validating, {number} of {len(parts)}")
@@ -93,10 +135,20 @@ def learn_reward(
             "groups": len({recording.group for recording in recordings}),
             "drivers": sum(len(recording.drivers) for recording in recordings),
             "versions": {package: version(package) for package in ("ms-highway", "jax", "numpy", "scipy")},
+            **({"left_out": left_out} if left_out else {}),
         },
         tails=found.tails,
         drivers=drivers,
+        learned_from=sources(recordings),
     )
+
+
+def keeps_velocity(segments: Segments) -> Flags:
+    """Return in which segments a driver keeps its speed, or its heading, exactly."""
+    game = driver_game(segments, {})
+    steady = jax.vmap(partial(keep_velocity, game.dynamics))(segments.start)[:, None]
+    deviations = np.abs(segments.controls - steady) / np.asarray(game.planner.control_scale)
+    return (deviations.max(axis=1) < STEADY).any(axis=-1)
 
 
 @jit_quickly

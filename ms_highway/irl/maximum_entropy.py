@@ -46,6 +46,7 @@ from ms_highway.runtime.jax_settings import double_precision
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, as two of them are a factor of 3000
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
 TOLERANCE = 1e-3  # largest slope of the loss, in any logarithm, of a fit that has converged
+LARGEST = 5 * PRIOR_SPREAD  # size of a logarithm beyond which a weight or the temperature diverges: a factor of 5e8
 TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
 
 
@@ -63,6 +64,23 @@ class FeatureDerivatives(Rows):
     features: Float[Any, "n names"]
     gradients: Float[Any, "n names d"]
     hessians: Float[Any, "n names d d"]
+
+
+class DivergenceError(ValueError):
+    """The likelihood has no maximum.
+
+    Attributes:
+        what: which weights grow, and whether the temperature grows or falls, without bound.
+        likeliest: number of the segment whose likelihood grows most.
+    """
+
+    def __init__(self, what: str, likeliest: int) -> None:
+        self.what = what
+        self.likeliest = likeliest
+        super().__init__(
+            f"the weights cannot be learned: {what} without bound, because some driving fits them perfectly; learn "
+            "fewer weights, or from more driving"
+        )
 
 
 @dataclass(frozen=True)
@@ -180,9 +198,11 @@ def fit_weights(
         drivers: number of each segment's driver, for the covariance; by default, all segments are independent.
 
     Raises:
-        ValueError: if the weights diverge, or the fit does not converge.
+        DivergenceError: if weights grow, or the temperature grows or falls, without bound.
+        ValueError: if the fit does not converge.
     """
     learned, remedy = len(model.learned), "learn fewer weights, or from more driving"
+    names = [*(f"the weight of {name}" for name in model.learned), "the temperature", "the number of the tails"]
     with double_precision():
         given = np.array([*model.given.values()], dtype=float)
         data = jax.device_put(derivatives), model.floor, model.signs(), given
@@ -191,18 +211,31 @@ def fit_weights(
             (value, _), slope = _loss(logarithms, *data)
             return float(value), np.asarray(slope)
 
+        first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
+
         def curvature(logarithms: Parameters) -> np.ndarray:
             hessian = slope_differences(lambda near: loss(near)[1], logarithms, DIFFERENCE)
-            if not np.isfinite(hessian).all():
-                raise ValueError(f"the weights diverge, at {model.weights(logarithms)}; {remedy}")
+            up = [
+                f"{name} grows"
+                for name, value in zip(names, logarithms[: learned + 1], strict=False)
+                if value > LARGEST
+            ]
+            down = ["the temperature falls"] * bool(logarithms[learned] < -LARGEST)
+            if up or down or not np.isfinite(hessian).all():
+                inside = np.clip(logarithms, -LARGEST, LARGEST)  # where likelihoods are finite
+                (_, before), (_, after) = (_loss(place, *data)[0] for place in (first, inside))
+                steepest = f"{names[np.abs(logarithms).argmax()]} changes"
+                raise DivergenceError(
+                    " and ".join([*up, *down] or [steepest]), int(np.nan_to_num(after - before).argmax())
+                )
             return hessian
 
-        first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
         found = optimize.minimize(loss, first, jac=True, hess=curvature, method="trust-exact", options=TRUST_REGION)
         best, weights, hessian = found.x, model.weights(found.x), curvature(found.x)
         (_, likelihoods), slope = _loss(best, *data)
         if np.abs(slope).max() >= TOLERANCE:
-            raise ValueError(f"the fit has not converged after {found.nit} iterations, at {weights}; {remedy}")
+            far = f"{names[np.abs(slope).argmax()]} still changes after {found.nit} iterations"
+            raise ValueError(f"the fit has not converged: {far}; {remedy}")
         covariance = np.linalg.pinv(len(derivatives) * (hessian + hessian.T) / 2, hermitian=True)
         if drivers is not None:
             covariance = grouped_covariance(covariance, np.asarray(_segment_scores(best, *data)), drivers)

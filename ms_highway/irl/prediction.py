@@ -17,7 +17,7 @@ from jax import numpy as jnp
 from msgspec import structs
 
 from ms_highway.game.dynamics import coast
-from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers
+from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers, NotNegative, Positive
 from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.game.scene import Leader
 from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
@@ -36,7 +36,7 @@ from ms_highway.planning.learned_driving import (
 )
 from ms_highway.planning.manoeuvres import idm_acceleration
 from ms_highway.runtime import retired
-from ms_highway.runtime.arrays import Finite, Scalar, Structure, pytree, read
+from ms_highway.runtime.arrays import Scalar, Structure, pytree, read
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 
 NEARNESS = 30.0  # m, gap at which the speed of a leader counts 1 / e as much when lanes are compared
@@ -70,15 +70,15 @@ class IdmParameters(Structure):
         margin: how far beyond the lane's edge the centre of a leader may be [m].
     """
 
-    speed: Finite
-    headway: Finite
-    gap: Finite
-    acceleration: Finite
-    braking: Finite
-    settling: Finite
-    steering: Finite
-    lengths: Finite = 1.0
-    margin: Finite = 0.0
+    speed: NotNegative
+    headway: NotNegative
+    gap: NotNegative
+    acceleration: Positive
+    braking: Positive
+    settling: Positive
+    steering: Positive
+    lengths: NotNegative = 1.0
+    margin: NotNegative = 0.0
 
 
 HIGHWAY_ENV_IDM = IdmParameters(0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0)
@@ -109,6 +109,23 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
         return Mixture(predict_drivers(snapshots, learned), learned.spread)
     peer = learned.peers[name]
     return Mixture(predict_peer(name, snapshots, peer.parameters), peer.spread)
+
+
+def check_peers(learned: LearnedDrivers) -> None:
+    """Check that all peers are there, with parameters that they can have.
+
+    Raises:
+        ValueError: naming the peer and the parameter.
+    """
+    for name in PREDICTORS:
+        if name != "model" and name not in learned.peers:
+            raise ValueError(f"drivers.peers lacks {name}; learn the reward again with `ms-highway irl fit`")
+    for name, peer in learned.peers.items():
+        if peer.parameters:
+            try:
+                read(peer.parameters, IdmParameters)
+            except ValueError as error:
+                raise ValueError(f"drivers.peers.{name}.parameters: {error}") from error
 
 
 def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) -> Modes:

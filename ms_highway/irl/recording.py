@@ -4,10 +4,12 @@ In lane coordinates, x runs along the road, y is the distance to the right of th
 are relative to the road's direction. Recorded roads are then straight, like those of `ms_highway.game.scene`.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import accumulate
+from hashlib import sha256
+from itertools import accumulate, chain
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -41,6 +43,14 @@ ACCELERATION = 4.0  # m/s^2, along the road
 HEADING = 0.2  # rad, at the start
 CURVATURE = 0.02  # 1/m
 
+# Cars whose recorded driving says nothing, see `usable`
+STANDS = 1.0  # m, extent of all positions of a car that only stands: five standard deviations of their errors
+SLOWEST = 0.5  # m/s, mean speed below which such a car stands; others were only seen for too few steps
+JUMP = 4.0  # m, change of velocity in a step of 0.1 s: 400 m/s^2; real recordings have changes of up to 1.6 m
+BACKWARDS = -0.5  # m/s
+SAME_PLACE = 0.01  # m, between the centres of two cars that are one
+SHOWN = 3  # names in a warning
+
 CURVATURE_LIMIT = 0.2  # 1/m, with the front wheels turned by 45 degrees
 ROUNDS = 2  # in each, speeds are fitted for the last headings, then headings for these speeds; one is nearly enough
 
@@ -59,6 +69,9 @@ class Recording:
         lane_width: width of a lane [m].
         speed_limit: of the road [m/s].
         measured: whether states were measured, with noise; otherwise they were simulated.
+        labels: name of each car in the source, for messages; by default, cars are numbered.
+        fingerprint: of the source's content, by which it is known again under another name; empty if it is not known.
+        left_out: reasons why cars are no drivers although they drive, by their labels.
     """
 
     name: str
@@ -70,6 +83,9 @@ class Recording:
     lane_width: float
     speed_limit: float
     measured: bool = True
+    labels: Sequence[str] = ()
+    fingerprint: str = ""
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that states have three axes, and that every driver was seen without a gap, at two times or more.
@@ -83,12 +99,42 @@ class Recording:
             times = np.flatnonzero(self.seen[:, car])
             if len(times) < 2 or np.ptp(times) >= len(times):
                 steps = f"{len(times)} steps, not at two or more without a gap; leave it out of the drivers"
-                raise ValueError(f"{self.name}: car {car} is finite at {steps}")
+                raise ValueError(f"{self.name}: {self.label(car)} is finite at {steps}")
+
+    def label(self, car: int) -> str:
+        """Return the name of a car for messages."""
+        return self.labels[car] if self.labels else f"car {car}"
 
     @cached_property
     def seen(self) -> CarFlags:
         """Whether each car was seen at each time [times, cars]."""
         return np.isfinite(self.states).all(axis=-1)
+
+
+def fingerprint(numbers: np.ndarray) -> str:
+    """Return a short text that is the same only for the same numbers, to a thousandth."""
+    rounded = np.round(np.asarray(numbers, dtype=float) * 1000).astype(np.int64)
+    return sha256(rounded.tobytes()).hexdigest()[:16]
+
+
+def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
+    """Return the fingerprints of recordings by their group, as files of learned rewards keep them."""
+    found: dict[str, list[str]] = {}
+    for recording in recordings:
+        found.setdefault(recording.group, []).append(recording.fingerprint)
+    return found
+
+
+def known_from(recordings: Sequence[Recording], learned_from: Mapping[str, Sequence[str]]) -> list[Recording]:
+    """Return those recordings whose drivers may be among those that were learned from, given their `sources`.
+
+    A recording may share drivers with one of the same content or, if they were measured, of the same group. Simulated
+    episodes have the same groups in all data sets.
+    """
+    contents = set(chain(*learned_from.values())) - {""}
+    return [
+        each for each in recordings if each.fingerprint in contents or (each.measured and each.group in learned_from)
+    ]
 
 
 def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, int, Vector]]:
@@ -110,6 +156,83 @@ def folds(groups: Numbers, number: int) -> list[Flags]:
     """Return which rows each fold holds out, given their group numbers; every group is held out once."""
     names = np.unique(groups)
     return [np.isin(groups, held_out) for held_out in np.array_split(names, min(number, len(names)))]
+
+
+def usable(recording: Recording) -> Recording:
+    """Return the recording without drivers whose driving is impossible or says nothing; they are in ``left_out``.
+
+    They remain as neighbours, except that one of two cars that are always in the same place disappears.
+    """
+    states = recording.states.copy()
+    reasons = dict(recording.left_out)
+
+    # Two cars that are always in the same place are one car: the second hides the road from the first.
+    for first, second in _duplicates(recording):
+        states[:, second] = np.nan
+        reasons[recording.label(second)] = f"is always where {recording.label(first)} is"
+
+    for car in recording.drivers:
+        label = recording.label(car)
+        reason = _unusable(recording.states[recording.seen[:, car], car], recording.measured)
+        if reason and label not in reasons:
+            reasons[label] = reason
+    drivers = [car for car in recording.drivers if recording.label(car) not in reasons]
+    return replace(recording, states=states, drivers=np.array(drivers, dtype=int), left_out=reasons)
+
+
+def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], dict[str, str]]:
+    """Return the `usable` recordings, and the reasons for which drivers are left out, of which a warning is given.
+
+    Raises:
+        ValueError: if no driver is left.
+    """
+    kept = [usable(recording) for recording in recordings]
+    left_out = {f"{label} of {each.name}": why for each in kept for label, why in each.left_out.items()}
+    told = listed([f"{label}, which {why}" for label, why in left_out.items()])
+    if not any(len(recording.drivers) for recording in kept):
+        raise ValueError(f"the recordings have no driver{f' but {told}' if told else ''}; give more recordings")
+    if told:
+        warnings.warn(
+            f"{len(left_out)} {'driver is' if len(left_out) == 1 else 'drivers are'} left out: {told}", stacklevel=3
+        )
+    return kept, left_out
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names in one text, of which no more than the first `SHOWN` are given."""
+    more = [f"{len(names) - SHOWN} more"] if len(names) > SHOWN else []
+    return "; ".join([*names[:SHOWN], *more])
+
+
+def _unusable(states: States, measured: bool) -> str:
+    """Return why the states of a driver cannot be learned from; empty if they can."""
+    positions, seconds = states[:, :2], TIME_STEP * (len(states) - 1)
+    extent = np.ptp(positions, axis=0).max()
+    if extent < STANDS and extent < SLOWEST * seconds:
+        return "only stands"
+    if not measured:
+        return ""
+    velocities = np.diff(positions, axis=0)  # m in a step
+    changes = np.linalg.norm(np.diff(velocities, axis=0), axis=-1)
+    if np.max(changes, initial=0.0) > JUMP:
+        return f"jumps at step {2 + changes.argmax()} of its track"
+    if states[:, 3].min() < BACKWARDS:
+        return f"drives backwards, at {states[:, 3].min():.1f} m/s"
+    return ""
+
+
+def _duplicates(recording: Recording) -> Iterator[tuple[int, int]]:
+    """Yield each pair of cars that are in the same place whenever both are seen, if twice or more; drivers first."""
+    positions = np.where(recording.seen[..., None], recording.states[..., :2], np.nan)
+    order = [*recording.drivers, *np.setdiff1d(np.arange(positions.shape[1]), recording.drivers)]
+    gone = set[int]()
+    for place, first in enumerate(order):
+        for second in order[place + 1 :]:
+            apart = np.abs(positions[:, first] - positions[:, second]).max(axis=-1)
+            apart = apart[np.isfinite(apart)]
+            if not {first, second} & gone and len(apart) > 1 and apart.max() < SAME_PLACE:
+                gone.add(second)
+                yield int(first), int(second)
 
 
 class Rows:

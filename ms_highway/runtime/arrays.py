@@ -127,6 +127,7 @@ class Published(dict[str, Any]):
 # Structures of numbers, read from JSON
 
 MAX_NUMBER = 1e300
+LONGEST = 80  # characters of a wrong value that a message shows
 
 Finite = Annotated[float, msgspec.Meta(gt=-MAX_NUMBER, lt=MAX_NUMBER)]
 """A number that is neither infinite nor NaN."""
@@ -157,13 +158,52 @@ def read(content: Any, kind: type[Kind]) -> Kind:
     """Return the content of JSON as a structure.
 
     Raises:
-        ValueError: naming the place, the wanted and the found value.
+        ValueError: naming the place, the wanted and, if it is short, the found value.
     """
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
         problem, _, path = str(error).partition(" - at `$")
-        for key, place in re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0]):
-            content = content[key or int(place)]
-        found = "" if problem.startswith("Object") else f" is {shortened(content)}"
-        raise ValueError(f"{path.strip('.`') or 'it'}{found}: {problem}") from error
+        keys, found = _followed(content, path.rstrip("`"), lambda changed: _problem(changed, kind) == str(error))
+        shown = shortened(found)
+        hidden = problem.startswith("Object") or len(shown) > LONGEST
+        place = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
+        where = f"{place}: " if hidden else f"{place or 'it'} is {shown}: "
+        raise ValueError(f"{where if place or not hidden else ''}{problem}") from error
+
+
+def _problem(content: Any, kind: type) -> str:
+    """Return what is wrong with the content of a structure; empty if nothing is."""
+    try:
+        msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
+        return str(error)
+    return ""
+
+
+def _followed(content: Any, path: str, is_wrong: Callable[[Any], bool]) -> tuple[list[str | int], Any]:
+    """Follow a path of msgspec, in which ``[...]`` stands for any key of a mapping, to the value that is wrong.
+
+    Args:
+        content: what was to be read.
+        path: such as ``.peers[...].spread.along[1]``.
+        is_wrong: tells whether the same is wrong with a changed content.
+
+    Returns:
+        The keys on the way, and the value.
+    """
+    step = re.match(r"\.(\w+)|\[(\d+)\]|\[\.\.\.\]", path)
+    if not step:
+        return [], content
+    name, number = step.groups()
+    key: str | int = name or int(number or 0)
+    if not name and not number:  # the same is wrong if the mapping has no other key
+        key = next((each for each in content if is_wrong({each: content[each]})), next(iter(content)))
+
+    def with_part(part: Any) -> Any:
+        if isinstance(content, dict):
+            return {**content, key: part}
+        return [*content[: int(key)], part, *content[int(key) + 1 :]]
+
+    keys, found = _followed(content[key], path[step.end() :], lambda part: is_wrong(with_part(part)))
+    return [key, *keys], found

@@ -1,23 +1,27 @@
 """Draw the figures of a comparison from its records of steps and their summary, and those of a frontier."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from ms_highway.envs.registry import controller_config, controller_settings, fixed_order_types, priced_types
 from ms_highway.envs.viewer import model_color
 from ms_highway.experiments.comparison import common_seeds, models_of, one_episode
-from ms_highway.experiments.summary import choosing_controllers, most_informative_pair
+from ms_highway.experiments.summary import choosing_controllers, interval, most_informative_pair
 from ms_highway.game.scenario import title
 from ms_highway.planning.ladders import cheapest_first
-from ms_highway.visualization.style import choosing_shades, color_of, controller_colors, styled
+from ms_highway.visualization.style import Look, color_of, legend, looks, plain_ticks, short, styled
 
-SCHEDULE_COLOR, RANDOM_COLOR, FRONTIER_COLOR = "#8a93a5", "#2e8b57", "#c2185b"
+SCHEDULE_COLOR = "#8a93a5"
+FRONTIER_COLOR = "#c2185b"
 LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
 COUNTED = "planning per step, counted at T(M) [ms]"
 
@@ -47,7 +51,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
         _draw(axes, rows, measure)
         axes.set_xlabel(label)
     panels[0].set_ylabel("reward per step")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    legend(figure, *panels[0].get_legend_handles_labels())
     figure.suptitle(f"{title(scenario)}: reward against computation, {episode_count(rows)}")
     return figure
 
@@ -79,25 +83,32 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
     figure.suptitle(f"{title(scenario)}: the best orders of models, {starts} starts")
     searched = ", ".join(f"{price:g}" for price in found["price"])
     axes.set_title(f"diamonds, from the right: a second of planning costs {searched}", fontsize="small")
-    figure.legend(loc="outside lower center", ncols=3)
+    legend(figure, *axes.get_legend_handles_labels())
     return figure
 
 
 def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
-    """Draw the reward of online controllers, random ones and fixed models over a measure of computation."""
-    own_kinds = ["fixed", "random", *priced_types()]
-    shown = rows[rows["kind"].isin(own_kinds)].sort_values("price", kind="stable")
-    names = shown["controller"].str.replace(r"^(\w+):[^:]*", r"\1", regex=True)  # with the file of values, if any
-    for name, own in shown.groupby(names, sort=False):
+    """Draw the reward of all controllers but fixed orders over a measure of computation.
+
+    Controllers that differ only in lambda are joined by a line, and random ones have one label.
+    """
+    shown = rows[~rows["kind"].isin([*fixed_order_types(), "search"]) | (rows["kind"] == "fixed")]
+    look = looks(rows["controller"])
+    priced = shown["kind"].isin(priced_types())
+    without_lambda = shown["controller"].str.replace(r"^(\w+):[^:+]*", r"\1", regex=True)  # with the file, if any
+    series = shown["controller"].mask(priced, without_lambda).mask(shown["kind"] == "random", "random")
+    for name, own in shown.assign(series=series).groupby("series", sort=False):
+        first = look[own["controller"].iloc[0]]
         kind = own["kind"].iloc[0]
-        if kind == "fixed":
-            form, color, label = "s", color_of(str(name)), name
+        form: dict[str, Any] = {"marker": first.marker, "linestyle": "none", "label": first.label}
+        if kind in priced_types():
+            own = own.sort_values("price", kind="stable")
+            form |= {"linestyle": first.line, "label": f"{short(str(name))}, by lambda"}
         elif kind == "random":
-            form, color, label = "x", RANDOM_COLOR, kind
-        else:
-            form, color, label = "o-", choosing_shades(kind)[-1], f"{name}, by lambda"
-        reward, errors = own["reward"], whiskers(own)
-        axes.errorbar(own[measure], reward, errors, fmt=form, color=color, label=label, capsize=3, linewidth=1.2)
+            form |= {"marker": "x", "label": kind}
+        elif kind == "fixed":
+            form |= {"markersize": 9, "zorder": 1.9}  # seen around others in the same place
+        axes.errorbar(own[measure], own["reward"], whiskers(own), color=first.color, capsize=3, linewidth=1.2, **form)
     axes.margins(0.1)  # so that labels of points at the edges are inside
     axes.set_xlim(left=0)
     axes.grid()
@@ -107,7 +118,9 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
         spot = axes.transAxes.inverted().transform(axes.transData.transform(place))  # as shares of the axes
         if all((np.abs(spot - other) > LABEL).any() for other in labelled):  # else labels would cover each other
             labelled.append(spot)
-            axes.annotate(f"{price:.3g}", place, xytext=(5, -11), textcoords="offset points", fontsize="x-small")
+            halo = [withStroke(linewidth=2, foreground="white")]  # over whiskers and markers
+            form = {"xytext": (5, -11), "textcoords": "offset points", "fontsize": "x-small"}
+            axes.annotate(f"{price:.3g}", tuple(place), path_effects=halo, **form)
 
 
 def episode_count(rows: pd.DataFrame) -> str:
@@ -128,10 +141,12 @@ MAX_DECIDING = 2  # controllers whose decisions are drawn beside each other
 SMALL_GAIN = 0.01
 
 CAPTIONS = {
+    "reward": "Reward along the episode: the mean over episodes, with its 90 % interval at each step, "
+    "of the first eight controllers.",
     "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
-    "the hatched part is the time of deciding about the model.",
-    "timeline": "Computation along the episode, as the mean over episodes. Below, which model was in use at every step "
-    "of every episode of the controllers that choose it online.",
+    "the hatched part is the time of deciding about the model. Of more than eight controllers, the first are shown.",
+    "timeline": "Computation along the episode, as the mean over episodes, of the first eight controllers. Below, "
+    "which model was in use at every step of every episode of the controllers that choose it online.",
     "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
     "and deciding as measured. Whiskers are the 90 % intervals. Controllers that choose online are labelled by lambda. "
     "Where schedules were compared, a dashed line is the highest reward of fixed orders with at most this computation, "
@@ -146,7 +161,8 @@ CAPTIONS = {
 def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> dict[str, Callable[[], Figure]]:
     """Return functions that draw the figures of a scenario, by the names of `CAPTIONS`.
 
-    Reward and computation are a curve of all controllers if a kind has three lambdas, and bars otherwise. Decisions are
+    Reward and computation are a curve of all controllers if a kind has three lambdas, and bars otherwise. Bars, rewards
+    along the episode and timelines show the first `MAX_CONTROLLERS`. Decisions are
     those of two controllers that choose online, beside the best fixed model, from the first start that they share.
 
     Args:
@@ -160,6 +176,7 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
         found: dict[str, Callable[[], Figure]] = {"curve": partial(curve, summaries, scenario)}
     else:
         found = {"bars": partial(bars, rows[rows["controller"].isin(main)], scenario)}
+    found["reward"] = partial(rewards, records[records["controller"].isin(main)], scenario)
     found["timeline"] = partial(timeline, records[records["controller"].isin(main)], scenario)
     deciding = choosing_controllers(summaries, scenario)[:MAX_DECIDING]
     beside = [name for name in most_informative_pair(summaries, scenario) if name not in deciding][:1]
@@ -174,19 +191,61 @@ def figures(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> di
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
     """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
     rows = summaries.query("scenario == @scenario")
-    names = rows["controller"]
-    colors, figure = controller_colors(names), Figure(figsize=(10, 4))
+    look = looks(rows["controller"])
+    labels = [each.label for each in look.values()]
+    colors = [each.color for each in look.values()]
+    figure = Figure(figsize=(10, 4.4))
     left, right = figure.subplots(1, 2)
-    left.bar(names, rows["reward"], yerr=whiskers(rows), color=colors, capsize=4)
+    left.bar(labels, rows["reward"], yerr=whiskers(rows), color=colors, capsize=4)
     left.axhline(0, color="black", linewidth=0.8)
     left.set(title="reward", ylabel="mean reward per step")
-    right.bar(names, rows["planning_ms"], color=colors)
-    right.bar(names, rows["decision_ms"], bottom=rows["planning_ms"], fc="white", ec="black", hatch="///")
+    right.bar(labels, rows["planning_ms"], color=colors)
+    right.bar(labels, rows["decision_ms"], bottom=rows["planning_ms"], fc="white", ec="black", hatch="///")
     right.set(title="computation: planning, and deciding (hatched)", ylabel="mean time per step [ms]")
     for axes in (left, right):
-        axes.tick_params(axis="x", rotation=20)
+        axes.tick_params(axis="x", labelrotation=35, labelsize="small")
+        for label in axes.get_xticklabels():
+            label.set(horizontalalignment="right", rotation_mode="anchor")
     figure.suptitle(f"{title(scenario)}: {episode_count(rows)}")
     return figure
+
+
+@styled
+def rewards(records: pd.DataFrame, scenario: str) -> Figure:
+    """Draw the reward along the episode of each controller: the mean over episodes, with its 90 % interval.
+
+    The interval at a step is by Student's t over the episodes that have this step; a single episode has none. The axis
+    ends at the smallest and the largest reward, and cuts off what intervals of few episodes have beyond.
+
+    Args:
+        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`.
+        scenario: its name.
+    """
+    rows = records.query("scenario == @scenario")
+    look = looks(rows["controller"].unique())
+    figure = Figure(figsize=(10, 4.8))
+    axes = figure.subplots()
+    for name, each in look.items():
+        by_step = rows[rows["controller"] == name].groupby("step")["reward"]
+        mean = by_step.mean()
+        ends = [interval(own) for _, own in by_step]
+        axes.plot(mean.index, mean, linewidth=1.8, **_marked_line(each, look))
+        axes.fill_between(mean.index, *np.transpose(ends), color=each.color, alpha=0.2, linewidth=0)
+    least = rows["reward"].min()
+    most = rows["reward"].max()
+    room = 0.05 * max(most - least, SMALL_GAIN)
+    axes.set(xlabel="step (0.1 s)", ylabel="reward per step", ylim=(least - room, most + room))
+    axes.grid()
+    axes.set_title(f"{title(scenario)}: reward along the episode, mean and 90 % interval")
+    legend(figure, *axes.get_legend_handles_labels())
+    return figure
+
+
+def _marked_line(own: Look, every: Mapping[str, Look]) -> dict[str, Any]:
+    """Return how a controller's line over steps is drawn; the marks of all controllers are at different steps."""
+    place = [*every.values()].index(own)
+    marks = {"marker": own.marker, "markevery": (place, len(every)), "markersize": 5}
+    return {"color": own.color, "linestyle": own.line, "label": own.label, **marks}
 
 
 @styled
@@ -204,19 +263,24 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     figure = Figure(figsize=(10, 4 + 1.6 * len(choosing)))
     above, *panels = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
     means = rows.pivot_table("ms", "step", "controller")
-    for name, color in zip(names, controller_colors(names), strict=True):
-        above.plot(means[name], "-" if name in choosing else "--", color=color, label=name, linewidth=2)
+    look = looks(names)
+    for name, each in look.items():
+        above.plot(means[name], linewidth=1.6, **_marked_line(each, look))
     above.set(title=f"{title(scenario)}: computation along the episode", ylabel="planning + deciding [ms]")
     above.set_yscale("log")
+    above.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    above.yaxis.set_major_formatter(plain_ticks)
+    above.yaxis.set_minor_formatter(NullFormatter())
     for name, panel in zip(choosing, panels, strict=True):
         models = rows[rows["controller"] == name].pivot(index="seed", columns="step", values="model")
         panel.imshow(models.map(model_color).to_numpy().tolist(), aspect="auto", interpolation="nearest")
-        panel.set_title(name, loc="left", fontsize="medium")
+        panel.set_title(look[name].label, loc="left", fontsize="medium")
         panel.set(ylabel="episode", yticks=sorted({0, len(models) - 1}))
     figure.axes[-1].set_xlabel("step (0.1 s)")
     in_use = cheapest_first(rows.loc[rows["controller"].isin(choosing), "model"])
     used = [Patch(color=color_of(model), label=f"{model} in use") for model in in_use]
-    figure.legend(handles=[*above.lines, *used], loc="outside lower center", ncols=5)
+    handles = [*above.lines, *used]
+    legend(figure, handles, [str(handle.get_label()) for handle in handles])
     return figure
 
 
@@ -235,26 +299,28 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
     """
     figure = Figure(figsize=(10, 5))
     panels = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False, height_ratios=[1.2, 1])
-    legend = {}
+    shown = {}
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
         first, steps, rewards = episode.iloc[0], episode["step"], episode["reward"]
-        upper.set_title(f"{title(first['scenario'])}, {first['controller']}, seed {first['seed']}", fontsize="medium")
+        name = short(first["controller"])
+        upper.set_title(f"{title(first['scenario'])}, {name}, seed {first['seed']}", fontsize="medium")
         upper.set_yscale("symlog", linthresh=SMALL_GAIN)
+        upper.yaxis.set_major_formatter(plain_ticks)
         upper.axhline(0, color="black", linewidth=0.8)
         for name in models_of(episode.dropna(axis=1, how="all"), "gain"):
             style = {"color": color_of(name), "markersize": 4, "linewidth": 0.8}
-            legend[f"gain of switching to {name}"] = upper.plot(steps, episode[f"gain_{name}"], "o-", **style)[0]
+            shown[f"gain of switching to {name}"] = upper.plot(steps, episode[f"gain_{name}"], "o-", **style)[0]
         lower.plot(steps, rewards, color="black", linewidth=1.5)
         lower.set(xlabel="step (0.1 s)", xlim=(-0.5, len(steps) - 0.5))
         lower.set_title(f"mean reward {rewards.mean():.2f}", loc="right", fontsize="small")
         if reference is not None:
             (line,) = lower.plot(reference["step"], reference["reward"], ":", color="black")
-            legend[f"reward of {reference['controller'].iloc[0]}"] = line
+            shown[f"reward of {short(reference['controller'].iloc[0])}"] = line
         for axes in (upper, lower):
             for step, model in zip(steps, episode["model"], strict=True):
                 span = axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
-                legend[f"{model} in use"] = span
+                shown[f"{model} in use"] = span
     panels[0, 0].set_ylabel("estimated net gain")
     panels[1, 0].set_ylabel("reward per step")
-    figure.legend(legend.values(), legend, loc="outside lower center", ncols=4)
+    legend(figure, shown.values(), shown)
     return figure

@@ -1,4 +1,4 @@
-"""Make one page that shows a comparison, in one file that needs no other."""
+"""Make one page that shows a comparison, in one file that needs no other; and its tables in LaTeX."""
 
 import base64
 from typing import Any
@@ -12,9 +12,9 @@ from ms_highway.experiments.summary import Results, answer, most_informative_pai
 from ms_highway.game.scenario import title
 from ms_highway.runtime.process import Progress, silent
 from ms_highway.visualization import video
-from ms_highway.visualization.figures import CAPTIONS, figures
-from ms_highway.visualization.style import content
-from ms_highway.visualization.tables import cells
+from ms_highway.visualization.figures import CAPTIONS, episode_count, figures
+from ms_highway.visualization.style import drawn
+from ms_highway.visualization.tables import cells, latex
 
 UNSEEN = ("asked", "lengths")  # settings that say nothing about how results were made
 
@@ -35,8 +35,8 @@ def page(results: Results, videos: bool = True, progress: Progress = silent, own
     sections, summaries = [], results.summaries
     for scenario in results.scenarios:
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
-        drawn = figures(results.records, summaries, scenario)
-        pictures = {name: (_data("image/png", content(draw())), CAPTIONS[name]) for name, draw in drawn.items()}
+        contents = drawn(figures(results.records, summaries, scenario))
+        pictures = {name: (_data("image/png", content), CAPTIONS[name]) for name, content in contents.items()}
         sections.append(
             {
                 "title": title(scenario),
@@ -68,6 +68,16 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
         texts["published"] = [f"{one[0]:.2f}" if one else "" for one in published]
         texts["published ms"] = [f"{1e3 * one[1]:.0f}" if one else "" for one in published]
     return texts
+
+
+def latex_tables(results: Results) -> str:
+    """Return the table of each scenario of a comparison as LaTeX, with a caption and a label ``tab:SCENARIO``."""
+    tables = [r"% needs \usepackage{booktabs}"]
+    for scenario in results.scenarios:
+        rows = results.summaries.query("scenario == @scenario")
+        caption = f"{title(scenario)}: means per step, with 90 % intervals over episodes; {episode_count(rows)}."
+        tables.append(latex(results_table(results, scenario), caption, f"tab:{scenario}"))
+    return "\n".join(tables)
 
 
 def _film(results: Results, scenario: str, own: bool) -> dict | None:

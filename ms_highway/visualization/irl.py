@@ -17,7 +17,7 @@ from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.snapshots import HORIZONS, cut_snapshots
-from ms_highway.visualization.style import styled
+from ms_highway.visualization.style import legend, styled
 from ms_highway.visualization.tables import grid, texts
 
 STYLES = {
@@ -63,36 +63,46 @@ LEARNED = {
 """Columns of tables, see `ms_highway.visualization.tables.texts`."""
 
 
-@styled
 def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
-    """Draw metrics of all predictors against the horizon, a figure for each of `PANELS`.
+    """Draw metrics of all predictors against the horizon, a figure for each of `PANELS`, see `metrics_figure`."""
+    return {name: metrics_figure(evaluation, name) for name in PANELS}
+
+
+@styled
+def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
+    """Draw metrics of all predictors against the horizon.
 
     Calibration is the share of drivers in the predicted regions of 50, 90 and 99 %; the band is five percentage points
     to each side of the right share.
+
+    Args:
+        evaluation: the metrics.
+        name: of the figure, one of `PANELS`.
     """
-    figures = {}
-    for figure_name, labels in PANELS.items():
-        figures[figure_name] = figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2))
-        panels = figure.subplots(1, len(labels), squeeze=False)[0]
-        for axes, (kind, label) in zip(panels, labels.items(), strict=True):
-            for name, predictor in PREDICTORS.items():
-                color, marker = STYLES[name]
-                values = evaluation.predictors[name][kind]
-                axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=predictor)
-            axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
-            axes.grid(axis="y")
-            if kind.startswith("inside"):
-                share = int(kind.split()[1]) / 100
-                axes.axhline(share, color=RECORDED, linewidth=1, linestyle="--")
-                axes.axhspan(share - NEAR, min(share + NEAR, 1.0), color="#f1f2f4", zorder=0)
-            if kind not in ("fde", "log_p"):
-                axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    left, right = figures["errors"].axes
-    left.set_ylim(0, 1.15 * max(evaluation.predictors["constant_velocity"]["fde"].values()))  # without IDM's
-    right.set_ylim(bottom=0)
-    figures["errors"].suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
-    return figures
+    labels = PANELS[name]
+    figure = Figure(figsize=(2.5 + 3 * len(labels), 4.2))
+    panels = figure.subplots(1, len(labels), squeeze=False)[0]
+    for axes, (kind, label) in zip(panels, labels.items(), strict=True):
+        for predictor, title in PREDICTORS.items():
+            color, marker = STYLES[predictor]
+            values = evaluation.predictors[predictor][kind]
+            axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=title)
+        axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
+        axes.grid(axis="y")
+        if kind.startswith("inside"):
+            share = int(kind.split()[1]) / 100
+            axes.axhline(share, color=RECORDED, linewidth=1, linestyle="--")
+            axes.axhspan(share - NEAR, min(share + NEAR, 1.0), color="#f1f2f4", zorder=0)
+        if kind not in ("fde", "log_p"):
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    legend(figure, *panels[0].get_legend_handles_labels())
+    if name == "errors":
+        left, right = panels
+        kept = evaluation.predictors["constant_velocity"]["fde"]
+        left.set_ylim(0, 1.15 * max(kept.values()))  # without IDM's
+        right.set_ylim(bottom=0)
+        figure.suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
+    return figure
 
 
 @styled
@@ -130,7 +140,7 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
         lines[0].set_label(PREDICTORS.get(name, name))
     axes.set(xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1))
     axes.invert_yaxis()  # the driver's left is up
-    figure.legend(loc="outside lower center", ncols=len(paths))
+    legend(figure, *axes.get_legend_handles_labels())
     return figure
 
 

@@ -1,35 +1,72 @@
-"""The style of figures, their files, and the colours of videos for Matplotlib."""
+"""The style of figures, how controllers look in them, their files, and the colours of videos for Matplotlib."""
 
 import io
-from collections.abc import Iterable, Iterator
-from itertools import cycle
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
-from matplotlib import rc_context
+from matplotlib import style
 from matplotlib.figure import Figure
 
-from ms_highway.envs.registry import controller_config, priced_types
+from ms_highway.envs.registry import controller_config
 from ms_highway.envs.viewer import model_color
 from ms_highway.planning.ladders import is_model
 
 SHADES = {
-    "switching": ["#3d4450", "#8a93a5", "#b9c0cc", "#1b1f27"],
-    "learned": ["#7d52c9", "#a98be0", "#cfc0ee", "#5a35a0"],
+    "switching": ("#3d4450", "#8a93a5", "#1b1f27", "#b9c0cc"),
+    "learned": ("#7d52c9", "#a98be0", "#5a35a0", "#cfc0ee"),
+    "random": ("#2e8b57", "#7cbf98", "#1c5736", "#b5dcc5"),
+    "schedule": ("#8a6d3b", "#bda273", "#5c4724", "#dbcba8"),
+    "period": ("#b8433a", "#dc8b84", "#7d2a23", "#eec2be"),
+    "budget": ("#1f5fbf", "#6f9be0", "#143f80", "#b3cbf0"),
+    "nearest": ("#d9822b", "#ecb27a", "#985717", "#f5d6b5"),
+    "driver": ("#a0522d", "#c98a6c", "#6e371d", "#e3c0ae"),
+    "agent": ("#556b2f", "#93a86c", "#37461d", "#c6d2ae"),
 }
-OTHER_SHADES = ["#12908e", "#62bcb9", "#a9dad8", "#0b6462"]
+"""Shades of a colour for the controllers of each type, besides fixed models."""
+
+OTHER_SHADES = ("#12908e", "#62bcb9", "#0b6462", "#a9dad8")
+VARIANTS = (1.0, 0.55, 1.4, 0.3)  # of a model's colour: above 1 darker, below 1 mixed with white
+
+LINES = ("-", "--", ":", "-.")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 DPI = 160
+LABEL_LENGTH = 28  # characters, to which names are shortened in figures
+LETTER, HANDLE = 0.085, 0.6  # in, width of a letter and of a line with its spaces in legends
 
-styled = rc_context(
-    {
-        "axes.axisbelow": True,
-        "axes.spines.right": False,
-        "axes.spines.top": False,
-        "figure.constrained_layout.use": True,
-        "grid.color": "#eeeeee",
-        "legend.frameon": False,
-    }
-)
-"""Decorator of functions that draw a figure: a light grid, no frame above and to the right."""
+OWN = {
+    "axes.axisbelow": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "figure.constrained_layout.use": True,
+    "grid.color": "#eeeeee",
+    "legend.frameon": False,
+    "pdf.fonttype": 42,  # TrueType, which publishers accept
+    "text.parse_math": False,  # names of controllers, files and scenarios are texts, whatever they contain
+}
+styled = style.context(["default", OWN])
+"""Decorator of functions that draw a figure: a light grid, no frame above and to the right.
+
+Figures do not depend on the user's ``matplotlibrc``, such as its ``text.usetex``, and no text in them is mathematics.
+"""
+
+
+class Look(NamedTuple):
+    """How a controller looks in figures.
+
+    Attributes:
+        color: of its line, bar or points.
+        line: style of its line.
+        marker: of its points.
+        label: its name, shortened.
+    """
+
+    color: str
+    line: str
+    marker: str
+    label: str
 
 
 def color_of(model: str) -> str:
@@ -37,24 +74,89 @@ def color_of(model: str) -> str:
     return "#{:02x}{:02x}{:02x}".format(*model_color(model))
 
 
-def choosing_shades(kind: str) -> list[str]:
-    """Return shades of a colour for controllers of a kind that choose models online; the last one is for lines."""
+def looks(controllers: Iterable[str]) -> dict[str, Look]:
+    """Return how each controller looks, by its name: no two have the same label, or the same colour, line and marker.
+
+    A fixed model has its colour in videos, and other controllers a shade of the colour of their type. A controller
+    looks the same in all figures whose controllers begin with the same ones.
+    """
+    found: dict[str, Look] = {}
+    labels = Counter[str]()
+    alike = Counter[tuple[str, ...]]()
+    used = set[tuple[str, str, str]]()
+    for name in dict.fromkeys(controllers):
+        shades = _shades(name)
+        color = shades[alike[shades] % len(shades)]
+        alike[shades] += 1
+
+        # The next line and marker that nobody of this colour has; of hundreds of controllers, some look alike
+        pairs = len(LINES) * len(MARKERS)
+        places = range(len(found), len(found) + pairs)
+        forms = [(color, LINES[place % len(LINES)], MARKERS[place % len(MARKERS)]) for place in places]
+        form = next((form for form in forms if form not in used), forms[0])
+        used.add(form)
+
+        label = short(name)
+        labels[label] += 1
+        found[name] = Look(*form, f"{label} ({labels[label]})" if labels[label] > 1 else label)
+    return found
+
+
+def _shades(name: str) -> tuple[str, ...]:
+    """Return the shades for a controller and those like it."""
+    config = controller_config(name)
+    kind = config["type"]
+    model = config.get("model", "")
+    if kind == "fixed" and is_model(model):
+        base = model_color(model)
+        return tuple(_variant(base, strength) for strength in VARIANTS)
     return SHADES.get(kind, OTHER_SHADES)
 
 
-def controller_colors(controllers: Iterable[str]) -> list[str]:
-    """Return the model's colour for a fixed model, shades of its kind's colour for an online choice, else greys."""
-    colors, left = [], dict[str, Iterator[str]]()
-    for name in controllers:
-        kind = controller_config(name)["type"]
-        shades = left.setdefault(kind, cycle(choosing_shades(kind if kind in priced_types() else "switching")))
-        colors.append(color_of(name) if is_model(name) else next(shades))
-    return colors
+def _variant(color: Sequence[int], strength: float) -> str:
+    """Return a colour mixed with white, by a strength below 1, or darkened, by one above 1."""
+    if strength > 1:
+        parts = [round(part / strength) for part in color]
+    else:
+        parts = [round(255 - strength * (255 - part)) for part in color]
+    return "#{:02x}{:02x}{:02x}".format(*parts)
 
 
+def short(name: str) -> str:
+    """Return a name as a label without the middle of long names; legends would hide one that begins with _."""
+    half = LABEL_LENGTH // 2
+    label = name if len(name) <= LABEL_LENGTH else f"{name[: half - 1]}…{name[-half:]}"
+    return f" {label}" if label.startswith("_") else label
+
+
+def legend(figure: Figure, handles: Iterable[Any], labels: Iterable[str]) -> None:
+    """Draw a legend below all axes, in as many columns as there is room for."""
+    texts = list(labels)
+    width = HANDLE + LETTER * max(map(len, texts))
+    columns = int(figure.get_figwidth() / width)
+    figure.legend(list(handles), texts, loc="outside lower center", ncols=min(max(columns, 1), len(texts)))
+
+
+def plain_ticks(value: float, _: int) -> str:
+    """Return the label of a tick on a logarithmic scale, such as 0.01, without mathematics."""
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}", 1) if value < 0 else f"{value:g}"
+
+
+@styled
 def content(figure: Figure, kind: str = "png") -> bytes:
     """Return the content of a figure's file: ``png``, ``pdf`` with fonts that publishers accept, or ``svg``."""
     written = io.BytesIO()
-    with rc_context({"pdf.fonttype": 42}):  # TrueType
-        figure.savefig(written, format=kind, dpi=DPI)
+    figure.savefig(written, format=kind, dpi=DPI)
     return written.getvalue()
+
+
+def drawn(figures: Mapping[str, Callable[[], Figure]], kind: str = "png") -> dict[str, bytes]:
+    """Return the contents of the figures' files, by name; a figure that cannot be drawn is left out, with a warning."""
+    found = {}
+    for name, draw in figures.items():
+        try:
+            found[name] = content(draw(), kind)
+        except Exception as error:  # results are whole without it, whatever fails
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            warnings.warn(f"the figure {name} is left out, as it cannot be drawn ({reason})", stacklevel=2)
+    return found

@@ -1,5 +1,6 @@
 """Make tables of texts: data frames that notebooks show as they are and commands print."""
 
+import re
 from collections.abc import Iterable, Mapping
 from string import Formatter
 from typing import Any
@@ -13,6 +14,18 @@ from ms_highway.experiments.comparison import models_of
 from ms_highway.experiments.summary import CONFIDENCE
 from ms_highway.planning.ladders import PAPER_MODELS
 from ms_highway.road.constants import MODELS
+
+LATEX = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "-": "{-}",  # two would be a dash
+}
+"""How characters are written in LaTeX that mean something there."""
 
 NAME_WIDTH = 32  # characters, to which longer names are shortened in print
 
@@ -111,6 +124,42 @@ def printed(table: pd.DataFrame, width: int) -> str:
     shown = table.rename(index=lambda name: name if len(name) <= NAME_WIDTH else f"{name[:15]}…{name[-16:]}")
     text = shown.to_string(line_width=width, sparsify=False)
     return "\n".join([table.attrs["title"], *(line.rstrip() for line in text.splitlines()), ""])
+
+
+def latex(table: pd.DataFrame, caption: str, label: str) -> str:
+    """Return a table of texts as LaTeX with the package ``booktabs``; the first column names the row.
+
+    Args:
+        table: the texts; all numbers are right-aligned.
+        caption: of the table.
+        label: by which a text refers to it.
+    """
+
+    def escaped(text: str) -> str:
+        return "".join(LATEX.get(character, character) for character in text)
+
+    def cell(text: str) -> str:
+        return re.sub(r"(?<![\w.])\{-\}(?=\d)", "$-$", escaped(text))
+
+    def line(cells: Iterable[str]) -> str:
+        return " & ".join(cells) + r" \\"
+
+    rows = [line([rf"\texttt{{{escaped(name)}}}", *map(cell, row)]) for name, *row in table.to_numpy()]
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{escaped(caption)}}}",
+        rf"\label{{{label}}}",
+        rf"\begin{{tabular}}{{l{'r' * (table.shape[1] - 1)}}}",
+        r"\toprule",
+        line(map(escaped, table.columns)),
+        r"\midrule",
+        *rows,
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+    return "\n".join([*lines, ""])
 
 
 def two_digits(value: float) -> str | None:

@@ -23,18 +23,22 @@ import imageio.v3 as imageio
 import pandas as pd
 import pytest
 from commands import run
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 
+import ms_highway
 from ms_highway.cli.main import main
 from ms_highway.cli.options import FORMATS
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
 from ms_highway.experiments.runner import run as run_comparison
 from ms_highway.experiments.summary import read_results
-from ms_highway.visualization.figures import curve, frontier
-from ms_highway.visualization.style import content
+from ms_highway.visualization.figures import curve, frontier, rewards
+from ms_highway.visualization.style import content, drawn, looks
 
 COMPARE = "compare stay_back --controllers naive naive switching:0.4 --seeds 2 --out"
-FIGURES = "bars", "timeline", "decisions"
+FIGURES = "bars", "reward", "timeline", "decisions"
+VALUES = Path(ms_highway.__file__).parent / "data" / "values.npz"
 KEPT = Path(__file__).parents[2] / "notebooks" / "results"
 
 
@@ -298,6 +302,74 @@ def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(
     assert not elements(html, "video")
     assert "<script" not in html
     assert [path.name for path in out.parent.iterdir()] == [out.name]
+
+
+def test_figures_do_not_fail_because_of_a_name_or_of_the_users_matplotlibrc(begun):
+    file = begun / r"$a_b^{c%d\e$#~&" / "values_$.npz"
+    file.parent.mkdir()
+    shutil.copy(VALUES, file)
+    odd = f"learned:1:{file}"
+    for name, written in {"steps.csv": odd, "settings.json": json.dumps(odd)[1:-1]}.items():
+        text = (begun / name).read_text()
+        (begun / name).write_text(text.replace("switching:0.4", written))
+    with rc_context({"text.usetex": True, "axes.formatter.use_mathtext": True, "font.family": "no such font"}):
+        run(f"report {begun} --no-videos")
+    images = elements((begun / "report.html").read_text(), "img")
+    assert [image["alt"].split(".")[0] for image in images] == [f"Stay Back, {name}" for name in FIGURES]
+    run(f"report {begun} --out {begun / 'tables.tex'}")
+    tex = (begun / "tables.tex").read_text()
+    assert r"/\$a\_b\textasciicircum{}\{c\%d\textbackslash{}e\$\#\textasciitilde{}\&/values\_\$.npz} & " in tex
+    rows = [line for line in tex.splitlines() if line.endswith(r" \\")]
+    assert len(rows) == 3
+    assert len({row.replace(r"\&", "").count("&") for row in rows}) == 1
+    assert r"90 \% interval" in rows[0]
+
+
+def test_a_figure_that_cannot_be_made_is_one_warning_and_the_results_are_whole(compared, begun, capsys):
+    (begun / "stay_back_reward.png").mkdir()
+    run(f"{COMPARE} {begun}")
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("ms-highway:"))
+    assert "stay_back_reward.png cannot be written" in line
+    assert {path.stem for path in begun.glob("stay_back_*.png") if path.is_file()} == {
+        f"stay_back_{name}" for name in FIGURES if name != "reward"
+    }
+    assert pd.read_csv(begun / "summary.csv").equals(pd.read_csv(compared / "summary.csv"))
+    broken = {"broken": lambda: Figure().subplots().plot([1, 2], [1]), "empty": Figure}
+    with pytest.warns(UserWarning, match="the figure broken is left out, as it cannot be drawn .ValueError"):
+        assert [*drawn(broken)] == ["empty"]
+
+
+def test_no_two_controllers_look_alike_or_have_the_same_label_and_legends_fit(tmp_path):
+    files = [tmp_path / folder / "values_of_computation.npz" for folder in ("first", "second")]
+    for file in files:
+        file.parent.mkdir()
+        shutil.copy(VALUES, file)
+    switching = [f"switching:{price}" for price in range(9)]
+    several = ["budget:10", "budget:20", "nearest:1", "nearest:2", "horizon:1", "random:naive=0.5,tom=0.5"]
+    names = [
+        "naive",
+        "turn",
+        "tom",
+        "tom+belief",
+        "tom@8",
+        *switching,
+        *several,
+        *(f"learned:1:{file}" for file in files),
+        "schedule:tom=6,naive",
+    ]
+    found = looks(names)
+    for parts in (lambda look: look[:3], lambda look: look.label):
+        assert len({parts(look) for look in found.values()}) == len(names)
+    assert looks(names[:8]) == {name: found[name] for name in names[:8]}
+    steps = pd.DataFrame(
+        [("merger", name, seed, step, 1.0 * seed) for name in names[-8:] for seed in (0, 1) for step in (0, 1)]
+    )
+    figure = rewards(steps.set_axis(["scenario", "controller", "seed", "step", "reward"], axis=1), "merger")
+    content(figure)
+    (legend,) = figure.legends
+    assert figure.bbox.x0 <= legend.get_window_extent().x0
+    assert legend.get_window_extent().x1 <= figure.bbox.x1
+    assert len(legend.get_texts()) == 8
 
 
 def test_curves_and_frontiers_are_written_in_every_format_and_are_not_empty():

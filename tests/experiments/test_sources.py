@@ -107,7 +107,7 @@ def test_results_are_refused_after_a_name_has_got_another_meaning(tmp_path, monk
     begin("mine", "naive")
     add_driver("mine", stays)
     begin("naive")
-    with pytest.raises(ValueError, match="results of mine in merger .* before the definition of mine changed"):
+    with pytest.raises(ValueError, match=r"results of mine in merger .* before the definition of mine changed"):
         begin("mine", "naive")
 
 

@@ -32,6 +32,11 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
         (lambda content: content.update(version=2), "of version 2, not 3"),
         (lambda content: content["weights"].update(speed=float("nan")), "the weight of speed is nan"),
         (lambda content: content["drivers"]["weights"].pop("headway"), "weights of drivers lack .* headway"),
+        (
+            lambda content: content["drivers"]["peers"]["idm"]["spread"]["along"].__setitem__(1, "far"),
+            r"\(drivers\.peers\.idm\.spread\.along\[1\] is 'far': Expected `float`, got `str`\)",
+        ),
+        (lambda content: content["feature_counts"]["human"].pop("speed"), "feature_counts.human lacks .* speed"),
     ],
 )
 def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(damage, message, tmp_path):
@@ -42,6 +47,46 @@ def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(damag
     path.write_text(json.dumps(content))
     with pytest.raises(ValueError, match=rf"theta\.json .*{message}.*ms-highway irl fit"):
         load(path)
+
+
+DAMAGES = None, "x", float("nan"), -(10.0**39), [], {"other": 1}, [[]]
+
+
+def places(content, *keys):
+    """All places in JSON content, of lists only the first."""
+    yield keys
+    parts = (
+        content.items() if isinstance(content, dict) else enumerate(content[:1]) if isinstance(content, list) else ()
+    )
+    for key, part in parts:
+        yield from places(part, *keys, key)
+
+
+def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_names_it(tmp_path):
+    """A tenth of all damages; texts for which any content is right, such as provenance, cannot be damaged."""
+    path = tmp_path / "theta.json"
+    save(shipped("us101"), path)
+    text = path.read_text()
+    free = "provenance", "learned_from"
+    damages = [
+        (keys, damage)
+        for keys in places(json.loads(text))
+        if keys and keys[0] not in free
+        for damage in DAMAGES
+        if damage is not None or keys[-1] not in ("drivers", "tails", "train", "held_out")
+    ]
+    for keys, damage in damages[::10]:
+        whole = place = json.loads(text)
+        for key in keys[:-1]:
+            place = place[key]
+        place[keys[-1]] = damage
+        path.write_text(json.dumps(whole))
+        with pytest.raises(ValueError, match=r"theta\.json cannot be read as a learned reward") as refusal:
+            load(path)
+        (line,) = str(refusal.value).splitlines()
+        assert len(line) < 400
+        names = [key for key in keys if isinstance(key, str)]
+        assert names[-1] in line or names[0] in line, f"{names} in {line}"
 
 
 def test_unknown_rewards_are_refused():

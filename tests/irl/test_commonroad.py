@@ -4,9 +4,10 @@ import gzip
 
 import numpy as np
 import pytest
-from recordings import SPEED, STEPS, car, lanelet, pedestrian, scenario, straight, two_lanes
+from recordings import SPEED, STEPS, TURN, car, lanelet, moving, pedestrian, place, scenario, straight, two_lanes
 
 from ms_highway.irl.commonroad import read_directory
+from ms_highway.irl.recording import usable_recordings
 
 
 def read(directory, *texts):
@@ -39,3 +40,45 @@ def test_a_file_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
     (tmp_path / "bomb.xml.gz").write_bytes(gzip.compress(bytes(100_000_001), compresslevel=1))
     with pytest.raises(ValueError, match=r"bomb\.xml\.gz cannot be read as .*more than 100000000 bytes"):
         read_directory(tmp_path)
+
+
+def along_the_road(number, steps, ahead, speed=SPEED):
+    """A car in the right lane, which is at these distances along the road at these steps."""
+    places = [place(start, 3.5) for start in ahead]
+    return moving(number, [(step, *here, TURN, speed) for step, here in zip(steps, places, strict=True)])
+
+
+def test_drivers_whose_driving_is_impossible_or_says_nothing_are_left_out_and_named(tmp_path):
+    steps = np.arange(STEPS)
+    ahead = SPEED * 0.1 * steps
+    odd = {
+        200: along_the_road(200, steps, np.full(STEPS, 150.0), speed=0.0),
+        201: along_the_road(201, steps, 60 + ahead + 30.0 * (steps > 9)),
+        202: along_the_road(202, steps, 100 + ahead, speed=-SPEED),
+        203: along_the_road(203, np.delete(steps, 7), np.delete(10 + ahead, 7)),
+        204: car(204, 20, 0),  # where the car 100 is
+    }
+    short = car(205, 80, 3.5, samples=2)
+    (recording,) = read(tmp_path, scenario(cars=car(100, 20, 0) + car(101, 40, 3.0) + short + "".join(odd.values())))
+    with pytest.warns(
+        UserWarning, match="5 drivers are left out: obstacle 203 of USA_Test-1_1_T-1, which was not seen"
+    ):
+        (kept,), left_out = usable_recordings([recording])
+    assert [kept.label(driver) for driver in kept.drivers] == ["obstacle 100", "obstacle 101", "obstacle 205"]
+    assert {name.split()[1]: reason for name, reason in left_out.items()} == {
+        "200": "only stands",
+        "201": "jumps at step 10 of its track",
+        "202": "drives backwards, at -12.0 m/s",
+        "203": "was not seen at each step from 0 to 19",
+        "204": "is always where obstacle 100 is",
+    }
+    present = [kept.label(number) for number in np.flatnonzero(kept.seen.any(axis=0))]
+    assert present == [
+        "obstacle 100",
+        "obstacle 101",
+        "obstacle 205",
+        *(f"obstacle {number}" for number in range(200, 204)),
+    ]
+    (alone,) = read(tmp_path, scenario(cars=odd[200]))
+    with pytest.raises(ValueError, match="have no driver but obstacle 200 of USA_Test-1_1_T-1, which only stands"):
+        usable_recordings([alone])

@@ -1,5 +1,6 @@
 """Demonstrations: the environment, the simulated driver, and recorded data sets."""
 
+import json
 import shutil
 import sys
 import threading
@@ -101,6 +102,12 @@ def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_
         file["episode_1/observations"][7, 2, 3] = np.nan
     with pytest.raises(ValueError, match=rf"{NAME} cannot be used \(episode 1 is not finite at step 7, car 2\)"):
         load_demonstrations(NAME)
+    described = (files / "metadata.json").read_text()
+    for foreign in ("[]", json.dumps({**json.loads(described), "ms_highway": "x"})):
+        (files / "metadata.json").write_text(foreign)
+        with pytest.raises(ValueError, match=f"{NAME} cannot be used .*record it again"):
+            load_demonstrations(NAME)
+    (files / "metadata.json").write_text(described)
     (files / "main_data.hdf5").write_bytes(b"no HDF5")
     with pytest.raises(ValueError, match=f"{NAME} cannot be used .*record it again"):
         load_demonstrations(NAME)

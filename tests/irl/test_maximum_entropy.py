@@ -1,17 +1,21 @@
 """Learning a reward: derivatives, likelihoods, and weights that are known because demonstrators drove for them."""
 
 from dataclasses import replace
+from functools import partial
+from itertools import accumulate
 
 import jax
 import numpy as np
 import pytest
 from scipy import stats
 
+from ms_highway.game.dynamics import step
 from ms_highway.game.reward import RewardModel
+from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl import TEMPERATURE
 from ms_highway.irl.demonstrations import load_demonstrations, record
 from ms_highway.irl.demonstrator import DRIVER_WEIGHTS
-from ms_highway.irl.learning import SIMULATED, expected_features
+from ms_highway.irl.learning import REAL, SIMULATED, expected_features, learn_reward
 from ms_highway.irl.maximum_entropy import FeatureDerivatives, differentiate, fit_weights, log_likelihoods
 from ms_highway.irl.recording import Recording
 from ms_highway.irl.segments import cut_segments
@@ -54,3 +58,27 @@ def test_recordings_from_which_nothing_can_be_learned_are_refused():
     off_road[4, 0, 3] = np.nan
     with pytest.raises(ValueError, match="car 0 is finite at 10 steps, not at two or more without a gap"):
         replace(recording)
+
+
+def driven(*controls):
+    """A recording of cars in two lanes, one behind the other, that are driven by controls [steps, 2]."""
+    drive = partial(step, PAPER_DYNAMICS)
+    starts = [
+        np.array([20.0 * car, 3.5 * (car % 2) + 0.3, 0.0, 10.0 * own[0].any()]) for car, own in enumerate(controls)
+    ]
+    states = [np.stack([*accumulate(own, drive, initial=start)]) for own, start in zip(controls, starts, strict=True)]
+    road = np.array([0.0, 3.5]), 3.5, 20.0
+    cars = np.arange(len(states)), np.tile([5.0, 2.0], (len(states), 1))
+    return Recording("made", "made", np.stack(states, axis=1), *cars, *road, measured=False)
+
+
+def test_a_driver_who_stands_for_a_while_does_not_let_weights_diverge():
+    random = np.random.default_rng(0)
+    swerving = [0.0, 2.0] + random.normal(size=(3, 60, 2)) * [0.002, 0.5]  # friction takes 2 m/s^2
+    standing = np.where(np.arange(60)[:, None] < 45, 0.0, [0.001, 1.0])
+    with pytest.warns(UserWarning, match=r"9 of 48 segments are left out, .* does not change at all \(car 3 of made\)"):
+        found = learn_reward([driven(*swerving, standing)], REAL, 5, "made")
+    alone = learn_reward([driven(*swerving)], REAL, 5, "made")
+    assert found.weights["comfort_steering"] == pytest.approx(alone.weights["comfort_steering"], rel=0.5)
+    assert "car 3 of made" in found.provenance["left_out"]
+    assert "left_out" not in alone.provenance

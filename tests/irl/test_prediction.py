@@ -1,6 +1,7 @@
 """Prediction of recorded drivers, on driving made by hand and on real driving where that is present."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,14 +10,16 @@ from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from msgspec import structs
+from recordings import car, pedestrian, scenario
 from scipy import stats
 
 import ms_highway
-from ms_highway.game.learned_reward import load, shipped
+from ms_highway.game.learned_reward import load, save, shipped
+from ms_highway.irl.commonroad import read_directory
 from ms_highway.irl.evaluation import evaluate, metrics, prediction_errors
 from ms_highway.irl.mixture import Mixture, Modes, density_level, expected_path, fit_spread, log_density
 from ms_highway.irl.prediction import PREDICTORS, predict_drivers, predict_peer, predict_with
-from ms_highway.irl.recording import Recording
+from ms_highway.irl.recording import Recording, known_from, sources
 from ms_highway.irl.snapshots import cut_snapshots
 
 DRIVERS = shipped("us101").drivers
@@ -114,6 +117,29 @@ def test_the_fitted_spread_holds_as_many_drivers_as_it_says():
         np.testing.assert_allclose((level[:, 9::20] < share).mean(axis=0), share, atol=0.04)
 
 
+def test_evaluating_on_the_recordings_that_were_learned_from_is_said_under_any_name(tmp_path, capsys):
+    for number, cars in enumerate((car(1, 20, 0) + car(2, 60, 3.0), car(3, 30, 0) + pedestrian(4, 80))):
+        (tmp_path / f"{number}.xml").write_text(scenario(cars=cars).replace("Test-1", f"Test-{number}"))
+    first, second = recordings = read_directory(tmp_path)
+    save(structs.replace(shipped("us101"), learned_from=sources([first])), tmp_path / "theta.json")
+    known = load(tmp_path / "theta.json").learned_from
+    assert known_from(recordings, known) == [first]
+    assert len(known_from([replace(first, group="Renamed-1"), replace(second, group=first.group)], known)) == 2
+    assert known_from([replace(second, group="episode 0", measured=False)], {"episode 0": ["other"]}) == []
+    run(f"irl evaluate --theta {tmp_path / 'theta.json'} --data {tmp_path} --json")
+    printed = capsys.readouterr()
+    (line,) = (line for line in printed.err.splitlines() if line.startswith("ms-highway:"))
+    assert "was learned from 1 of these 2 recordings" in line
+    assert "--folds 4" in line
+    assert json.loads(printed.out)["learned_from"] == 1
+
+
+def test_the_shipped_drivers_know_the_recordings_that_they_were_learned_from(us101_directory):
+    recordings = read_directory(us101_directory, first=1)
+    (renamed,) = (replace(recording, group="renamed") for recording in recordings)
+    assert len(known_from([*recordings, renamed], shipped("us101").learned_from)) == 2
+
+
 @pytest.mark.slow
 def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     data, theta = tmp_path / "two", tmp_path / "theta.json"
@@ -128,10 +154,24 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert (len(found["folds"]), [*found["predictors"]]) == (2, [*PREDICTORS])
     assert found["windows"] > found["tracks"] > 20
+    assert "learned_from" not in found
     model, kept, *_ = found["predictors"].values()
     assert model["fde"]["5"] < kept["fde"]["5"]
     assert model["log_p"]["5"] > kept["log_p"]["5"]
     assert {path.stem for path in tmp_path.glob("*.png")} == {"errors", "likelihood", "calibration"}
+
+
+def test_drivers_with_damaged_peers_are_refused_before_recordings_are_read(tmp_path, refused):
+    peers = DRIVERS.peers
+    damaged = structs.replace(peers["fitted_idm"], parameters={**peers["fitted_idm"].parameters, "braking": -1.0})
+    theta = tmp_path / "theta.json"
+    for wrong, message in (
+        ({**peers, "fitted_idm": damaged}, "drivers.peers.fitted_idm.parameters: braking is -1.0"),
+        ({"idm": peers["idm"]}, "drivers.peers lacks constant_velocity"),
+    ):
+        save(structs.replace(shipped("us101"), drivers=structs.replace(DRIVERS, peers=wrong)), theta)
+        line = refused(f"irl evaluate --theta {theta} --data nowhere")
+        assert f"{theta} cannot be used ({message}" in line
 
 
 def test_impossible_predictions_are_refused():
