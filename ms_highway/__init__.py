@@ -18,7 +18,7 @@ or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
   see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with its planning problems, see
   `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that and highway-env's own.
 * One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a scenario, `add_feature` a
-  feature of rewards.
+  feature of rewards, `add_driver` a driver of humans or of the robot, and `add_agent` an agent.
 * Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and `HumanVehicle`, for roads of
   one's own.
 
