@@ -18,6 +18,7 @@ from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
 from ms_highway.envs.viewer import keyboard_control
+from ms_highway.game.dynamics import facing
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
@@ -95,7 +96,8 @@ class InteractionEnv(GameEnv):
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an array [cars, 4] of x, y, heading and
-    speed in SI units, of the robot, the humans and the scripted cars in this order.
+    speed in SI units, of the robot, the humans and the scripted cars in this order. Whole turns of a heading count for
+    nothing: they are left out.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push each
     other nor stop. ``notebooks/REFERENCE.md`` lists the keys of ``info``. The executed ``control`` may exceed the
@@ -179,6 +181,7 @@ class InteractionEnv(GameEnv):
             if states.shape != shape or not np.isfinite(states).all():
                 remedy = f"{self.scenario.name} needs an array {shape} of finite numbers"
                 raise ValueError(f"options['initial_states'] is {states.tolist()}; {remedy}")
+            states = facing(states)
         humans, driver = self.settings.humans, HUMAN_DRIVERS.get(self.settings.human_driver or "")
         human = driver if isinstance(driver, type) else HumanVehicle
         kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]

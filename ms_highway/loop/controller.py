@@ -17,7 +17,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.choice.rule import highest_gains
-from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.dynamics import facing, keep_velocity
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.step import Status
 from ms_highway.planning.ladders import cheapest_first
@@ -132,7 +132,7 @@ class FunctionDriver:
             ValueError: if the function does not return two finite numbers.
         """
         start = perf_counter()
-        control = np.asarray(self.function(self.game, np.asarray(state, dtype=float)), dtype=float)
+        control = np.asarray(self.function(self.game, facing(state)), dtype=float)
         seconds = perf_counter() - start
         if control.shape != (2,) or not np.isfinite(control).all():
             raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")

@@ -101,6 +101,36 @@ def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked
         np.testing.assert_allclose(states[1, 2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
 
 
+@pytest.mark.parametrize(
+    ("scenario", "controller", "config"),
+    [
+        ("merger", "learned:1", {}),
+        ("merger", "switching:0.1+belief", {"yielding": "never"}),
+        ("dense_merge", "nearest:1", {"semantics": "physical"}),
+    ],
+)
+def test_whole_turns_of_a_cars_heading_change_nothing_in_an_episode(scenario, controller, config):
+    env = make(scenario, controller, **config)
+    env.reset(seed=0)
+    starts = env.unwrapped.car_states - [0, 0, 0.01, 0]
+    turns = 2 * np.pi * np.eye(4)[2] * np.arange(1, 1 + len(starts))[:, None]
+    plain, turned = (drive(env, starts=given, steps=3) for given in (starts, starts + turns))
+    assert [info["model"] for info in turned.infos] == [info["model"] for info in plain.infos]
+    for name in ("gains", "rewards"):
+        for one, other in zip(turned.infos, plain.infos, strict=True):
+            assert one[name] == pytest.approx(other[name], rel=1e-3, abs=1e-4)
+    np.testing.assert_allclose(turned.states, plain.states, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["merger-v0", "merger-v1", "demonstration-v0"])
+def test_no_observation_tells_whole_turns_of_a_heading(name):
+    env = gym.make(f"ms_highway:ms-highway/{name}").unwrapped
+    observation, _ = env.reset(seed=0)
+    for car in env.road.vehicles:
+        car.heading += 2 * np.pi
+    np.testing.assert_allclose(env.observation_type.observe(), observation, atol=1e-5)
+
+
 def test_action_spaces_and_frame_rates_are_an_environments_own():
     env = make("merger", action=CHOOSING).unwrapped
     shared, space = dict(type(env).metadata), env.action_space
