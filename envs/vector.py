@@ -25,7 +25,8 @@ from ms_highway.runtime.jax_settings import cores
 
 
 class InteractionVectorEnv(VectorEnv):
-    """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed.
+    """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed up
+    to rounding, which chaotic scenes amplify (``notebooks/REFERENCE.md`` says by how much).
 
     ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type": "ContinuousAction"}})`` makes one.
     Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision``. It also has ``status``,
