@@ -15,6 +15,7 @@ from ms_highway.game.features import features
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import CONE_SIZE
 from ms_highway.runtime.arrays import State
+from ms_highway.runtime.process import refuse_after_fork
 from ms_highway.vehicle import states_of
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
@@ -85,6 +86,7 @@ class GameEnv(ConfiguredEnv):
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars act and move, then evaluate the new state of car 0."""
+        refuse_after_fork()
         for car in self.road.vehicles:
             car.hit = False
         super()._simulate(action)

@@ -25,6 +25,7 @@ from ms_highway.planning.human_models import Naive, warn_of_limits
 from ms_highway.planning.ladders import cheapest_first, human_model
 from ms_highway.runtime.arrays import Index, State
 from ms_highway.runtime.compilation import usual_chunk
+from ms_highway.runtime.process import refuse_after_fork
 
 STEP = (
     *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
@@ -128,6 +129,7 @@ class FunctionalEnv:
     """
 
     def __init__(self, scenario: str | type[InteractionEnv], config: Config | None = None) -> None:
+        refuse_after_fork()
         if isinstance(scenario, str):
             scenario = ENVIRONMENTS[scenario_name(scenario)]
         self.environment = env = scenario(config)
@@ -162,6 +164,7 @@ class FunctionalEnv:
         Raises:
             AttributeError: if the environment draws by a method that `ms_highway.game.starts.TracedRandom` lacks.
         """
+        refuse_after_fork()
         episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
         state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
         return state, self.observe(episodes.starts, state.step)[0]
@@ -176,6 +179,7 @@ class FunctionalEnv:
         Raises:
             ValueError: for an action of another shape than the action space's.
         """
+        refuse_after_fork()
         action, space = jnp.asarray(action), self.action_space
         if action.shape != space.shape:
             raise ValueError(f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}")

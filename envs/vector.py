@@ -22,6 +22,7 @@ from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import cores
+from ms_highway.runtime.process import refuse_after_fork
 
 
 class InteractionVectorEnv(VectorEnv):
@@ -84,6 +85,7 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for another number of seeds, unknown options, or a mask that is empty, has another shape, or
                 leaves out environments that were never reset.
         """
+        refuse_after_fork()
         options = options or {}
         refuse_unknown("the reset options", options, ["reset_mask"])
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)))
@@ -109,6 +111,7 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for actions outside the action space, before the first reset, and after the end of an episode in
                 the mode without automatic resets.
         """
+        refuse_after_fork()  # the threads of the process before are missing here, too
         if self._ended.any() and (self._state is None or self.autoreset_mode is AutoresetMode.DISABLED):
             places = np.flatnonzero(self._ended).tolist()
             raise ValueError(f"environments must be reset before they can step: {places}")

@@ -37,6 +37,7 @@ from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_l
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Control, Flag, Index, Rungs, State, for_rows
 from ms_highway.runtime.compilation import Devices, jit_quickly, share_among
+from ms_highway.runtime.process import refuse_after_fork
 
 EPISODES = "episodes"  # axis of a chunk, over which JAX maps
 
@@ -60,6 +61,7 @@ def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> 
     Raises:
         ValueError: without an episode.
     """
+    refuse_after_fork()
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
     warn_of_limits(loop.models, loop.game, episodes.starts[0])

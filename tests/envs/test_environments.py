@@ -229,9 +229,14 @@ import warnings
 
 import gymnasium as gym
 import ms_highway
+import numpy as np
 from jax import numpy as jnp
 
 jnp.ones(3).sum()
+merger, driven = "ms-highway/merger-v1", {"action": {"type": "ContinuousAction"}}
+envs, functions = gym.make_vec(merger, num_envs=2, config=driven), ms_highway.FunctionalEnv(merger, driven)
+envs.reset(seed=0)
+actions = np.zeros((2, 2), np.float32)
 warnings.simplefilter("ignore")  # JAX and Python warn of the fork
 
 
@@ -239,7 +244,20 @@ def work():
     env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
     env.reset(seed=0)
     inner = env.unwrapped
-    for compute in (lambda: env.step(0), lambda: ms_highway.plan(inner.game, inner.car_states, "naive")):
+    demonstration = gym.make("ms-highway/demonstration-v0")
+    demonstration.reset(seed=0)
+    for compute in (
+        lambda: env.step(0),
+        lambda: ms_highway.plan(inner.game, inner.car_states, "naive"),
+        lambda: demonstration.step(actions[0]),
+        lambda: gym.make_vec(merger, num_envs=2, config=driven),
+        lambda: envs.reset(seed=0),
+        lambda: envs.step(actions),
+        lambda: ms_highway.FunctionalEnv(merger, driven),
+        lambda: functions.reset(0),
+        lambda: functions.step(None, actions[0]),
+        lambda: ms_highway.predict([[0.0, 0.0, 0.0, 20.0]], [0.0], 29.0),
+    ):
         try:
             compute()
         except RuntimeError as error:
@@ -254,7 +272,7 @@ worker.join()
 
 @pytest.mark.slow
 def test_a_worker_forked_after_jax_had_begun_raises_an_error_instead_of_waiting_for_ever():
-    assert python("-c", FORKED, timeout=600).stdout.count("start it with context='forkserver' or 'spawn'") == 2
+    assert python("-c", FORKED, timeout=600).stdout.count("start it with context='forkserver' or 'spawn'") == 10
 
 
 @pytest.mark.parametrize(
