@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from gymnasium.spaces import Discrete, MultiDiscrete
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
 
@@ -25,6 +24,7 @@ from ms_highway.planning.human_models import Naive, warn_of_limits
 from ms_highway.planning.ladders import cheapest_first, human_model
 from ms_highway.runtime.arrays import Index, State
 from ms_highway.runtime.compilation import usual_chunk
+from ms_highway.runtime.jax_settings import single_precision
 from ms_highway.runtime.process import refuse_after_fork
 
 STEP = (
@@ -111,6 +111,10 @@ class FunctionalEnv:
     To step a thousand environments, `ms_highway.envs.vector.InteractionVectorEnv` is faster: it computes a human model
     only for the environments that use it.
 
+    Numbers are in single precision, also where JAX computes in double precision. There are derivatives in forward mode
+    (`jax.jvp`, `jax.jacfwd`). JAX refuses reverse mode, `jax.grad`, where plans are loops that end when they have
+    converged: with other solvers than ``"gradient"``, such as those of version 1.
+
     Attributes:
         environment: the environment of Gymnasium that is simulated; it draws the episodes.
         observation_space, action_space: its spaces.
@@ -165,9 +169,11 @@ class FunctionalEnv:
             AttributeError: if the environment draws by a method that `ms_highway.game.starts.TracedRandom` lacks.
         """
         refuse_after_fork()
-        episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
-        state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
-        return state, self.observe(episodes.starts, state.step)[0]
+        with single_precision():
+            episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
+            state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
+            state = jax.tree.map(jnp.asarray, state)  # arrays of JAX from the start, as after a step
+            return state, self.observe(episodes.starts, state.step)[0]
 
     def step(
         self, state: EnvState, action: Any
@@ -183,7 +189,13 @@ class FunctionalEnv:
         action, space = jnp.asarray(action), self.action_space
         if action.shape != space.shape:
             raise ValueError(f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}")
-        if isinstance(space, Discrete | MultiDiscrete):
+        action = action.astype(np.float32 if self.agent_drives else np.int32)
+        with single_precision():
+            return self._step(state, action)
+
+    def _step(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Any, Any, Any, Any, dict[str, jax.Array]]:
+        """Step in single precision, see `step`."""
+        if not self.agent_drives:
             action = jnp.clip(action, 0, len(self.loop.rule.ladder) - 1)
         given = self.given(state, action[None])
         now, records = step_episodes(replace(self.loop, chunk=1), state.episodes, state.now, given)

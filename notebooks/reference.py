@@ -117,6 +117,10 @@ def rollout(key):
 rewards = jax.jit(jax.vmap(rollout))(jax.random.split(jax.random.key(0), 8))  # [8, 40]
 ```
 
+They compute in single precision, also under `JAX_ENABLE_X64=1`. They have derivatives in forward mode, `jax.jvp` and `jax.jacfwd`. JAX
+refuses reverse mode, `jax.grad`, where plans are loops that end when they have converged: with other solvers than `gradient`, such as those
+of version 1.
+
 Single environments and these differ by rounding: they are other programs of the same equations, in single precision. In the first three
 steps, states agree within 0.02 (m, rad, m/s). Chaotic scenes amplify the difference. In `stay-back-v1` with `learned:1`, seeds 7 and 8, the
 vector environment chooses other models from the thirteenth step on; within 25 steps, states differ by up to 0.9, and the reward of a step by

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import Decision, unestimated
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, unestimated
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, each_human, swap_players
@@ -180,7 +180,7 @@ def _plan(loop: Loop, game: Game, seen: State, rest: Rest, rungs: Rungs) -> Plan
 def _steer(loop: Loop, now: Now, own: Episodes, control: Control) -> tuple[Now, Records]:
     """Let the robot execute a control, the humans plan and the world move; reward the robot."""
     none = jnp.zeros(loop.game.number, jnp.int32)
-    gains = jnp.full((loop.game.number, len(loop.rule.ladder)), jnp.nan, jnp.float32)
+    gains = jnp.full((loop.game.number, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32)
     return _world(loop, now, own, control, Records(none, none, jnp.int32(PLANNED), gains=gains))
 
 

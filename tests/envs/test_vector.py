@@ -65,6 +65,42 @@ def test_a_robot_that_has_collided_does_not_succeed():
     assert mine["success"].tolist() == (~collided).tolist() == [False, False, True]
 
 
+def test_no_nan_stops_a_driven_environment_where_a_program_looks_for_nans():
+    envs = gym.make_vec(NAME + "dense-merge-v0", num_envs=3, config=DRIVING)
+    envs.reset(seed=0)
+    jax.config.update("jax_debug_nans", True)  # in all threads
+    try:
+        rewards = envs.step(np.zeros((3, 2), np.float32))[1]
+    finally:
+        jax.config.update("jax_debug_nans", False)
+    assert np.isfinite(rewards).all()
+
+
+def rewards_of_two_steps(scenario):
+    """A function from the action of two steps to the sum of their rewards."""
+    env = FunctionalEnv(scenario, {"action": {"type": "ContinuousAction"}})
+    start, _ = env.reset(jax.random.key(0))
+
+    def rewards(action):
+        state, _, first, *_ = env.step(start, action)
+        return first + env.step(state, action)[2]
+
+    return rewards
+
+
+@pytest.mark.slow
+def test_pure_functions_have_derivatives_in_reverse_mode_only_where_plans_take_a_fixed_number_of_steps():
+    rewards, action = rewards_of_two_steps("merger-v0"), np.float32([0.1, 0.02])
+    shifted = action + 0.01 * np.float32([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    earned = jax.jit(jax.vmap(rewards))(shifted)
+    for derive in (jax.jacfwd, jax.grad):
+        np.testing.assert_allclose(jax.jit(derive(rewards))(action), (earned[::2] - earned[1::2]) / 0.02, rtol=0.05)
+    rewards = rewards_of_two_steps("merger-v1")
+    assert jax.eval_shape(jax.jacfwd(rewards), action).shape == (2,)
+    with pytest.raises(ValueError, match="Reverse-mode differentiation does not work"):
+        jax.eval_shape(jax.grad(rewards), action)
+
+
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_episodes_begin_anew_as_gymnasium_says(mode):
     ours, singles = both("dense-merge-v0", DRIVING | {"duration": 0.3}, mode=mode)
