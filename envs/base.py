@@ -1,7 +1,7 @@
 """Define the environment of all scenarios: a road, humans, a robot, and what drives them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from typing import Any, ClassVar
 
 import jax
@@ -9,7 +9,8 @@ import numpy as np
 from highway_env.road.road import Road
 from jaxtyping import Int
 
-from ms_highway.choice.rule import Order
+from ms_highway.choice.belief import first_belief
+from ms_highway.choice.rule import NOT_ESTIMATED, Order
 from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
@@ -29,6 +30,9 @@ from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
+
+UNTIL_FIRST: Config = {"model": "", "status": "", "choice_failed": False}
+"""What ``info`` says of the robot's last step, with the values before the first step."""
 
 
 class InteractionEnv(GameEnv):
@@ -225,6 +229,7 @@ class InteractionEnv(GameEnv):
         """Give the robot its driver, with unknown costs before they are measured."""
         settings, order = self.settings, None
         if isinstance(self.action_type, HumanModelAction):
+            self._terms[COMPUTATION] = 0.0
             order = Order(np.zeros((1, 1), int), settings.models)
         start = settings.start(self.seconds, self.episode_steps, self.np_random)
         driver = settings.controller.driver(game, start, settings.way_out, order)
@@ -280,25 +285,40 @@ class InteractionEnv(GameEnv):
         self.history.append((step, self._reward(action)))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
-        """Describe the last step, see ``notebooks/REFERENCE.md``."""
-        info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
+        """Describe the last step, see ``notebooks/REFERENCE.md``; keys, types and shapes are the same after a reset."""
+        info, settings, streams = super()._info(obs, action), self.settings, bool(self.scenario.streams)
+        info["human_status"] = tuple(map(_status, self.humans))
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
-        if self.steps:
-            steps = [getattr(human, "last_step", None) for human in self.humans]  # highway-env's vehicles have none
-            info["human_status"] = tuple(step and step.status for step in steps)
-            if streams:
-                info["success"] = info["is_success"] = self.success
-        if step is None:
+            info["success"] = info["is_success"] = self.success
+        if not isinstance(self.action_type, Autopilot):
             return info
-        info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
-        timing = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
-        info |= {"timing": timing, "gains": step.highest_gains()}
-        asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
-        clocked = self.settings.measures and (asked or controller.chooses)
+
+        # What drives the robot.
+        step, controller = self.robot.last_step, settings.controller
+        asked = isinstance(self.action_type, HumanModelAction)
+        info |= {name: getattr(step, name, value) for name, value in UNTIL_FIRST.items()}
+        info["models"] = step.models if step else ("",) * settings.humans
+        info["timing"] = Timing(*(float(getattr(step, each.name, 0.0)) for each in fields(Timing)))
+        if controller.predicts:
+            info["counted_seconds"] = self.counted_seconds(step.thought) if step else 0.0
+        if controller.belief:
+            info["belief"] = step.belief if step else first_belief(settings.humans)
+
+        # What a rule estimates, and by what it chooses.
+        rungs = [model.name for model in settings.models]
+        chooses = controller.chooses and not asked
+        estimated = step.highest_gains() if step else {}
+        info["gains"] = dict.fromkeys(rungs, NOT_ESTIMATED) | estimated if chooses else {}
+        clocked = settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        known = {"belief": step.belief, "counted_seconds": self.counted_seconds(step.thought)}
-        info |= {name: value for name, value in known.items() if value is not None}
         if streams:
-            info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}
+            info |= {f"humans_{name}": info["models"].count(name) for name in rungs[1:]}
         return info
+
+
+def _status(human: Any) -> str | None:
+    """Return the status of a human's last step: an empty text before the first, None for cars that do not plan."""
+    if not hasattr(human, "last_step"):  # highway-env's vehicles have none
+        return None
+    return human.last_step.status if human.last_step else ""

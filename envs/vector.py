@@ -102,7 +102,8 @@ class InteractionVectorEnv(VectorEnv):
         for place, own in enumerate(seeds):
             if own is not None and mask[place]:
                 self._randoms[place] = seeding.np_random(int(own))[0]
-        return self._renew(mask), {}
+        observations = self._renew(mask)
+        return observations, _masked(self._info_at_reset(), mask)
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step all environments; reset those whose episode has ended as the autoreset mode says.
@@ -184,7 +185,7 @@ class InteractionVectorEnv(VectorEnv):
     def _info(self, records: Records) -> dict[str, Any]:
         """Return the values of ``info`` after a step."""
         functions, loop = self._functions, self._functions.loop
-        info: dict[str, Any] = {"collision": records.collision}
+        info: dict[str, Any] = {"collision": records.collision.copy()}
         if not functions.agent_drives:
             names = np.array([model.name for model in loop.models])
             info |= {"status": np.array(STATUSES)[records.status], "model": names[records.rungs.max(axis=1)]}
@@ -192,6 +193,17 @@ class InteractionVectorEnv(VectorEnv):
         if functions.environment.scenario.streams:
             info["success"] = loop.game.scene.is_reached(records.states[:, 0, 1]) & ~self._collided
         return info
+
+    def _info_at_reset(self) -> dict[str, Any]:
+        """Return the values of ``info`` of environments that have done no step: with the keys and types of `_info`."""
+        number, humans = self.num_envs, self._functions.loop.game.number
+        none = np.zeros((number, humans), np.int32)
+        nothing = Records(none, none, none[:, 0], collision=self._collided, states=np.asarray(self._state.now.state))
+        values = self._info(nothing)
+        for name in ("status", "model", "counted_seconds"):
+            if name in values:
+                values[name] = np.zeros_like(values[name])
+        return values
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

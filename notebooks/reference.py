@@ -29,7 +29,8 @@ INFO = {
     "timing": "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]",
     "clocked": "whether measured times had a say in the choice, so that the same seed may be another episode",
     "gains": "net gain that the controller expects of each model over the one in use [reward]; the largest of the "
-    "humans for whom it is estimated; empty where nothing is estimated",
+    "humans for whom it is estimated; of every model of the ladder, -inf where none was estimated; empty where no rule "
+    "chooses",
     "counted_seconds": "T of the step's plan [s]",
     "human_status": "a status for each human; None for cars that do not plan",
     "distance_to_cones": "from the robot's front to the first cone ahead in its lane, infinite without one [m]",
@@ -87,8 +88,9 @@ these.
 
 {}
 
-What belongs to a plan (`model` to `counted_seconds`) is there after a step in which the robot plans. Vector environments tell `collision`,
-`status`, `model`, `counted_seconds` and, among several humans, `success`, with masks.
+Every key is there from the reset on, with one type and shape, so that recorders such as Minari's can store it. Before the first step,
+texts are empty, and times and terms are 0. What belongs to a plan (`model` to `counted_seconds`) is there where the robot plans. Vector
+environments tell `collision`, `status`, `model`, `counted_seconds` and, among several humans, `success`, with masks.
 
 ## In JAX
 

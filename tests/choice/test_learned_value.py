@@ -43,7 +43,7 @@ def test_a_description_depends_neither_on_units_nor_places_nor_numbers_of_humans
 def test_the_model_with_the_highest_gain_plans_and_theory_of_mind_is_used_at_the_start_only():
     models = ["naive"]  # the first rung, to which the first gains are compared
     for info in drive(make("merger", "learned:1")).infos:
-        gains = {models[-1]: 0.0} | info["gains"]
+        gains = info["gains"] | {models[-1]: 0.0}
         models.append(info["model"])
         assert max(gains, key=gains.get) == models[-1]
     assert (models[1], models[-1]) == ("tom", "naive")  # Algorithm 1 starts with naive

@@ -4,7 +4,7 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
-from episodes import TWO
+from episodes import TWO, form
 from gymnasium.vector import AutoresetMode
 
 from ms_highway import FunctionalEnv
@@ -31,10 +31,15 @@ def both(scenario, config, number=3, mode=AutoresetMode.NEXT_STEP):
 )
 def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
     ours, singles = both(scenario, config | {"duration": 2.0})
-    np.testing.assert_allclose(ours.reset(seed=5)[0], singles.reset(seed=5)[0], atol=1e-5)
+    mine, other = ours.reset(seed=5), singles.reset(seed=5)
+    np.testing.assert_allclose(mine[0], other[0], atol=1e-5)
+    first, told = form(mine[1]), other[1]
+    for name in mine[1]:
+        np.testing.assert_array_equal(mine[1][name], told[name], name)
     for _ in range(20):
         actions = ours.action_space.sample()
         mine, other = ours.step(actions), singles.step(actions)
+        assert form(mine[4]) == first
         np.testing.assert_allclose(mine[0], other[0], atol=1e-4)
         np.testing.assert_allclose(mine[1], other[1], atol=2e-3)
         for name in {*mine[4]} - {"counted_seconds"}:  # which may differ by rounding
