@@ -156,7 +156,7 @@ class AgentDrives(gym.Wrapper):
     def reset(self, **options: Any) -> tuple[Any, Config]:
         """Start an episode."""
         self._seen, info = self.env.reset(**options)
-        return self._seen, info
+        return self._seen, self._described(info, "", "", 0.0)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, Config]:
         """Let the agent choose an action, and take it.
@@ -172,7 +172,12 @@ class AgentDrives(gym.Wrapper):
         if not self.env.action_space.contains(chosen):
             raise ValueError(f"the agent {self.name!r} chose {chosen!r}; the actions are {self.env.action_space}")
         self._seen, reward, terminated, truncated, info = self.env.step(chosen)
+        described = self._described(info, self.name, "planned", seconds)
+        return self._seen, reward, terminated, truncated, described
+
+    def _described(self, info: Config, model: str, status: str, seconds: float) -> Config:
+        """Return ``info`` with all keys that it has under a controller; the agent's seconds are added to the times."""
+        usual = {"model": model, "models": (model,), "gains": {}, "status": status, "choice_failed": False}
         timing = info.get("timing", Timing(0.0, 0.0, 0.0))
-        info["timing"] = replace(timing, decision_seconds=timing.decision_seconds + seconds)
-        usual = {"model": self.name, "models": (self.name,), "gains": {}, "status": "planned", "choice_failed": False}
-        return self._seen, reward, terminated, truncated, {**usual, **info}
+        timing = replace(timing, decision_seconds=timing.decision_seconds + seconds)
+        return {**usual, **info, "timing": timing}

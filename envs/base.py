@@ -1,7 +1,7 @@
 """Define the environment of all scenarios: a road, humans, a robot, and what drives them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from typing import Any, ClassVar
 
 import jax
@@ -9,7 +9,8 @@ import numpy as np
 from highway_env.road.road import Road
 from jaxtyping import Int
 
-from ms_highway.choice.rule import Order
+from ms_highway.choice.belief import first_belief
+from ms_highway.choice.rule import NOT_ESTIMATED, Order
 from ms_highway.envs.configuration import Changes, Config, read_own
 from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
@@ -18,6 +19,7 @@ from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
 from ms_highway.envs.viewer import Keyboard
+from ms_highway.game.dynamics import facing
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
@@ -28,6 +30,9 @@ from ms_highway.loop.records import PLANS
 from ms_highway.planning.compiled_plans import measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
+
+UNTIL_FIRST: Config = {"model": "", "status": "", "choice_failed": False}
+"""What ``info`` says of the robot's last step, with the values before the first step."""
 
 
 class InteractionEnv(GameEnv):
@@ -96,7 +101,8 @@ class InteractionEnv(GameEnv):
     * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
 
     ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an array [cars, 4] of x, y, heading and
-    speed in SI units, of the robot, the humans and the scripted cars in this order.
+    speed in SI units, of the robot, the humans and the scripted cars in this order. Whole turns of a heading count for
+    nothing: they are left out.
 
     The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push each
     other nor stop. ``notebooks/REFERENCE.md`` lists the keys of ``info``. The executed ``control`` may exceed the
@@ -181,6 +187,7 @@ class InteractionEnv(GameEnv):
             if states.shape != shape or not np.isfinite(states).all():
                 remedy = f"{self.scenario.name} needs an array {shape} of finite numbers"
                 raise ValueError(f"options['initial_states'] is {states.tolist()}; {remedy}")
+            states = facing(states)
         humans, driver = self.settings.humans, HUMAN_DRIVERS.get(self.settings.human_driver or "")
         human: Any = driver if is_vehicle(driver) else HumanVehicle
         kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
@@ -227,6 +234,7 @@ class InteractionEnv(GameEnv):
         """Give the robot its driver, with unknown costs before they are measured."""
         settings, order = self.settings, None
         if isinstance(self.action_type, HumanModelAction):
+            self._terms[COMPUTATION] = 0.0
             order = Order(np.zeros((1, 1), int), settings.models)
         start = settings.start(self.seconds, self.episode_steps, self.np_random)
         driver = settings.controller.driver(game, start, settings.way_out, order)
@@ -282,25 +290,40 @@ class InteractionEnv(GameEnv):
         self.history.append((step, self._reward(action)))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
-        """Describe the last step, see ``notebooks/REFERENCE.md``."""
-        info, step, streams = super()._info(obs, action), self.robot.last_step, bool(self.scenario.streams)
+        """Describe the last step, see ``notebooks/REFERENCE.md``; keys, types and shapes are the same after a reset."""
+        info, settings, streams = super()._info(obs, action), self.settings, bool(self.scenario.streams)
+        info["human_status"] = tuple(map(_status, self.humans))
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
-        if self.steps:
-            steps = [getattr(human, "last_step", None) for human in self.humans]  # highway-env's vehicles have none
-            info["human_status"] = tuple(step and step.status for step in steps)
-            if streams:
-                info["success"] = info["is_success"] = self.success
-        if step is None:
+            info["success"] = info["is_success"] = self.success
+        if not isinstance(self.action_type, Autopilot):
             return info
-        info |= {name: getattr(step, name) for name in ("model", "models", "status", "choice_failed")}
-        timing = Timing(step.planning_seconds, step.decision_seconds, step.compile_seconds)
-        info |= {"timing": timing, "gains": step.highest_gains()}
-        asked, controller = isinstance(self.action_type, HumanModelAction), self.settings.controller
-        clocked = self.settings.measures and (asked or controller.chooses)
+
+        # What drives the robot.
+        step, controller = self.robot.last_step, settings.controller
+        asked = isinstance(self.action_type, HumanModelAction)
+        info |= {name: getattr(step, name, value) for name, value in UNTIL_FIRST.items()}
+        info["models"] = step.models if step else ("",) * settings.humans
+        info["timing"] = Timing(*(float(getattr(step, each.name, 0.0)) for each in fields(Timing)))
+        if controller.predicts:
+            info["counted_seconds"] = self.counted_seconds(step.thought) if step else 0.0
+        if controller.belief:
+            info["belief"] = read_only(step.belief if step else first_belief(settings.humans))
+
+        # What a rule estimates, and by what it chooses.
+        rungs = [model.name for model in settings.models]
+        chooses = controller.chooses and not asked
+        estimated = step.highest_gains() if step else {}
+        info["gains"] = dict.fromkeys(rungs, NOT_ESTIMATED) | estimated if chooses else {}
+        clocked = settings.measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and controller.budget is not None)
-        known = {"belief": read_only(step.belief), "counted_seconds": self.counted_seconds(step.thought)}
-        info |= {name: value for name, value in known.items() if value is not None}
         if streams:
-            info |= {f"humans_{model.name}": step.models.count(model.name) for model in self.settings.models[1:]}
+            info |= {f"humans_{name}": info["models"].count(name) for name in rungs[1:]}
         return info
+
+
+def _status(human: Any) -> str | None:
+    """Return the status of a human's last step: an empty text before the first, None for cars that do not plan."""
+    if not hasattr(human, "last_step"):  # highway-env's vehicles have none
+        return None
+    return human.last_step.status if human.last_step else ""

@@ -1,10 +1,11 @@
 """Define the base of environments that play a game: road and cones, car 0's reward by feature, times of a step."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
+from gymnasium import spaces
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import Obstacle
@@ -15,6 +16,7 @@ from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import CONE_SIZE
 from ms_highway.runtime.arrays import State
+from ms_highway.runtime.process import refuse_after_fork
 from ms_highway.vehicle import states_of
 
 ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
@@ -46,6 +48,12 @@ class Timing:
     planning_seconds: float = field(compare=False)
     decision_seconds: float = field(compare=False)
     compile_seconds: float = field(compare=False)
+
+    shape: ClassVar[tuple[int]] = (3,)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """Return the three times as an array, as recorders such as Minari's store them [s]."""
+        return np.array([self.planning_seconds, self.decision_seconds, self.compile_seconds], dtype)
 
 
 class Cone(Obstacle):
@@ -85,6 +93,7 @@ class GameEnv(ConfiguredEnv):
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars act and move, then evaluate the new state of car 0."""
+        refuse_after_fork()
         for car in self.road.vehicles:
             car.hit = False
         super()._simulate(action)
@@ -117,6 +126,15 @@ class GameEnv(ConfiguredEnv):
             "collision": self.collision,
             "crashed": crashed,
             "control": {name: float(value) for name, value in self.vehicle.action.items()},
-            "action": action,
+            "action": self._as_in_space(action),
             "rewards": self._rewards(action),
         }
+
+    def _as_in_space(self, action: Any) -> Any:
+        """Return an action with the type of those in the action space; NaN or -1 where none is given."""
+        space = self.action_space
+        if isinstance(space, spaces.Tuple):
+            return action
+        missing = np.nan if isinstance(space, spaces.Box) else -1
+        given = np.full(space.shape, missing) if action is None else action
+        return np.asarray(given, space.dtype)[()]

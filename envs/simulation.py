@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from gymnasium.spaces import Discrete, MultiDiscrete
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
 
@@ -26,6 +25,8 @@ from ms_highway.planning.human_models import Naive, warn_of_limits
 from ms_highway.planning.ladders import cheapest_first, human_model
 from ms_highway.runtime.arrays import Index, State
 from ms_highway.runtime.compilation import usual_chunk
+from ms_highway.runtime.jax_settings import single_precision
+from ms_highway.runtime.process import refuse_after_fork
 
 STEP = (
     *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
@@ -111,6 +112,10 @@ class FunctionalEnv:
     To step a thousand environments, `ms_highway.envs.vector.InteractionVectorEnv` is faster: it computes a human model
     only for the environments that use it.
 
+    Numbers are in single precision, also where JAX computes in double precision. There are derivatives in forward mode
+    (`jax.jvp`, `jax.jacfwd`). JAX refuses reverse mode, `jax.grad`, where plans are loops that end when they have
+    converged: with other solvers than ``"gradient"``, such as those of version 1.
+
     Attributes:
         environment: the environment of Gymnasium that is simulated; it draws the episodes.
         observation_space, action_space: its spaces.
@@ -129,6 +134,7 @@ class FunctionalEnv:
     """
 
     def __init__(self, scenario: str | type[InteractionEnv], config: Config | None = None) -> None:
+        refuse_after_fork()
         if isinstance(scenario, str):
             scenario = ENVIRONMENTS[scenario_name(scenario)]
         self.environment = env = scenario(config)
@@ -165,9 +171,12 @@ class FunctionalEnv:
         Raises:
             AttributeError: if the environment draws by a method that `ms_highway.game.starts.TracedRandom` lacks.
         """
-        episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
-        state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
-        return state, self.observe(episodes.starts, state.step)[0]
+        refuse_after_fork()
+        with single_precision():
+            episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
+            state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
+            state = jax.tree.map(jnp.asarray, state)  # arrays of JAX from the start, as after a step
+            return state, self.observe(episodes.starts, state.step)[0]
 
     def step(
         self, state: EnvState, action: Any
@@ -181,10 +190,17 @@ class FunctionalEnv:
             ValueError: for an action of another shape than the action space's; where JAX does not trace the step, also
                 as `ms_highway.loop.batch.checked_records` does.
         """
+        refuse_after_fork()
         action, space = jnp.asarray(action), self.action_space
         if action.shape != space.shape:
             raise ValueError(f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}")
-        if isinstance(space, Discrete | MultiDiscrete):
+        action = action.astype(np.float32 if self.agent_drives else np.int32)
+        with single_precision():
+            return self._step(state, action)
+
+    def _step(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Any, Any, Any, Any, dict[str, jax.Array]]:
+        """Step in single precision, see `step`."""
+        if not self.agent_drives:
             action = jnp.clip(action, 0, len(self.loop.rule.ladder) - 1)
         given = self.given(state, action[None])
         now, records = step_episodes(replace(self.loop, chunk=1), state.episodes, state.now, given)

@@ -12,7 +12,7 @@ from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
 
 from ms_highway.choice.rule import Order
-from ms_highway.game.dynamics import Dynamics, keep_velocity
+from ms_highway.game.dynamics import Dynamics, facing, keep_velocity
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import State, Vector
 from ms_highway.vehicle import BicycleVehicle
@@ -111,7 +111,7 @@ class CarTracks(CarStates):
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
         """See `CarStates`."""
-        return [self.env.present, *(states.T * self.env.present)]
+        return [self.env.present, *(facing(states).T * self.env.present)]
 
 
 class TupleObservation(observations.TupleObservation):

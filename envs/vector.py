@@ -22,10 +22,12 @@ from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import cores
+from ms_highway.runtime.process import refuse_after_fork
 
 
 class InteractionVectorEnv(VectorEnv):
-    """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed.
+    """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed up
+    to rounding, which chaotic scenes amplify (``notebooks/REFERENCE.md`` says by how much).
 
     ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type": "ContinuousAction"}})`` makes one.
     Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision``. It also has ``status``,
@@ -83,6 +85,7 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for another number of seeds, unknown options, or a mask that is empty, has another shape, or
                 leaves out environments that were never reset.
         """
+        refuse_after_fork()
         options = options or {}
         refuse_unknown("the reset options", options, ["reset_mask"])
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)))
@@ -99,7 +102,8 @@ class InteractionVectorEnv(VectorEnv):
         for place, own in enumerate(seeds):
             if own is not None and mask[place]:
                 self._randoms[place] = seeding.np_random(int(own))[0]
-        return self._renew(mask), {}
+        observations = self._renew(mask)
+        return observations, _masked(self._info_at_reset(), mask)
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step all environments; reset those whose episode has ended as the autoreset mode says.
@@ -108,6 +112,7 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for actions outside the action space, before the first reset, and after the end of an episode in
                 the mode without automatic resets.
         """
+        refuse_after_fork()  # the threads of the process before are missing here, too
         if self._ended.any() and (self._state is None or self.autoreset_mode is AutoresetMode.DISABLED):
             places = np.flatnonzero(self._ended).tolist()
             raise ValueError(f"environments must be reset before they can step: {places}")
@@ -181,7 +186,7 @@ class InteractionVectorEnv(VectorEnv):
     def _info(self, records: Records) -> dict[str, Any]:
         """Return the values of ``info`` after a step."""
         functions, loop = self._functions, self._functions.loop
-        info: dict[str, Any] = {"collision": records.collision}
+        info: dict[str, Any] = {"collision": records.collision.copy()}
         if not functions.agent_drives:
             names = np.array([model.name for model in loop.models])
             info |= {"status": np.array(STATUSES)[records.status], "model": names[records.rungs.max(axis=1)]}
@@ -189,6 +194,17 @@ class InteractionVectorEnv(VectorEnv):
         if functions.environment.scenario.streams:
             info["success"] = loop.game.scene.is_reached(records.states[:, 0, 1]) & ~self._collided
         return info
+
+    def _info_at_reset(self) -> dict[str, Any]:
+        """Return the values of ``info`` of environments that have done no step: with the keys and types of `_info`."""
+        number, humans = self.num_envs, self._functions.loop.game.number
+        none = np.zeros((number, humans), np.int32)
+        nothing = Records(none, none, none[:, 0], collision=self._collided, states=np.asarray(self._state.now.state))
+        values = self._info(nothing)
+        for name in ("status", "model", "counted_seconds"):
+            if name in values:
+                values[name] = np.zeros_like(values[name])
+        return values
 
 
 def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

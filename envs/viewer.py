@@ -14,6 +14,7 @@ from highway_env.road.graphics import WorldSurface
 
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
+from ms_highway.geometry.curve import without_turns
 from ms_highway.planning.ladders import MODELS, human_model, is_model
 from ms_highway.runtime.arrays import Control, State
 
@@ -169,6 +170,6 @@ class Keyboard:
         heading, speed = state[0, 2:]
         wanted = KEY_HEADING * (int(keys[pygame.K_RIGHT]) - int(keys[pygame.K_LEFT]))  # y points to the right
         step = float(game.world.time_step)
-        turn = np.clip((wanted - heading) / step, -HEADING_RATE, HEADING_RATE)
+        turn = np.clip(without_turns(wanted - heading) / step, -HEADING_RATE, HEADING_RATE)
         pedals = KEY_ACCELERATION * (int(keys[pygame.K_UP]) - int(keys[pygame.K_DOWN]))
         return keep_velocity(game.world, state[0]) + np.array([turn / max(speed, 1.0), pedals])

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import gymnasium as gym
+import jax
 import numpy as np
 import pytest
 
@@ -43,3 +44,10 @@ def drive(env: gym.Env, seed: int = 0, starts: Any = None, steps: int | None = N
         rewards.append(reward)
         infos.append(info)
     return Episode(env.unwrapped, np.array(states), np.array(rewards), infos)
+
+
+def form(info: dict[str, Any]) -> dict[str, tuple]:
+    """Return the type and the shape of everything in an ``info``, which recorders want to be constant, by its path."""
+    parts = jax.tree.leaves_with_path(info, is_leaf=lambda value: not isinstance(value, dict))
+    kinds = [(getattr(value, "dtype", type(value)), np.shape(value)) for _, value in parts]
+    return {jax.tree_util.keystr(path): kind for (path, _), kind in zip(parts, kinds, strict=True)}

@@ -10,6 +10,7 @@ from ms_highway.game.features import features
 from ms_highway.game.game import Game, others_of, pair
 from ms_highway.game.reward import PAPER_FEATURES, Reward
 from ms_highway.game.scene import headways, neighbours
+from ms_highway.geometry.curve import without_turns
 from ms_highway.runtime.arrays import Array, Index, Rungs, State
 
 LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, during which all cars keep their velocity
@@ -66,7 +67,8 @@ def nearness(game: Game, state: State) -> Rungs:
 
 def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
     unit, limit = jnp.asarray(game.scene.length_unit), jnp.asarray(game.robot.speed_limit)
-    _, y, heading, speed = jnp.moveaxis(state, -1, 0)
+    _, y, turned, speed = jnp.moveaxis(state, -1, 0)
+    heading = without_turns(turned)
     none = jnp.zeros_like(speed)
     velocity = jnp.stack([speed * jnp.cos(heading), speed * jnp.sin(heading), none, none], axis=-1)
     coasted = state + jnp.asarray(LOOKAHEADS)[:, None, None] * velocity

@@ -24,6 +24,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
+from ms_highway.choice.rule import NOT_ESTIMATED
 from ms_highway.envs import environment_id
 from ms_highway.envs.agents import AgentDrives, is_agent
 from ms_highway.envs.base import InteractionEnv
@@ -333,7 +334,8 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     assert isinstance(inner, InteractionEnv)
     for step in count():
         _, reward, terminated, truncated, info = env.step(0)
-        columns = by_column(info["gains"], inner.car_states)
+        estimated = {name: gain for name, gain in info["gains"].items() if gain != NOT_ESTIMATED}
+        columns = by_column(estimated, inner.car_states)
         yield {**info, **asdict(info["timing"]), **columns, "step": step, "reward": reward}
         if terminated or truncated:
             return

@@ -19,6 +19,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.geometry.curve import without_turns
 from ms_highway.runtime.arrays import Array, SameArray, Scalar
 
 
@@ -60,6 +61,16 @@ def observe(states: Float[Array, "*shape 4"]) -> Motion:
     """Convert states to a motion, arrays [*shape]."""
     x, y, heading, speed = jnp.moveaxis(jnp.asarray(states), -1, 0)
     return Motion(x, y, jnp.cos(heading), jnp.sin(heading), speed)
+
+
+def facing(states: Float[np.ndarray, "*shape 4"]) -> Float[np.ndarray, "*shape 4"]:
+    """Return states whose headings have no whole turns, see `ms_highway.geometry.curve.without_turns`.
+
+    A car that has turned once faces as before. Single precision would lose digits of its heading.
+    """
+    faced = np.array(states, dtype=float)
+    faced[..., 2] = without_turns(faced[..., 2])
+    return faced
 
 
 def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
@@ -229,11 +240,12 @@ def recover_control(
 ) -> Float[SameArray, "*cars 2"]:
     """Recover the control between two states: the inverse of `step`.
 
-    A standing car shows no curvature; 0 is returned.
+    A standing car shows no curvature; 0 is returned. A car turns by less than half a turn within a step: whole turns
+    between both headings do not count.
     """
     xp = state.__array_namespace__()
     speed = state[..., 3]
-    yaw_rate = (next_state[..., 2] - state[..., 2]) / dynamics.time_step
+    yaw_rate = without_turns(next_state[..., 2] - state[..., 2]) / dynamics.time_step
     acceleration = (next_state[..., 3] - speed) / dynamics.time_step + _resistance(dynamics, speed)
     if dynamics.steering == "yaw_rate":
         return xp.stack([yaw_rate, acceleration], axis=-1)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward, shipped_drivers
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.geometry.curve import without_turns
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import predict_with
 from ms_highway.irl.snapshots import Snapshots
@@ -77,6 +78,7 @@ def predict(
     """
     past, centres, bodies = (np.array(values, dtype=float) for values in (states, lanes, sizes))
     past = past[None] if past.ndim == 2 else past
+    past[..., 2:3] = without_turns(past[..., 2:3])
     shaped = past.ndim == 3 and past.shape[2] == 4 and len(past) <= PAST_STEPS + 1
     if not (shaped and past.size and np.isfinite(past[-1]).all()):
         message = f"finite numbers [cars, 4], or up to {PAST_STEPS + 1} times of them, finite at the last"

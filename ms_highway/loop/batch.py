@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import Decision, is_of_package, refuse_rungs, unestimated
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, is_of_package, refuse_rungs, unestimated
 from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.features import check_own_features, features
@@ -39,6 +39,7 @@ from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_l
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Control, Flag, Index, Rungs, State, for_rows
 from ms_highway.runtime.compilation import Devices, jit_quickly, share_among
+from ms_highway.runtime.process import refuse_after_fork
 
 EPISODES = "episodes"  # axis of a chunk, over which JAX maps
 
@@ -62,6 +63,7 @@ def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> 
     Raises:
         ValueError: without an episode, and as `checked_records` does.
     """
+    refuse_after_fork()
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
     check_own_features(loop.game.scene, loop.game.robot, loop.game.number, episodes.starts[0])
@@ -201,7 +203,7 @@ def _plan(loop: Loop, game: Game, seen: State, rest: Rest, rungs: Rungs) -> Plan
 def _steer(loop: Loop, now: Now, own: Episodes, control: Control) -> tuple[Now, Records]:
     """Let the robot execute a control, the humans plan and the world move; reward the robot."""
     none = jnp.zeros(loop.game.number, jnp.int32)
-    gains = jnp.full((loop.game.number, len(loop.rule.ladder)), jnp.nan, jnp.float32)
+    gains = jnp.full((loop.game.number, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32)
     return _world(loop, now, own, control, Records(none, none, jnp.int32(PLANNED), gains=gains))
 
 

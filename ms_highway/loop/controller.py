@@ -20,7 +20,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.choice.rule import highest_gains
-from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.dynamics import facing, keep_velocity
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.step import Status
 from ms_highway.planning.ladders import cheapest_first
@@ -220,7 +220,7 @@ class FunctionDriver:
                 that answers the same question in two ways.
         """
         shown = read_only(self.game)
-        seen = read_only(np.array(state, dtype=float))
+        seen = read_only(facing(state))
         start = perf_counter()
         control = self._ask(shown, seen)
         seconds = perf_counter() - start

@@ -9,6 +9,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.dynamics import facing
 from ms_highway.game.features import check_own_features
 from ms_highway.game.game import Game, constant_velocity, pair
 from ms_highway.planning.human_models import HumanModel, Naive, is_of_package, scaled_prediction, warn_of_limits
@@ -201,7 +202,7 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 
 
 def checked_state(state: State) -> State:
-    """Convert a state to single precision, by NumPy, which is faster than JAX.
+    """Convert a state to single precision without whole turns in headings, by NumPy, which is faster than JAX.
 
     Raises:
         ValueError: if it is not a finite array [cars, 4] of two cars or more, in that precision.
@@ -209,8 +210,8 @@ def checked_state(state: State) -> State:
     state = np.asarray(state)
     if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
         raise ValueError(f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}")
-    with np.errstate(over="ignore"):
-        single = state.astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = facing(state).astype(np.float32)
     if not np.isfinite(single).all():
         car, column = np.argwhere(~np.isfinite(single))[0]
         value, name = state[car, column], ["x", "y", "heading", "speed"][column]

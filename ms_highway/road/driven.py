@@ -159,7 +159,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
                 self.settings.build(planning, random), goal, self.settings.acceleration, self.settings.intentions
             )
             self.robots.append(robot)
-        return observation, {**info, **self._road_info()}
+        return observation, self._described(info)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Let the robot drive for a step; the action is ignored.
@@ -175,7 +175,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             robot.forget()
         kind = self._base.action_type
         *outcome, info = self.env.step(placeholder_action(kind))
-        return *outcome, {**info, **self._road_info()}
+        return *outcome, self._described(info)
 
     def render(self) -> Any:
         """Show the road, the plan, the predictions and the rungs."""
@@ -185,6 +185,11 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     @property
     def _base(self) -> Any:
         return self.unwrapped
+
+    def _described(self, info: dict[str, Any]) -> dict[str, Any]:
+        """Return ``info`` with the driver's part; highway-env tells some speeds as whole numbers after a reset."""
+        speed = {"speed": float(info["speed"])} if "speed" in info else {}
+        return {**info, **speed, **self._road_info()}
 
     def _road_info(self) -> dict[str, Any]:
         """Return the driver's part of ``info``; shapes and types are the same before and after the first step."""

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 from ms_highway.runtime.jax_settings import cores, single_precision
+from ms_highway.runtime.process import refuse_after_fork
 
 
 @cache
@@ -40,6 +41,7 @@ class Compiled:
 
     def of(self, *arguments: Any) -> jax.stages.Wrapped:
         """Return the jitted function for arguments of this structure."""
+        refuse_after_fork()
         structure = str(jax.tree.structure(arguments))
         if structure not in self._compiled:
             named = wraps(self._function)(lambda *arguments: self._function(*arguments))  # JAX caches by function
@@ -98,6 +100,7 @@ def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
         function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...], and of [1, ...].
         items: pytree of arrays [n, ...].
     """
+    refuse_after_fork()
     number = len(jax.tree.leaves(items)[0])
     size = 1 if number == 1 else BATCH
 
@@ -143,6 +146,7 @@ WIDE_CHUNK = 256  # items that an accelerator computes together
 
 def usual_chunk() -> int:
     """Return the size of a chunk that suits the devices that JAX uses by default."""
+    refuse_after_fork()
     return CHUNK if jax.default_backend() == "cpu" else WIDE_CHUNK
 
 
@@ -154,6 +158,7 @@ def use_devices(count: int | None = None) -> Devices:
     Raises:
         ValueError: if there are fewer devices than wanted.
     """
+    refuse_after_fork()
     if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         most = cores()
         with suppress(RuntimeError):  # JAX has begun, with the devices that it has
@@ -179,6 +184,7 @@ def share_among(devices: Devices, function: Callable[[Any], Any], items: Any, ch
     Returns:
         A pytree of NumPy arrays [n, ...].
     """
+    refuse_after_fork()
     count, free = len(jax.tree.leaves(items)[0]), SimpleQueue[jax.Device]()
     for device in devices:
         free.put(device)

@@ -19,7 +19,7 @@ describe_quickly = jax.jit(describe)
 SHIPPED = load_values("shipped")
 
 
-def test_a_description_depends_neither_on_units_nor_on_places_nor_on_the_numbers_of_the_humans():
+def test_a_description_depends_neither_on_units_nor_places_nor_numbers_of_humans_nor_whole_turns_of_headings():
     scenario = SCENARIOS["dense_merge"]
     game, small = build_game(scenario), build_game(scenario, unit=1.0)
     everyone = np.arange(8)
@@ -34,12 +34,16 @@ def test_a_description_depends_neither_on_units_nor_on_places_nor_on_the_numbers
     np.testing.assert_allclose(further, described, rtol=1e-2, atol=2e-2)  # float32 loses digits further out
     turned = describe_quickly(game, metres[[0, *range(8, 0, -1)]], everyone[::-1])
     np.testing.assert_allclose(turned, described, rtol=1e-4, atol=1e-4)
+    whole_turns = np.zeros_like(metres)
+    whole_turns[:, 2] = 2 * np.pi * np.arange(-4, 5)
+    turned = describe_quickly(game, metres + whole_turns, everyone)
+    np.testing.assert_allclose(turned, described, rtol=1e-3, atol=1e-2)  # single precision loses digits
 
 
 def test_the_model_with_the_highest_gain_plans_and_theory_of_mind_is_used_at_the_start_only():
     models = ["naive"]  # the first rung, to which the first gains are compared
     for info in drive(make("merger", "learned:1")).infos:
-        gains = {models[-1]: 0.0} | info["gains"]
+        gains = info["gains"] | {models[-1]: 0.0}
         models.append(info["model"])
         assert max(gains, key=gains.get) == models[-1]
     assert (models[1], models[-1]) == ("tom", "naive")  # Algorithm 1 starts with naive

@@ -101,6 +101,36 @@ def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked
         np.testing.assert_allclose(states[1, 2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
 
 
+@pytest.mark.parametrize(
+    ("scenario", "controller", "config"),
+    [
+        ("merger", "learned:1", {}),
+        ("merger", "switching:0.1+belief", {"yielding": "never"}),
+        ("dense_merge", "nearest:1", {"semantics": "physical"}),
+    ],
+)
+def test_whole_turns_of_a_cars_heading_change_nothing_in_an_episode(scenario, controller, config):
+    env = make(scenario, controller, **config)
+    env.reset(seed=0)
+    starts = env.unwrapped.car_states - [0, 0, 0.01, 0]
+    turns = 2 * np.pi * np.eye(4)[2] * np.arange(1, 1 + len(starts))[:, None]
+    plain, turned = (drive(env, starts=given, steps=3) for given in (starts, starts + turns))
+    assert [info["model"] for info in turned.infos] == [info["model"] for info in plain.infos]
+    for name in ("gains", "rewards"):
+        for one, other in zip(turned.infos, plain.infos, strict=True):
+            assert one[name] == pytest.approx(other[name], rel=1e-3, abs=1e-4)
+    np.testing.assert_allclose(turned.states, plain.states, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["merger-v0", "merger-v1", "demonstration-v0"])
+def test_no_observation_tells_whole_turns_of_a_heading(name):
+    env = gym.make(f"ms_highway:ms-highway/{name}").unwrapped
+    observation, _ = env.reset(seed=0)
+    for car in env.road.vehicles:
+        car.heading += 2 * np.pi
+    np.testing.assert_allclose(env.observation_type.observe(), observation, atol=1e-5)
+
+
 def test_action_spaces_and_frame_rates_are_an_environments_own():
     env = make("merger", action=CHOOSING).unwrapped
     shared, space = dict(type(env).metadata), env.action_space
@@ -199,9 +229,14 @@ import warnings
 
 import gymnasium as gym
 import ms_highway
+import numpy as np
 from jax import numpy as jnp
 
 jnp.ones(3).sum()
+merger, driven = "ms-highway/merger-v1", {"action": {"type": "ContinuousAction"}}
+envs, functions = gym.make_vec(merger, num_envs=2, config=driven), ms_highway.FunctionalEnv(merger, driven)
+envs.reset(seed=0)
+actions = np.zeros((2, 2), np.float32)
 warnings.simplefilter("ignore")  # JAX and Python warn of the fork
 
 
@@ -209,7 +244,20 @@ def work():
     env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
     env.reset(seed=0)
     inner = env.unwrapped
-    for compute in (lambda: env.step(0), lambda: ms_highway.plan(inner.game, inner.car_states, "naive")):
+    demonstration = gym.make("ms-highway/demonstration-v0")
+    demonstration.reset(seed=0)
+    for compute in (
+        lambda: env.step(0),
+        lambda: ms_highway.plan(inner.game, inner.car_states, "naive"),
+        lambda: demonstration.step(actions[0]),
+        lambda: gym.make_vec(merger, num_envs=2, config=driven),
+        lambda: envs.reset(seed=0),
+        lambda: envs.step(actions),
+        lambda: ms_highway.FunctionalEnv(merger, driven),
+        lambda: functions.reset(0),
+        lambda: functions.step(None, actions[0]),
+        lambda: ms_highway.predict([[0.0, 0.0, 0.0, 20.0]], [0.0], 29.0),
+    ):
         try:
             compute()
         except RuntimeError as error:
@@ -224,7 +272,7 @@ worker.join()
 
 @pytest.mark.slow
 def test_a_worker_forked_after_jax_had_begun_raises_an_error_instead_of_waiting_for_ever():
-    assert python("-c", FORKED, timeout=600).stdout.count("start it with context='forkserver' or 'spawn'") == 2
+    assert python("-c", FORKED, timeout=600).stdout.count("start it with context='forkserver' or 'spawn'") == 10
 
 
 @pytest.mark.parametrize(

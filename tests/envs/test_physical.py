@@ -122,6 +122,6 @@ def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision
     assert not steps["collision"].any()
     algorithm_1 = steps[steps["controller"] == "switching:0.1"]
     assert {*algorithm_1["status"]} == {"planned"}
-    assert algorithm_1["gains"].map(len).max() > 0
+    assert algorithm_1["gains"].map(lambda gains: np.isfinite([*gains.values()]).any()).any()
     rewards = steps.groupby("controller")["reward"].mean()
     assert rewards["learned:1"] - rewards["naive"] > 0.97 * (rewards["tom"] - rewards["naive"])

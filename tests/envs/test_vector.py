@@ -4,7 +4,7 @@ import gymnasium as gym
 import jax
 import numpy as np
 import pytest
-from episodes import TWO
+from episodes import TWO, form
 from gymnasium.vector import AutoresetMode
 
 from ms_highway import FunctionalEnv
@@ -31,14 +31,32 @@ def both(scenario, config, number=3, mode=AutoresetMode.NEXT_STEP):
 )
 def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
     ours, singles = both(scenario, config | {"duration": 2.0})
-    np.testing.assert_allclose(ours.reset(seed=5)[0], singles.reset(seed=5)[0], atol=1e-5)
+    mine, other = ours.reset(seed=5), singles.reset(seed=5)
+    np.testing.assert_allclose(mine[0], other[0], atol=1e-5)
+    first, told = form(mine[1]), other[1]
+    for name in mine[1]:
+        np.testing.assert_array_equal(mine[1][name], told[name], name)
     for _ in range(20):
         actions = ours.action_space.sample()
         mine, other = ours.step(actions), singles.step(actions)
+        assert form(mine[4]) == first
         np.testing.assert_allclose(mine[0], other[0], atol=1e-4)
         np.testing.assert_allclose(mine[1], other[1], atol=2e-3)
         for name in {*mine[4]} - {"counted_seconds"}:  # which may differ by rounding
             np.testing.assert_array_equal(mine[4][name], other[4][name], name)
+
+
+def test_in_a_chaotic_scene_the_first_steps_agree_with_single_environments():
+    """Later, rounding decides which models are chosen; notebooks/REFERENCE.md says by how much episodes differ."""
+    ours, singles = both("stay-back-v1", {"controller": "learned:1"}, number=2)
+    ours.reset(seed=7), singles.reset(seed=7)
+    for _ in range(3):
+        actions = np.zeros(2, int)
+        mine, other = ours.step(actions), singles.step(actions)
+        np.testing.assert_array_equal(mine[4]["model"], other[4]["model"])
+        np.testing.assert_allclose(mine[1], other[1], atol=1e-3)
+        states = np.stack([single.unwrapped.car_states for single in singles.unwrapped.envs])
+        np.testing.assert_allclose(ours.unwrapped._state.now.state, states, atol=0.02)
 
 
 def test_a_robot_that_has_collided_does_not_succeed():
@@ -50,6 +68,42 @@ def test_a_robot_that_has_collided_does_not_succeed():
         np.testing.assert_array_equal(mine["success"], other["success"])
         collided |= mine["collision"]
     assert mine["success"].tolist() == (~collided).tolist() == [False, False, True]
+
+
+def test_no_nan_stops_a_driven_environment_where_a_program_looks_for_nans():
+    envs = gym.make_vec(NAME + "dense-merge-v0", num_envs=3, config=DRIVING)
+    envs.reset(seed=0)
+    jax.config.update("jax_debug_nans", True)  # in all threads
+    try:
+        rewards = envs.step(np.zeros((3, 2), np.float32))[1]
+    finally:
+        jax.config.update("jax_debug_nans", False)
+    assert np.isfinite(rewards).all()
+
+
+def rewards_of_two_steps(scenario):
+    """A function from the action of two steps to the sum of their rewards."""
+    env = FunctionalEnv(scenario, {"action": {"type": "ContinuousAction"}})
+    start, _ = env.reset(jax.random.key(0))
+
+    def rewards(action):
+        state, _, first, *_ = env.step(start, action)
+        return first + env.step(state, action)[2]
+
+    return rewards
+
+
+@pytest.mark.slow
+def test_pure_functions_have_derivatives_in_reverse_mode_only_where_plans_take_a_fixed_number_of_steps():
+    rewards, action = rewards_of_two_steps("merger-v0"), np.float32([0.1, 0.02])
+    shifted = action + 0.01 * np.float32([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    earned = jax.jit(jax.vmap(rewards))(shifted)
+    for derive in (jax.jacfwd, jax.grad):
+        np.testing.assert_allclose(jax.jit(derive(rewards))(action), (earned[::2] - earned[1::2]) / 0.02, rtol=0.05)
+    rewards = rewards_of_two_steps("merger-v1")
+    assert jax.eval_shape(jax.jacfwd(rewards), action).shape == (2,)
+    with pytest.raises(ValueError, match="Reverse-mode differentiation does not work"):
+        jax.eval_shape(jax.grad(rewards), action)
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)

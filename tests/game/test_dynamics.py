@@ -49,6 +49,8 @@ def test_recovering_a_control_inverts_a_step_and_a_standing_car_has_no_observabl
     assert after.dtype == np.float64
     np.testing.assert_allclose(recover_control(dynamics, STATES, after), CONTROLS[0], atol=1e-9)
     assert not recover_control(dynamics, standing, standing).any()
+    turned = after + np.array([0, 0, 2 * np.pi, 0])
+    np.testing.assert_allclose(recover_control(dynamics, STATES, turned), CONTROLS[0], atol=1e-9)
 
 
 @PLANS

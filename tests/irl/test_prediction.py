@@ -50,7 +50,8 @@ def test_a_moment_is_predicted_as_in_a_recording_whose_future_is_not_used(predic
     recording = recorded((0.0, 3.4, 0.0, 15.0), (105.0, 3.4, 0.0, 0.0), *behind, drivers=50)
     recording.states[:30, 2:] = np.nan
     (weights, paths), spread = predict_with(predictor, snapshot(recording, 3), DRIVERS)
-    found = ms_highway.predict(recording.states[:31], LANES, 29.0, seconds=4, predictor=predictor, lane_width=3.4)
+    states = recording.states[:31] + np.array([0, 0, 2 * np.pi, 0])  # whole turns of headings change nothing
+    found = ms_highway.predict(states, LANES, 29.0, seconds=4, predictor=predictor, lane_width=3.4)
     np.testing.assert_allclose(found.times, 0.1 * np.arange(1, 41))
     np.testing.assert_allclose(found.weights, weights, rtol=1e-4)
     np.testing.assert_allclose(found.means, paths[:, :, :40], atol=2e-3)

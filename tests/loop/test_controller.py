@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from driving import COSTS, LADDER, move
 
+from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.quadratic import Switching
 from ms_highway.choice.rule import Nearest, Order, always
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
+from ms_highway.loop.controller import FunctionDriver
 from ms_highway.loop.driver import Driver, fixed
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive
@@ -38,6 +40,36 @@ def moments(played):
     """A game, and six states in which all cars keep their velocity."""
     game, state = played("merger")
     return game, [np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)) for count in range(6)]
+
+
+@pytest.mark.parametrize("kind", ["switching with a belief", "learned", "function"])
+def test_whole_turns_of_headings_change_nothing_that_a_driver_does(moments, kind):
+    """In each of three steps, each car has turned another number of times."""
+    game, states = moments
+    seen = []
+
+    def steer(own, state):
+        seen.append(state)
+        return [-0.1 * state[0, 2], 0.0]
+
+    turns = 2 * np.pi * np.array([[1, -2, 3], [-1, 0, 2], [4, 1, -3]])
+    told = []
+    for shifts in (0 * turns, turns):
+        drivers = {
+            "switching with a belief": lambda: Driver(game, SWITCHING, belief=True),
+            "learned": lambda: Driver(game, load_values("shipped").rule(LADDER, COSTS, 0.1)),
+            "function": lambda: FunctionDriver(game, "steers", steer),
+        }
+        driver = drivers[kind]()
+        for state, shift in zip(states, shifts, strict=False):
+            before = state + np.stack([0.0 * shift, 0.0 * shift, shift - 0.01, 0.0 * shift], axis=-1)
+            told.append(driver.step(before))
+    for straight, turned in zip(told[:3], told[3:], strict=True):
+        assert (straight.models, straight.status) == (turned.models, turned.status)
+        np.testing.assert_allclose(turned.control, straight.control, rtol=1e-5, atol=1e-6)
+        for name in ("gains", "belief"):
+            found = [np.array(getattr(step, name), dtype=float) for step in (turned, straight)]
+            np.testing.assert_allclose(*found, rtol=1e-3, atol=1e-4, err_msg=name)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ import jax
 import numpy as np
 import pytest
 from commands import run
+from episodes import form
 from gymnasium.envs.registration import registry
 
 import ms_highway
@@ -42,14 +43,15 @@ def forms(road):
 def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_interface(name):
     stock, env = gym.make(name), ms_highway.drive(gym.make(name))
     assert (env.action_space, env.observation_space) == (stock.action_space, stock.observation_space)
-    observation, info = env.reset(seed=1)
+    observation, told = env.reset(seed=1)
     np.testing.assert_equal(observation, stock.reset(seed=1)[0])
-    first = info["road"]
+    first = told["road"]
     assert np.isnan(first["decisions"]).all()
     assert first["action"] is None or np.isnan(first["action"]).all()
     observation, reward, terminated, _, info = env.step(env.action_space.sample())
     road, rates = info["road"], env.unwrapped.config
     assert forms(road) == forms(first)
+    assert form(info) == form(told)
     assert env.observation_space.contains(observation)
     assert road["action"] is None or env.action_space.contains(road["action"])
     assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()

@@ -65,6 +65,16 @@ env = ms_highway.drive(gymnasium.make("intersection-v0"))
 env.reset(seed=0)
 for _ in range(2):
     env.step(env.action_space.sample())
+functions = ms_highway.FunctionalEnv("merger-v0", {"action": {"type": "ContinuousAction"}})
+
+def step(state, action):
+    state, _, reward, *_ = functions.step(state, action)
+    return state, reward
+
+def rollout(key):
+    return jax.lax.scan(step, functions.reset(key)[0], jax.random.uniform(key, (3, 2), minval=-1, maxval=1))
+
+assert jax.jit(jax.vmap(rollout))(jax.random.split(jax.random.key(0), 2))[1].dtype == "float32"
 assert main(["sweep", "merger", "--controllers", "tom", "--seeds", "2", "--out", "out"]) == 0
 """
 
