@@ -32,6 +32,7 @@ process.watch()  # first of all, as what follows takes seconds
 import warnings as _warnings  # noqa: E402
 from importlib.metadata import version  # noqa: E402
 from importlib.util import find_spec as _find_spec  # noqa: E402
+from pathlib import Path as _Path  # noqa: E402
 
 import lazy_loader  # noqa: E402
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
@@ -46,6 +47,10 @@ if getattr(_find_spec("pygame"), "origin", None) is None:
     )
 if not process.is_command():  # which loads it when it needs it
     import highway_env  # noqa: F401  # whose own environments are expected beside ours
+
+_directory = _Path(__file__).parent
+if not (_directory / "envs").is_dir():  # a checkout without symbolic links; envs/ lies beside this directory
+    __path__.append(str(_directory.parent))
 
 __version__ = version("ms-highway")
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

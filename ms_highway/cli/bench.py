@@ -15,7 +15,7 @@ from ms_highway.benchmarks.road import (
     TRAFFIC,
     known_scenes,
 )
-from ms_highway.cli.console import command, number, option, output, print_tables, tell
+from ms_highway.cli.console import command, number, option, output, print_tables, tell, telling_often
 from ms_highway.cli.options import DEVICES, MAX_SEEDS, SCENARIOS, SET, comparison, controllers
 
 STOCK = f"stock environments; all versions of a name without version (default: {' '.join(SCENES)})"
@@ -181,14 +181,20 @@ def bench_road(options: argparse.Namespace) -> None:
             make_driver(block).close()  # refuses scenes that the agent does not fit
     rows: list[dict] = []
     results: dict[str, dict] = {scene: {} for scene in scenes}
-    for block, episodes in run_blocks(blocks, seeds, options.films, options.modules):
-        tell(f"drove {block.scene}, {block.driver}")
-        results[block.scene][block.driver] = summary(block, episodes)
-        rows.extend(row(block, episode) for episode in episodes)
-        if options.json:  # after every block, so that a failure later loses nothing
-            write_json(options.json, results)
-        if options.log:
-            write_table(pd.DataFrame(rows), options.log)
+
+    def progress() -> str:
+        """Say how many episodes are done."""
+        return f"episodes: {len(rows)} of {len(blocks) * len(seeds)}"
+
+    with telling_often(progress):
+        for block, episodes in run_blocks(blocks, seeds, options.films, options.modules):
+            tell(f"drove {block.scene}, {block.driver}")
+            results[block.scene][block.driver] = summary(block, episodes)
+            rows.extend(row(block, episode) for episode in episodes)
+            if options.json:  # after every block, so that a failure later loses nothing
+                write_json(options.json, results)
+            if options.log:
+                write_table(pd.DataFrame(rows), options.log)
     costs = zip(MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
     for scene, figures in results.items():

@@ -1,6 +1,7 @@
 """Define commands and their options; print what commands tell, and keep their results."""
 
 import argparse
+import io
 import os
 import re
 import sys
@@ -11,8 +12,9 @@ from functools import partial
 from inspect import getdoc
 from pathlib import Path
 from shutil import get_terminal_size
+from threading import Event, Thread
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TextIO
 
 from ms_highway.runtime.files import check_writable
 
@@ -22,8 +24,11 @@ if TYPE_CHECKING:
 
     from ms_highway.experiments.directory import ResultsDirectory
 
-PAGE_WIDTH = 120  # characters of help texts and tables, where the terminal has not fewer
+PAGE_WIDTH = 120  # characters of help texts, where the terminal has not fewer
 COLUMN = 26  # characters before the second column of rows in help texts
+
+PROGRESS_SECONDS = 60.0
+"""Time between two lines about progress where standard error is no terminal."""
 
 MOST = 1_000_000
 """Largest number of episodes, parts and other counts; more would take years or all memory."""
@@ -147,6 +152,20 @@ def wrapped_text(text: str) -> str:
     return "\n".join(rows)
 
 
+def replace_unprintable() -> None:
+    """Let standard output print a question mark for each character that its encoding lacks, such as ² in ASCII.
+
+    Python does so for standard error by itself.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):  # not None, as after ``>&-``, nor that of a notebook
+        sys.stdout.reconfigure(errors="replace")
+
+
+def is_terminal(stream: TextIO | None) -> bool:
+    """Return whether a stream is open and a terminal."""
+    return stream is not None and stream.isatty()
+
+
 @contextmanager
 def printing() -> Iterator[None]:
     """Flush standard output after a block that only prints.
@@ -182,28 +201,65 @@ def warn(message: object) -> None:
 
 
 def print_tables(*tables: "DataFrame") -> None:
-    """Print tables no wider than the terminal or COLUMNS or, without both, than `PAGE_WIDTH`."""
+    """Print tables: no wider than the terminal or COLUMNS; with a line per row where the output is no terminal."""
     from ms_highway.visualization.tables import printed
 
-    width = get_terminal_size((PAGE_WIDTH, 0)).columns
+    width = get_terminal_size().columns if is_terminal(sys.stdout) else None
     say("\n".join(printed(table, width) for table in tables))
+
+
+@contextmanager
+def telling_often(progress: Callable[[], str]) -> Iterator[None]:
+    """Tell the progress of a block every `PROGRESS_SECONDS`, until the block ends.
+
+    Args:
+        progress: returns the message of the moment.
+    """
+    ended = Event()
+
+    def tell_until_the_end() -> None:
+        while not ended.wait(PROGRESS_SECONDS):
+            tell(progress())
+
+    thread = Thread(target=tell_until_the_end, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     """Show on standard error how many episodes are done, and return the last count.
 
-    A terminal shows every count, any other output only the last.
+    A terminal shows every count. Any other output gets a line a minute, also before the first episode has ended, and
+    the last count.
 
     Args:
         counts: yields the number of episodes whenever more are done.
         already: the number at the start.
         total: the number at the end.
     """
-    done, start, end = already, perf_counter(), "\r" if sys.stderr.isatty() else "\n"
-    for done in counts:
-        left = (total - done) * (perf_counter() - start) / max(done - already, 1)
-        if end == "\r" or done == total:
-            print(f"episodes: {done:,} of {total:,}, {left:.0f} s left", end=end, file=sys.stderr, flush=True)
+    done = already
+    start = perf_counter()
+
+    def progress() -> str:
+        """Say how many episodes are done and, from the first new one on, how long the others will take."""
+        new = done - already
+        left = (total - done) * (perf_counter() - start) / max(new, 1)
+        return f"episodes: {done:,} of {total:,}" + (f", {left:.0f} s left" if new else "")
+
+    if is_terminal(sys.stderr):
+        for count in counts:
+            done = count
+            print(progress(), end="\r", file=sys.stderr, flush=True)
+        return done
+    with telling_often(progress):
+        for count in counts:
+            done = count
+    if done > already:
+        tell(progress())
     return done
 
 

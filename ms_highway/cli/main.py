@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench, bench_road
-from ms_highway.cli.console import Parser, printing, warn, wrapped_text
+from ms_highway.cli.console import Parser, printing, replace_unprintable, warn, wrapped_text
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
 from ms_highway.cli.show import frontier, learn, report, validate, video
@@ -33,6 +33,7 @@ IMPORT = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status: 0, 2 after one line about wrong input, or that of an interrupt."""
     given = sys.argv[1:] if arguments is None else arguments
+    replace_unprintable()
     try:
         try:
             options = parse(given)

@@ -15,6 +15,7 @@ from ms_highway.cli.console import (
     save_figures,
     say,
     tell,
+    telling_often,
     warn,
 )
 from ms_highway.cli.options import (
@@ -232,20 +233,26 @@ def frontier(options: argparse.Namespace) -> None:
         every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}
         directory.write_settings(settings)
         record(directory, options)
-        for scenario, outcomes in every.items():
-            tell(f"{scenario}: compiling, and driving fixed models and controllers")
-            outcomes.of(outcomes.batch.keys())
-            for count in search(outcomes, seeds, options.prices, options.population, options.rounds):
-                tell(f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
-            for price in dict.fromkeys(options.prices):
-                found = best(outcomes.table, seeds, price).reset_index()
-                own = regrets(outcomes.table, asked.controllers[scenario], seeds, price)
-                orders = pd.concat([orders, found.assign(scenario=scenario, price=price)])
-                behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
-            write_table(orders, out / "orders.csv")
-            write_table(behind, out / "regrets.csv")
-            drawing = {f"{scenario}_frontier": partial(frontier, behind, scenario, options.seeds)}
-            save_figures(drawing, out, options.format)
+
+        def progress() -> str:
+            """Say how many episodes are done in every scenario."""
+            return ", ".join(f"{name}: {len(outcomes.table)} episodes" for name, outcomes in every.items())
+
+        with telling_often(progress):
+            for scenario, outcomes in every.items():
+                tell(f"{scenario}: compiling, and driving fixed models and controllers")
+                outcomes.of(outcomes.batch.keys())
+                for count in search(outcomes, seeds, options.prices, options.population, options.rounds):
+                    tell(f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
+                for price in dict.fromkeys(options.prices):
+                    found = best(outcomes.table, seeds, price).reset_index()
+                    own = regrets(outcomes.table, asked.controllers[scenario], seeds, price)
+                    orders = pd.concat([orders, found.assign(scenario=scenario, price=price)])
+                    behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
+                write_table(orders, out / "orders.csv")
+                write_table(behind, out / "regrets.csv")
+                drawing = {f"{scenario}_frontier": partial(frontier, behind, scenario, options.seeds)}
+                save_figures(drawing, out, options.format)
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")

@@ -215,7 +215,7 @@ def read_json(path: Path) -> Any:
         ValueError: if it is no JSON.
         OSError: if there is no such file.
     """
-    return json.loads(path.read_text())
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 def write_json(file: Path, content: Any) -> None:

@@ -119,9 +119,14 @@ def grid(title: str, rows: Any, names: int = 1) -> pd.DataFrame:
     return table
 
 
-def printed(table: pd.DataFrame, width: int) -> str:
-    """Return a table of `grid` as text of a width; columns beyond it follow below, beside the same names."""
-    shown = table.rename(index=lambda name: name if len(name) <= NAME_WIDTH else f"{name[:15]}…{name[-16:]}")
+def printed(table: pd.DataFrame, width: int | None) -> str:
+    """Return a table of `grid` as text of a width; columns beyond it follow below, beside the same names.
+
+    Long names are shortened. Without a width, every row is one line, and names are whole.
+    """
+    shown = table
+    if width is not None:
+        shown = table.rename(index=lambda name: name if len(name) <= NAME_WIDTH else f"{name[:15]}…{name[-16:]}")
     text = shown.to_string(line_width=width, sparsify=False)
     return "\n".join([table.attrs["title"], *(line.rstrip() for line in text.splitlines()), ""])
 

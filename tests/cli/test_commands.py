@@ -1,5 +1,6 @@
 """Commands as users type them."""
 
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -67,6 +68,18 @@ def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_pa
     assert warning.startswith("ms-highway: config['step_size'] is 0.5")
     assert ".py" not in warning
     assert "is not empty" in refusal
+
+
+def test_tables_and_refusals_print_in_ascii_and_a_row_is_a_line_where_the_output_is_no_terminal():
+    narrow = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "60"}
+    bench = ["-m", "ms_highway", "bench", "road", "merge-v0", "--drivers"]
+    table = python(*bench, "idm", "--seeds", "1", env=narrow).stdout.splitlines()
+    (headings,) = (line for line in table if "reward per step" in line)
+    (row,) = (line for line in table if line.startswith("idm"))
+    assert "m/s? at most" in headings  # m/s²
+    assert min(len(headings), len(row)) > 120
+    refusal = python(*bench, "caf\xe9", status=2, env=narrow).stderr
+    assert refusal.startswith("ms-highway: unknown driver 'caf\\xe9'")
 
 
 @pytest.mark.slow

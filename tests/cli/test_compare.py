@@ -27,6 +27,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import ms_highway
+from ms_highway.cli import console
 from ms_highway.cli.main import main
 from ms_highway.cli.options import FORMATS
 from ms_highway.experiments.comparison import Comparison
@@ -82,6 +83,17 @@ def test_compare_writes_a_row_per_step_a_summary_figures_and_what_made_them(comp
     assert ["--seeds 1" in run["command"] for run in runs] == [True, False]
     run(f"{COMPARE} {compared}")  # computes nothing
     assert json.loads((compared / "provenance.json").read_text()) == runs
+
+
+def test_compare_tells_every_minute_how_many_episodes_are_done_where_no_terminal_shows_it(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(console, "PROGRESS_SECONDS", 0.001)  # instead of a minute, which an episode does not take
+    run(f"{COMPARE} {tmp_path}")
+    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("episodes: ")]
+    assert told[0] == "episodes: 0 of 4"
+    assert re.fullmatch(r"episodes: 1 of 4, \d+ s left", next(line for line in told if "1 of 4" in line))
+    assert told[-1] == "episodes: 4 of 4, 0 s left"
 
 
 @pytest.mark.slow

@@ -25,6 +25,12 @@ for command in ([], *(name.split() for name in COMMANDS)):
 print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'scipy'} & set(sys.modules))}")
 """
 
+ASCII = (
+    {"PYTHONIOENCODING": "ascii"},
+    {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+)
+"""Variables of the environment, each of which makes standard output ASCII."""
+
 
 def test_help_describes_every_command_and_loads_no_package_that_computes_or_draws():
     wide = {**os.environ, "COLUMNS": "300"}
@@ -34,6 +40,14 @@ def test_help_describes_every_command_and_loads_no_package_that_computes_or_draw
     assert min(map(len, texts)) > 250
     assert max(map(len, output.splitlines())) <= 120
     assert output.endswith("loaded: []\n")
+
+
+@pytest.mark.parametrize("ascii_only", ASCII, ids=" ".join)
+def test_help_of_every_command_prints_where_the_output_is_ascii(ascii_only):
+    output = python("-c", HELP, env={**os.environ, **ascii_only}).stdout
+    assert output.count("usage: ms-highway") == 1 + len(COMMANDS)
+    assert "m/s? is the largest acceleration" in " ".join(output.split())  # m/s²
+    assert output.isascii()
 
 
 @pytest.mark.parametrize("name", COMMANDS)

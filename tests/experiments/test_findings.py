@@ -1,5 +1,9 @@
 """The answer of a comparison in sentences, and its printed tables."""
 
+import contextlib
+import os
+from select import select
+
 import pandas as pd
 
 from ms_highway.cli.console import print_tables
@@ -34,12 +38,25 @@ def test_the_answer_says_that_a_gain_may_be_chance():
     assert "keeps" not in message
 
 
-def test_a_printed_table_fits_the_terminal_and_shows_every_cell(monkeypatch, capsys):
+def shown_on_a_terminal(show):
+    """Return what a function shows while standard output is a terminal."""
+    reader, writer = os.openpty()
+    with os.fdopen(writer, "w", encoding="utf-8") as screen:
+        with contextlib.redirect_stdout(screen):
+            show()
+        shown = b""
+        while select([reader], [], [], 0)[0]:
+            shown += os.read(reader, 4096)
+    os.close(reader)
+    return shown.decode()
+
+
+def test_a_printed_table_fits_the_terminal_and_shows_every_cell(monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     row = {f"column {place}": "-1.89, 2.33" for place in range(12)}
     names = [f"schedule:tom={steps},{'turn=1,' * 9}naive" for steps in (4, 30)]
-    print_tables(grid("crowded", [{"controller": name, **row} for name in names]))
-    lines = capsys.readouterr().out.splitlines()
+    table = grid("crowded", [{"controller": name, **row} for name in names])
+    lines = shown_on_a_terminal(lambda: print_tables(table)).splitlines()
     assert max(map(len, lines)) <= 60
     assert sum(line.count("-1.89, 2.33") for line in lines) == 2 * 12
     assert all(line.strip().startswith("schedule:tom=") for line in lines if "-1.89" in line)

@@ -50,12 +50,17 @@ def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_value
     assert [line.split()[0] for line in lines] == ["agent", "random", "learned:1", "naive"]
 
 
-def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_naive_and_learned_values(tmp_path):
+def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_every_model_and_learned_values(tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
-    agent = str(tmp_path / "agent.zip")
-    done = python(place(LEARNING), *f"merger-v1 --steps 800 --episodes 1 --out {agent}".split())
-    _, *lines = done.stdout.partition("reward per step less that")[2].splitlines()
-    assert [line.split()[0] for line in lines] == [agent, "random", "naive", "learned"]
+    agent = tmp_path / "agent.zip"
+    words = f"merger-v1 --set costs=published --price 10 --environments 8 --steps 320 --episodes 2 --out {agent}"
+    done = python(place(LEARNING), *words.split())
+    _, _, *lines = done.stdout.partition("a second costs 10")[2].splitlines()
+    names = ["agent", "random", "naive", "turn", "tom", "learned:10"]
+    assert [line.split()[0] for line in lines] == names
+    reward, net = (float(cell) for cell in lines[names.index("tom")].split()[1:3])
+    assert net == pytest.approx(reward - 10 * 0.37, abs=0.011)  # the published time of a plan, in every step
+    assert agent.is_file()
 
 
 def test_trained_peers_drive_in_their_own_scene_and_are_refused_in_others(tmp_path):

@@ -20,6 +20,7 @@ QUICK = {
     "FOLDS": 1,
     "HELD_OUT": 1,
     "HUMANS": 2,
+    "LEARNED_LAMBDAS": [1],
     "MERGING_LAMBDAS": [0.001, 0.01, 0.1],
     "RECORDINGS": 1,
     "SEEDS": 1,

@@ -29,10 +29,18 @@ def test_an_import_registers_all_environments_but_loads_public_names_only_when_t
     python("-W", "error::ImportWarning", "-c", IMPORTED)
 
 
+def test_the_package_is_found_from_the_directory_above_a_checkout_of_its_name(tmp_path):
+    (tmp_path / "ms_highway" / "ms_highway").mkdir(parents=True)
+    python("-c", "import ms_highway; assert ms_highway.__file__, 'it is a namespace'", cwd=tmp_path)
+
+
 @pytest.fixture
 def checkout_without_links(tmp_path):
-    """Copy the project as Git checks it out on systems without symbolic links, which get a text file instead."""
-    source = tmp_path / "source"
+    """Copy the project as Git checks it out on systems without symbolic links, which get a text file instead.
+
+    The directory has the package's name, as that of a clone may have.
+    """
+    source = tmp_path / "ms_highway"
     shutil.copytree(ROOT / "ms_highway", source / "ms_highway", ignore=lambda folder, names: {"envs", "__pycache__"})
     shutil.copytree(ROOT / "envs", source / "envs")
     (source / "ms_highway" / "envs").write_text("../envs")
@@ -67,13 +75,16 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout
 
 
 @pytest.mark.slow
-def test_an_editable_installation_finds_the_environments_without_symbolic_links(checkout_without_links, tmp_path):
+def test_an_editable_installation_is_found_from_above_its_checkout_and_has_environments_without_links(
+    checkout_without_links, tmp_path
+):
     source, installed = checkout_without_links, tmp_path / "installed"
     install(installed, "-e", source)
     program = (
         "import site, sys\n"
         f"site.addsitedir({str(installed)!r}); sys.path.append({sysconfig.get_path('purelib')!r})\n"
-        "import gymnasium, ms_highway.envs\n"
+        "import gymnasium, ms_highway, ms_highway.envs\n"
+        f"assert ms_highway.__file__ == {str(source / 'ms_highway' / '__init__.py')!r}, ms_highway.__path__\n"
         f"assert ms_highway.envs.__file__ == {str(source / 'envs' / '__init__.py')!r}, ms_highway.envs.__file__\n"
         "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
     )

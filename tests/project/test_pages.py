@@ -80,6 +80,17 @@ def test_every_link_has_a_target():
     assert dead == []
 
 
+def test_a_text_on_an_example_names_only_options_and_algorithms_that_it_has():
+    for text in [*TEXTS.values(), *EXAMPLES.values()]:
+        for options in re.finditer(r"examples/(\w+)\.py((?: [^`\s]+)*)", text):
+            source = EXAMPLES.get(options[1], "")
+            assert all(word in source for word in re.findall(r"--[a-z-]+", options[2])), options[0]
+        for part in re.split(r"\n\n|\n(?=\|)", text):  # paragraphs and rows
+            sources = [EXAMPLES[name] for name in re.findall(r"examples/(\w+)\.py", part) if name in EXAMPLES]
+            named = re.findall(r"\b(?:DQN|PPO|SAC|A2C)\b", part)
+            assert not sources or all(name in "".join(sources) for name in named), part
+
+
 def test_every_file_and_name_in_a_page_exists():
     for name in re.findall(r"`(ms_highway(?:\.\w+)+)", "\n".join([*TEXTS.values(), *EXAMPLES.values()])):
         resolve_name(name)
