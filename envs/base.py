@@ -200,6 +200,11 @@ class InteractionEnv(GameEnv):
         self._drive()
 
     @property
+    def keys_drive(self) -> bool:
+        """See `ms_highway.envs.configured.ConfiguredEnv.keys_drive`; they may also drive a human."""
+        return KEYBOARD in self.settings.drivers or super().keys_drive
+
+    @property
     def cars(self) -> int:
         """Number of cars: robot, humans and scripted ones."""
         return 1 + self.settings.humans + len(self.scenario.cars[2:])

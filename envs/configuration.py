@@ -94,6 +94,19 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
             raise ValueError(f"unknown key {key!r} in {place}; {hint}")
 
 
+def checked_seed(seed: Any) -> int | None:
+    """Return a seed as Gymnasium takes it, a Python number; None stays None, for a seed that is drawn.
+
+    Raises:
+        ValueError: for anything but a whole number that is not negative.
+    """
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ValueError(f"the seed of reset is {seed!r}; give a whole number from 0 on, or None")
+    return int(seed)
+
+
 def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind:
     """Return the values of a configuration as a struct; NumPy's numbers and arrays count as Python's.
 

@@ -22,6 +22,7 @@ from ms_highway.envs.configuration import (
     as_json,
     check,
     check_type,
+    checked_seed,
     read_own,
     refuse_unknown,
 )
@@ -33,9 +34,10 @@ from ms_highway.envs.spaces import (
     SceneStates,
     TupleObservation,
     finite,
+    is_possible,
     limit_speed,
 )
-from ms_highway.envs.viewer import Viewer, enable_pictures
+from ms_highway.envs.viewer import Viewer, check_window, enable_pictures
 from ms_highway.game.scenario import TIME_STEP
 
 OWN_TYPES = {
@@ -75,12 +77,14 @@ class ConfiguredEnv(AbstractEnv):
     metadata: Config
     action_space: Any
     _running, _stale = False, False  # whether an episode runs; whether the next step needs a reset first
+    _made = False  # whether the constructor has ended
     _coming: Config | None = None  # the configuration of the next episode
     _spec: EnvSpec | None = None
 
     def __init__(self, config: Config | None = None, render_mode: str | None = None) -> None:
         super().__init__(config, render_mode)
         self._running = False  # the episode that highway-env starts in its constructor does not count
+        self._made = True
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -170,6 +174,11 @@ class ConfiguredEnv(AbstractEnv):
         self.metadata = dict(self.metadata)  # highway-env would write into the dictionary that all environments share
         super().update_metadata(video_real_time_ratio)
 
+    @property
+    def keys_drive(self) -> bool:
+        """Whether the arrow keys drive a car."""
+        return bool(self.config["manual_control"]) and self.render_mode == "human"
+
     def define_spaces(self) -> None:
         """Set types and spaces of observations and actions; an unchanged action space keeps its random generator."""
         before = self.action_space
@@ -198,14 +207,18 @@ class ConfiguredEnv(AbstractEnv):
             options: ``"config"``, changes of the configuration, of which all are made or none; the class may have more.
 
         Raises:
-            ValueError: for unknown options or an impossible configuration.
+            ValueError: for an impossible seed, unknown options or an impossible configuration.
+            OSError: if the arrow keys are to drive, and there is no window to press them in.
         """
+        seed = checked_seed(seed)
         self.options = options or {}
         refuse_unknown("the reset options", self.options, self.reset_options)
         with self._all_or_nothing():
             self._running = False
             if self._coming or "config" in self.options:
                 self.configure(self.options.get("config"))
+            if self._made and self.keys_drive:
+                check_window(self.render_mode)
             self.road = None
             start = super().reset(seed=seed)
         self._running, self._stale = True, False
@@ -231,8 +244,7 @@ class ConfiguredEnv(AbstractEnv):
         """
         if self._stale:
             raise ResetNeeded("the configuration has changed since the last episode; call reset before step")
-        own = isinstance(self.action_type, Autopilot)  # highway-env clips its actions to their space
-        if action is not None and not (self.action_space.contains(action) if own else np.isfinite(action).all()):
+        if action is not None and not is_possible(self.action_space, action):
             raise ValueError(f"action {action!r} is impossible; give one of {self.action_space}")
         *outcome, info = super().step(action)
         self._running = not any(outcome[2:])

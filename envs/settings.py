@@ -61,7 +61,7 @@ class Settings(Struct, frozen=True):
     human_reward: Annotated[
         Literal["learned", "published", "us101"] | dict[str, Number] | None, Meta(description=REWARD_REMEDY)
     ]
-    humans: int
+    humans: Annotated[int, Meta(description="it must be a whole number")]
     beliefs: Literal["learned", "true"]
     yielding: Literal["usual", "never", "always", "mixed"]
     human_driver: str | None
@@ -114,7 +114,10 @@ class Settings(Struct, frozen=True):
         """
         fewest, most = HUMANS if scenario.streams else (1, 1)
         if not fewest <= self.humans <= most:
-            raise ValueError(f"config['humans'] is {self.humans}; it must be a whole number from {fewest} to {most}")
+            remedy = f"{scenario.name} has one human; leave it out, or take a scenario of many, such as dense-merge-v1"
+            if scenario.streams:
+                remedy = f"it must be a whole number from {fewest} to {most} in {scenario.name}"
+            raise ValueError(f"config['humans'] is {self.humans}; {remedy}")
         longest = longest_step(self.horizon, self.time_step)
         if self.step_size is not None and self.step_size > longest:
             plans = f"plans of {self.horizon} steps of {self.time_step:g} s"

@@ -14,7 +14,7 @@ from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import ControllerSettings, OrderSettings
-from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls
+from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls, is_possible
 from ms_highway.game.features import check_own_features
 from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import Given, Now, begin_episodes, checked_records, step_episodes
@@ -183,17 +183,23 @@ class FunctionalEnv:
     ) -> tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
         """Return state, observation, reward, terminated, truncated and info after an action.
 
-        No episode is reset automatically. The number of a model beyond the ladder counts as the nearest rung. Where JAX
-        traces a step, the reward is NaN if a rule of the user's chose what is no rung.
+        No episode is reset automatically. Where JAX traces a step, the numbers of the action are not checked: a model
+        beyond the ladder then counts as the nearest rung. There, the reward is NaN if a rule of the user's chose what
+        is no rung.
 
         Raises:
-            ValueError: for an action of another shape than the action space's; where JAX does not trace the step, also
-                as `ms_highway.loop.batch.checked_records` does.
+            ValueError: for an action of another shape or type than the action space's, and for one that the space does
+                not contain or that is not finite; controls beyond the ends are clipped. Where JAX does not trace the
+                step, also as `ms_highway.loop.batch.checked_records` does.
         """
         refuse_after_fork()
         action, space = jnp.asarray(action), self.action_space
         if action.shape != space.shape:
             raise ValueError(f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}")
+        if not self.agent_drives and action.dtype.kind not in "biu":
+            raise ValueError(f"the action has numbers of type {action.dtype}; give one of {space}, of whole numbers")
+        if not isinstance(action, jax.core.Tracer) and not is_possible(space, np.asarray(action).astype(space.dtype)):
+            raise ValueError(f"action {action} is impossible; give one of {space}")
         action = action.astype(np.float32 if self.agent_drives else np.int32)
         with single_precision():
             return self._step(state, action)

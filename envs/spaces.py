@@ -137,6 +137,20 @@ def finite(space: spaces.Space) -> spaces.Space:
     return space
 
 
+def is_possible(space: spaces.Space, action: Any) -> bool:
+    """Return whether an environment can take an action: one of its space, or of finite numbers beyond a box's ends.
+
+    highway-env clips these to the ends.
+    """
+    if not isinstance(space, spaces.Box):
+        return bool(space.contains(action))
+    try:
+        numbers = np.asarray(action)
+    except ValueError:  # of lists of different lengths
+        return False
+    return numbers.shape == space.shape and numbers.dtype.kind in "biuf" and bool(np.isfinite(numbers).all())
+
+
 def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | None) -> None:
     """Let a type of actions keep its car within a range of speeds [m/s]; None sets no limits.
 

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
-from ms_highway.envs.configuration import Config, refuse_unknown
+from ms_highway.envs.configuration import Config, checked_seed, refuse_unknown
 from ms_highway.envs.simulation import EnvState, FunctionalEnv, stack_episodes
 from ms_highway.loop.batch import Given, Now, begin_episodes, checked_records, step_episodes
 from ms_highway.loop.records import Episodes, Loop, Records
@@ -46,7 +46,7 @@ class InteractionVectorEnv(VectorEnv):
         render_mode: None.
 
     Raises:
-        ValueError: as `FunctionalEnv` does, and for a render mode.
+        ValueError: as `FunctionalEnv` does, and for a render mode, an unknown autoreset mode or an impossible number.
     """
 
     def __init__(
@@ -59,8 +59,15 @@ class InteractionVectorEnv(VectorEnv):
     ) -> None:
         if render_mode is not None:
             raise ValueError(f"render_mode is {render_mode!r}; nothing is rendered here, make a single environment")
+        if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs!r}; give a whole number of environments from 1 on")
+        known = {name: each for each in AutoresetMode for name in (each, each.name, each.value)}
+        mode = known.get(autoreset_mode) if isinstance(autoreset_mode, (str, AutoresetMode)) else None
+        if mode is None:
+            names = ", ".join(f"AutoresetMode.{each.name}" for each in AutoresetMode)
+            raise ValueError(f"autoreset_mode is {autoreset_mode!r}; give one of {names}")
         self._functions = functions = FunctionalEnv(environment, config)
-        self.num_envs, self.autoreset_mode = num_envs, AutoresetMode(autoreset_mode)
+        self.num_envs, self.autoreset_mode = int(num_envs), mode
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
         self.single_observation_space, self.single_action_space = functions.observation_space, functions.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -82,8 +89,8 @@ class InteractionVectorEnv(VectorEnv):
             options: ``"reset_mask"``: which environments to reset, an array of bools.
 
         Raises:
-            ValueError: for another number of seeds, unknown options, or a mask that is empty, has another shape, or
-                leaves out environments that were never reset.
+            ValueError: for impossible seeds or another number of them, unknown options, or a mask that is empty, has
+                another shape, or leaves out environments that were never reset.
         """
         refuse_after_fork()
         options = options or {}
@@ -94,14 +101,16 @@ class InteractionVectorEnv(VectorEnv):
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
         if self._state is None and not mask.all():
             raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
-        if isinstance(seed, (int, np.integer)):
-            seed = [int(seed) + place for place in range(self.num_envs)]
-        seeds = [None] * self.num_envs if seed is None else seed
+        if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str):
+            seeds = [checked_seed(each) for each in seed]
+        else:
+            first = checked_seed(seed)
+            seeds = [None if first is None else first + place for place in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments; give one for each")
         for place, own in enumerate(seeds):
             if own is not None and mask[place]:
-                self._randoms[place] = seeding.np_random(int(own))[0]
+                self._randoms[place] = seeding.np_random(own)[0]
         observations = self._renew(mask)
         return observations, _masked(self._info_at_reset(), mask)
 

@@ -104,7 +104,13 @@ class Viewer(EnvViewer):
     def __init__(self, env: Any) -> None:
         self.env, self.config, self.offscreen = env, env.config, env.config["offscreen_rendering"]
         if not self.offscreen:
-            super().__init__(env)
+            try:
+                super().__init__(env)
+            except pygame.error as error:
+                remedy = "use a desktop, or render_mode='rgb_array'"
+                raise OSError(
+                    f"there is no display for the window of render_mode='human' ({error}); {remedy}"
+                ) from error
         else:  # without `pygame.display`, which may fail without a screen and which surfaces do not need
             pygame.font.init()  # for labels
             size = self.config["screen_width"], self.config["screen_height"]
@@ -145,6 +151,21 @@ def check_display() -> None:
         driver = pygame.display.get_driver()
     if driver in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ:
         raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
+
+
+def check_window(render_mode: str | None) -> None:
+    """Check that there is, or will be, a window whose keys a person can press.
+
+    Args:
+        render_mode: of the environment; ``"human"`` opens a window.
+
+    Raises:
+        OSError: without a display, or without a window.
+    """
+    if render_mode == "human":
+        check_display()
+    elif not pygame.display.get_init() or pygame.display.get_surface() is None:
+        raise OSError("there is no window to press keys in; make the environment with render_mode='human'")
 
 
 KEY_ACCELERATION = 4.0  # m/s^2

@@ -20,7 +20,7 @@ from highway_env.envs.common.action import (
 )
 from highway_env.utils import lmap
 
-from ms_highway.envs.configuration import as_json
+from ms_highway.envs.configuration import as_json, checked_seed
 from ms_highway.envs.game_env import GameEnv
 from ms_highway.envs.viewer import enable_pictures
 from ms_highway.perception.scene import TRAFFIC
@@ -138,8 +138,10 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         """Start an episode, and replace every controlled vehicle by a robot.
 
         Raises:
-            ValueError: if options give the environment actions that its reward does not accept.
+            ValueError: for an impossible seed, or if options give the environment actions that its reward does not
+                accept.
         """
+        seed = checked_seed(seed)
         restore_traffic()
         show(self.env)
         try:

@@ -7,6 +7,7 @@ from commands import python
 from episodes import drive, make
 from gymnasium.utils.env_checker import check_env
 
+import ms_highway
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
 from ms_highway.envs.demonstration import ACTION
 from ms_highway.envs.game_env import Timing
@@ -48,6 +49,12 @@ def test_info_holds_the_reward_by_feature_and_measured_times(turned):
     ("scenario", "kind", "action", "message"),
     [
         ("merger", DRIVING, np.array([0.0, np.nan]), r"nan.* is impossible; give one of Box\(-1.0, 1.0"),
+        ("merger", DRIVING, [1, 0, 9, 9], r"action \[1, 0, 9, 9\] is impossible; give one of Box\(-1.0, 1.0, \(2,\)"),
+        ("merger", DRIVING, [[1, 0], [1]], r"action .* is impossible; give one of Box"),
+        ("merger", DRIVING, 1.0, r"action 1.0 is impossible; give one of Box"),
+        ("merger", DRIVING, ["0", None], r"action \['0', None\] is impossible; give one of Box"),
+        ("merger", {"type": "DiscreteAction"}, 9, r"action 9 is impossible; give one of Discrete\(9\)"),
+        ("merger", {"type": "DiscreteAction"}, 0.5, r"action 0.5 is impossible; give one of Discrete\(9\)"),
         ("dense_merge", CHOOSING, 1, r"action 1 is impossible; give one of MultiDiscrete"),
     ],
 )
@@ -99,6 +106,16 @@ def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked
         assert rewards[0] < -90
         assert len(rewards) == steps
         np.testing.assert_allclose(states[1, 2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
+
+
+@pytest.mark.parametrize("name", ["merger-v1", "demonstration-v0", "recorded-v0", "merge-v1"])
+def test_seeds_are_whole_numbers_also_of_numpy(name):
+    env = ms_highway.drive(gym.make(name)) if name == "merge-v1" else gym.make(f"ms_highway:ms-highway/{name}")
+    same = [env.reset(seed=seed)[0] for seed in (3, np.int64(3), np.int32(3))]
+    np.testing.assert_array_equal(same[1:], [same[0]] * 2)
+    for seed in (1.5, np.float64(3.0), -1, "3", True, [3]):
+        with pytest.raises(ValueError, match=r"the seed of reset is .*; give a whole number from 0 on, or None"):
+            env.reset(seed=seed)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from collections import Counter
 from copy import deepcopy
 
+import gymnasium as gym
 import numpy as np
 import pygame
 import pytest
@@ -169,17 +170,15 @@ def test_an_object_that_cannot_begin_an_episode_is_refused():
 
 
 def test_arrow_keys_drive_the_human(monkeypatch):
-    env = make("merger-v1", human_driver="keyboard")
-    env.reset(seed=0)
-    with pytest.raises(OSError, match="render_mode='human'"):
-        env.step(0)
+    with pytest.raises(OSError, match="no window to press keys in; make the environment with render_mode='human'"):
+        make("merger-v1", human_driver="keyboard").reset(seed=0)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.init()
     pygame.display.set_mode((10, 10))
     try:
         pressed = Counter([pygame.K_DOWN, pygame.K_RIGHT])
         monkeypatch.setattr(pygame.key, "get_pressed", lambda: pressed)
-        _, states, *_ = drive(env, steps=5)
+        _, states, *_ = drive(make("merger-v1", human_driver="keyboard"), steps=5)
     finally:
         pygame.display.quit()
     np.testing.assert_allclose(np.diff(states[:, 1, 3]), -0.4, atol=0.05)
@@ -197,3 +196,23 @@ def test_arrow_keys_drive_the_human(monkeypatch):
 def test_an_unknown_driver_and_a_key_without_effect_are_refused(config, message):
     with pytest.raises(ValueError, match=message):
         make("merger-v1", **config)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "config"),
+    [("merger-v1", {"human_driver": "keyboard"}), ("demonstration-v0", {"manual_control": True})],
+)
+def test_keys_without_a_display_are_refused_in_one_sentence(scenario, config, monkeypatch):
+    for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    pygame.display.quit()
+    env = gym.make(f"ms_highway:ms-highway/{scenario}", render_mode="human", config=config)
+    try:
+        with pytest.raises(OSError, match="there is no display for a person to drive at; use a desktop"):
+            env.reset(seed=0)
+    finally:
+        env.close()
+    monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
+    with pytest.raises(OSError, match="there is no display for the window of render_mode='human'"):
+        gym.make(f"ms_highway:ms-highway/{scenario}", render_mode="human", config=config)
+    pygame.display.quit()

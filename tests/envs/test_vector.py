@@ -175,6 +175,9 @@ def test_wrong_actions_seeds_and_masks_are_refused():
     env = gym.make_vec(NAME + "merger-v1", num_envs=2, config=CHOOSING)
     with pytest.raises(ValueError, match="3 seeds for 2 environments"):
         env.reset(seed=[0, 1, 2])
+    for seed in (1.5, -1, "ab", [0, 0.5], [-1, 0]):
+        with pytest.raises(ValueError, match=r"the seed of reset is .*; give a whole number from 0 on, or None"):
+            env.reset(seed=seed)
     with pytest.raises(ValueError, match="never reset; reset all of them"):
         env.reset(options={"reset_mask": np.array([False, True])})
     with pytest.raises(ValueError, match=r"reset before they can step: \[0, 1\]"):
@@ -184,6 +187,37 @@ def test_wrong_actions_seeds_and_masks_are_refused():
         env.step([0, 2])
     with pytest.raises(ValueError, match="impossible"):
         env.step([0.9, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        *(
+            ({"num_envs": number}, "num_envs is .*; give a whole number of environments")
+            for number in (0, -1, 1.5, "2")
+        ),
+        ({"autoreset_mode": "same"}, "autoreset_mode is 'same'; give one of AutoresetMode.NEXT_STEP"),
+        ({"config": {"humans": 2}}, r"config\['humans'\] is 2; merger-v1 has one human; leave it out"),
+    ],
+)
+def test_an_impossible_vector_environment_is_refused_when_it_is_made(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make_vec(NAME + "merger-v1", **{"num_envs": 2, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("config", "action", "message"),
+    [
+        (CHOOSING, 2, r"action 2 is impossible; give one of Discrete\(2\)"),
+        (CHOOSING, 0.5, r"numbers of type float32; give one of Discrete\(2\), of whole numbers"),
+        ({"action": {"type": "ContinuousAction"}}, [np.nan, 0.0], r"nan.* is impossible; give one of Box"),
+        ({"action": {"type": "ContinuousAction"}}, [1.0, 0.0, 9.0, 9.0], r"shape \(4,\); give one of Box"),
+    ],
+)
+def test_pure_functions_refuse_impossible_actions(config, action, message):
+    env = FunctionalEnv("merger-v1", config)
+    with pytest.raises(ValueError, match=message):
+        env.step(None, action)
 
 
 def test_observations_tell_states_and_the_distance_to_cones_within_finite_bounds():
