@@ -132,7 +132,8 @@ def bench_road(options: argparse.Namespace) -> None:
     driver human, which repeats the recorded drive of the vehicle in whose place it starts. --export DIR writes every
     drive of a planning problem as two CommonRoad files, for example for commonroad-drivability-checker:
     DIR/TRAFFIC/DRIVER/NAME.xml, the recording with the other vehicles as they moved in the episode, and
-    NAME.solution.xml, the ego's drive as states of a kinematic single-track model (KS2).
+    NAME.solution.xml, the ego's drive as states of a kinematic single-track model (KS2). In DRIVER and NAME, characters
+    that have a meaning in paths, such as : and /, become _, and digits follow that keep different names apart.
 
     Examples:
       ms-highway bench road merge --drivers priced idm

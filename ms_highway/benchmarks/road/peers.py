@@ -3,6 +3,7 @@
 Starts in recordings are planning problems, or vehicles that change lanes.
 """
 
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -207,7 +208,13 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
         raise ValueError(
             f"--data: there is no {what} in {data or 'the recording of the package'}; give another directory"
         )
-    return list(starts.values())
+
+    # Recordings may share an id: their files tell such starts apart.
+    names = Counter(start.name for start in starts.values())
+    return [
+        start if names[start.name] == 1 else start._replace(name=f"{start.name}_{Path(start.recording).name}")
+        for start in starts.values()
+    ]
 
 
 def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
