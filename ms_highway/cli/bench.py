@@ -124,7 +124,8 @@ def bench_road(options: argparse.Namespace) -> None:
     installed), such as those of notebooks/examples/train_peers.py: open only files that you trust, as they may hold any
     program. Drivers above 10 m/s^2 are labelled unphysical.
 
-    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package).
+    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package). If
+    the vehicle of a problem was recorded, too, the ego takes its place, and a line says so.
     With --egos changing, it has a start in the place of every vehicle that was recorded to change lanes; the goal is
     that vehicle's last position. Its --traffic is learned (drivers who react, the default), replay or idm. Success is
     CommonRoad's: to reach the goal's region in its interval of time, without a collision and on the road; "s to goal"
@@ -174,6 +175,11 @@ def bench_road(options: argparse.Namespace) -> None:
         seeds = range(len(starts))[options.seed :][: options.seeds]
         if not seeds:
             raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
+    asked = [starts[seed] for seed in seeds] if recorded else []
+    own = [start for start in asked if start.replaced is not None and start.replaced != start.ego]
+    if own:
+        taken = ", ".join(f"{start.replaced} in {start.name}" for start in own)
+        tell(f"the ego takes the place of the recorded vehicle {taken}")
     blocks = [Block(scene, driver, traffic, starts, options.export) for scene in scenes for driver in drivers]
     for block in blocks:
         if is_agent(block.driver):

@@ -124,3 +124,12 @@ def test_drives_of_recordings_whose_ids_are_paths_or_the_same_are_exported_into_
     written = [path for path in tmp_path.rglob("*.xml") if path.parent != data]
     assert {path.parent for path in written} == {exports / "replay" / "idm"}
     assert len(written) == 2 * 2
+
+
+@pytest.mark.slow
+def test_the_command_says_whose_place_the_ego_takes(tmp_path, capsys):
+    cars = recordings.car(100, 20, 0) + recordings.car(101, 40, 3.5)
+    text = recordings.scenario(cars=cars, problems=recordings.problem(goal=22.0, times=(0, 20)))
+    (tmp_path / "small.xml").write_text(text)
+    run(f"bench road recorded --data {tmp_path} --drivers idm --traffic replay")
+    assert "the ego takes the place of the recorded vehicle 100 in USA_Test-1_1_T-1" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from recordings import TURN, car, moving, place, problem, scenario, two_lanes
+from recordings import RECTANGLE, TURN, car, moving, place, problem, scenario, standing, two_lanes
 
 from ms_highway.benchmarks.road.peers import starts_of
 from ms_highway.geometry.road_map import road_map
@@ -189,6 +189,47 @@ def test_each_of_several_planning_problems_can_be_driven(tmp_path):
     first, seventh, eighth = (begun(path, ego=ego)[0].vehicle.position[0] for ego in egos)
     assert first == seventh == pytest.approx(eighth - 10)
     assert [start.ego for start in starts_of(tmp_path, "problem")] == ["problem:7", "problem:8"]
+
+
+def turned(states, angle):
+    """A recorded car that stands at another angle."""
+    return [(step, x, y, orientation + angle, speed) for step, x, y, orientation, speed in states]
+
+
+@pytest.mark.parametrize("traffic", ["replay", "learned", "idm"])
+def test_the_ego_takes_the_place_of_the_vehicle_that_its_planning_problem_is_about(traffic, tmp_path):
+    """The vehicle of another planning problem stays, and so does a car at the ego's bumper."""
+    second = problem(40.0, WIDTH).replace('planningProblem id="7"', 'planningProblem id="8"')
+    cars = car(100, 21, 0.2) + car(101, 40, WIDTH) + car(102, 26, 0)
+    path = written(tmp_path, cars, PROBLEM + second)
+    for ego, own in (("problem:7", 100), ("problem:8", 101)):
+        env, told = begun(path, traffic, ego)
+        assert told["replaced"] == env.task.track == own
+        assert others(env).keys() == {100, 101, 102} - {own}
+        assert env.vehicle.position == pytest.approx(env.axes.positions(env.task.start[:2]))
+        assert not env.step(idle())[4]["recorded"]["collision"]
+    assert begun(path, traffic, 102)[1]["replaced"] == 102
+    assert begun(written(tmp_path), traffic)[1]["replaced"] == -1
+
+
+STILL = [(step, *place(20, 0), TURN, 0.0) for step in range(20)]
+
+
+@pytest.mark.parametrize(
+    "there",
+    [
+        car(102, 24, 0),  # the bumpers overlap
+        car(102, 20, 1.5),  # the sides overlap
+        moving(102, turned(STILL, 1.0)),  # it stands across the lane
+        moving(102, STILL, "pillar"),
+        standing(102, RECTANGLE, *place(20, 0)),
+    ],
+)
+def test_an_obstacle_that_overlaps_the_start_is_refused_unless_it_is_the_ego(there, tmp_path):
+    path = written(tmp_path, CARS + there)
+    for start in (lambda: begun(path), lambda: starts_of(tmp_path, "problem")):
+        with pytest.raises(ValueError, match=r"small\.xml: the start of the ego, .* overlaps obstacle 102; mend"):
+            start()
 
 
 def test_lanes_of_two_directions_are_two_roads(tmp_path):
