@@ -148,7 +148,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         base = self._base
         if enable_pictures(base) and self.env.observation_space == base.observation_space:
             observation = base.observation_type.observe()  # the first picture was black
-        planning = self.settings.planning(desired_speed_of(base))
+        frame = 1 / base.config["simulation_frequency"]
+        planning = self.settings.planning(desired_speed_of(base), frame)
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
             goal, robot = destination_of(base, number), replace_ego(base, RoadRobot.create_from, number)
