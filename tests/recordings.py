@@ -23,6 +23,18 @@ def straight(start, end, points=30):
     return np.linspace(start, end, points)[:, None] * [np.cos(TURN), np.sin(TURN)]
 
 
+def bend(radius, side, angle, before=60.0, after=30.0):
+    """The line of a straight, an arc to the left (side 1) or to the right (side -1), and a straight."""
+    step = min(2.0, radius / 10)
+    turned = np.linspace(0.0, angle, round(radius * angle / step) + 1)
+    arc = [before, 0.0] + radius * np.stack([np.sin(turned), 1 - np.cos(turned)], axis=-1)
+    first, last = np.arange(0.0, before, step), np.arange(step, after, step)
+    out = arc[-1] + last[:, None] * [np.cos(angle), np.sin(angle)]
+    along, left = np.concatenate([np.stack([first, 0 * first], axis=-1), arc, out]).T
+    cosine, sine = np.cos(TURN), np.sin(TURN)
+    return np.stack([along * cosine - side * left * sine, along * sine + side * left * cosine], axis=-1)
+
+
 def two_lanes(way="same", points=30):
     """Two lanes of two lanelets each, 1 and 2 to the left of 3 and 4, linked in the same or the opposite direction."""
     lanes = ((1, 0.0, "Right", 3, 0), (2, 0.0, "Right", 4, 1), (3, -3.5, "Left", 1, 0), (4, -3.5, "Left", 2, 1))
@@ -91,21 +103,35 @@ def sign(number, limit):
 
 
 def problem(
-    start=20.0, right=0.0, speed=SPEED, *, goal=50.0, goal_right=0.0, times=(10, 40), speeds=None, headings=None
+    start=20.0,
+    right=0.0,
+    speed=SPEED,
+    *,
+    goal: float | None = 50.0,
+    goal_right=0.0,
+    times=(10, 40),
+    speeds=None,
+    headings=None,
 ):
-    """A planning problem: from a place to a region 20 m long and 3 m wide around another, within intervals."""
+    """A planning problem: from a place to a region 20 m long and 3 m wide around another, within intervals.
+
+    Without a goal, there is no region: it is reached in time, wherever on the road.
+    """
 
     def between(name, values):
         low, high = values
         return f"<{name}><intervalStart>{low}</intervalStart><intervalEnd>{high}</intervalEnd></{name}>"
 
-    x, y = place(goal, goal_right)
+    x, y = place(goal or 0.0, goal_right)
+    region = (
+        f"<position><rectangle><length>20</length><width>3</width><orientation>{TURN}</orientation>"
+        f"<center><x>{x}</x><y>{y}</y></center></rectangle></position>"
+    )
+    direction = between("orientation", headings) if headings else ""
     more = "<yawRate><exact>0</exact></yawRate><slipAngle><exact>0</exact></slipAngle>"
     return (
         f'<planningProblem id="7">{state("initialState", 0, *place(start, right), TURN, speed, more)}<goalState>'
-        f"<position><rectangle><length>20</length><width>3</width><orientation>{TURN}</orientation>"
-        f"<center><x>{x}</x><y>{y}</y></center></rectangle></position>"
-        f"{between('orientation', headings) if headings else ''}{between('time', times)}"
+        f"{'' if goal is None else region}{direction}{between('time', times)}"
         f"{between('velocity', speeds) if speeds else ''}</goalState></planningProblem>"
     )
 

@@ -125,7 +125,8 @@ def bench_road(options: argparse.Namespace) -> None:
     those of notebooks/examples/train_peers.py: open only files that you trust, as they may hold any program. Drivers
     above 10 m/s^2 are labelled unphysical.
 
-    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package).
+    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package). If
+    the vehicle of a problem was recorded, too, the ego takes its place, and a line says so.
     With --egos changing, it has a start in the place of every vehicle that was recorded to change lanes; the goal is
     that vehicle's last position. Its --traffic is learned (drivers who react, the default), replay or idm. Success is
     CommonRoad's: to reach the goal's region in its interval of time, without a collision and on the road; "s to goal"
@@ -133,7 +134,8 @@ def bench_road(options: argparse.Namespace) -> None:
     driver human, which repeats the recorded drive of the vehicle in whose place it starts. --export DIR writes every
     drive of a planning problem as two CommonRoad files, for example for commonroad-drivability-checker:
     DIR/TRAFFIC/DRIVER/NAME.xml, the recording with the other vehicles as they moved in the episode, and
-    NAME.solution.xml, the ego's drive as states of a kinematic single-track model (KS2).
+    NAME.solution.xml, the ego's drive as states of a kinematic single-track model (KS2). In DRIVER and NAME, characters
+    that have a meaning in paths, such as : and /, become _, and digits follow that keep different names apart.
 
     Examples:
       ms-highway bench road merge --drivers priced idm
@@ -175,6 +177,11 @@ def bench_road(options: argparse.Namespace) -> None:
         seeds = range(len(starts))[options.seed :][: options.seeds]
         if not seeds:
             raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
+    asked = [starts[seed] for seed in seeds] if recorded else []
+    own = [start for start in asked if start.replaced is not None and start.replaced != start.ego]
+    if own:
+        taken = ", ".join(f"{start.replaced} in {start.name}" for start in own)
+        tell(f"the ego takes the place of the recorded vehicle {taken}")
     blocks = [Block(scene, driver, traffic, starts, options.export) for scene in scenes for driver in drivers]
     for block in blocks:
         if is_agent(block.driver):

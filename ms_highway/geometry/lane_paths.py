@@ -26,6 +26,7 @@ TRIM = 2.0  # m, omitted from lanes on both sides of a joint
 MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
 SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m, widths of the Gaussian
 MAX_CURVATURE = 0.19  # 1/m
+SHARPER = 1.05  # ratio of the largest curvatures from which a curve counts as sharper
 NEAR = 20.0  # m along a curve within which a car is searched for
 
 
@@ -76,7 +77,12 @@ def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, R
 
 
 def join_lanes(
-    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float, widths: Sequence[float]
+    lanes: Sequence[AbstractLane],
+    starts: Sequence[float],
+    low: float,
+    high: float,
+    widths: Sequence[float],
+    within: float = np.inf,
 ) -> LaneCurve:
     """Return the curve along lanes between two ways; it goes straight on beyond the last lane.
 
@@ -88,7 +94,10 @@ def join_lanes(
         starts: ways at which the lanes begin, and at which the last one ends [m].
         low: way from which on the curve is needed [m].
         high: way until which the curve is needed [m].
-        widths: of the Gaussian [m], tried in order until no curvature exceeds `MAX_CURVATURE`.
+        widths: of the Gaussian [m], tried in order until no curvature exceeds `MAX_CURVATURE` and the curve is near the
+            lanes.
+        within: distance from the lanes that counts as near [m]. No width is tried by which the curve becomes sharper
+            than before and than the lanes are: it would follow a kink at a joint.
     """
     low, high, end = low - MARGIN, high + MARGIN, starts[-1]
     parts = []
@@ -102,11 +111,21 @@ def join_lanes(
         straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
         parts.append((end + beyond, lane.position(lane.length, 0.0) + straight, np.full(beyond.shape, heading)))
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
+
+    # Bends of the lanes themselves are to be followed, kinks at joints to be smoothed.
+    turns = [np.abs(wrapped(np.diff(headings))) for _, _, headings in parts]
+    sharpest = max(turn.max(initial=0.0) for turn in turns) / COARSE
+    found = None
     for width in widths:
-        smooth = _smooth(raw, width)
-        if np.abs(smooth.curve.curvature).max() <= MAX_CURVATURE:
+        smooth, moved = _smooth(raw, width)
+        bend = np.abs(smooth.curve.curvature).max()
+        if found and within < np.inf and bend > SHARPER * sharpest:
             break
-    return smooth
+        found, sharpest = smooth, max(sharpest, bend)
+        if bend <= MAX_CURVATURE and moved <= within:
+            break
+    assert found
+    return found
 
 
 def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
@@ -117,10 +136,12 @@ def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
     return resample(np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]), FINE)
 
 
-def _smooth(raw: Rows, width: float) -> LaneCurve:
-    """Return the curve smoothed over a width [m], without the margins at both ends."""
+def _smooth(raw: Rows, width: float) -> tuple[LaneCurve, float]:
+    """Return the curve smoothed over a width, without the margins at both ends, and its distance from the lanes [m]."""
     once = gaussian_filter1d(raw[:2], width / FINE, mode="nearest")
     twice = gaussian_filter1d(once, width / FINE, mode="nearest")
     cut = int(0.9 * MARGIN / FINE)
-    x, y, ways = resample(np.concatenate([2 * once - twice, raw[2:]])[:, cut:-cut], FINE)
-    return LaneCurve(Curve.through(x, y, FINE), ways)
+    smooth = 2 * once - twice
+    moved = np.hypot(*(smooth - raw[:2])[:, cut:-cut]).max()
+    x, y, ways = resample(np.concatenate([smooth, raw[2:]])[:, cut:-cut], FINE)
+    return LaneCurve(Curve.through(x, y, FINE), ways), float(moved)

@@ -160,10 +160,11 @@ class Chain:
         return bisect_right(self.starts, way, 1, len(self.lanes)) - 1
 
     @kept
-    def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING) -> LaneCurve:
-        """Return the curve along the lanes near a block, by its number, with smoothing widths as in `join_lanes`."""
+    def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING, within: float = inf) -> LaneCurve:
+        """Return the curve along the lanes near a block, by its number; see `join_lanes` for smoothing."""
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
-        return join_lanes([lane.shape for lane in self.lanes], self.starts, low, high, widths)
+        shapes = [lane.shape for lane in self.lanes]
+        return join_lanes(shapes, self.starts, low, high, widths, within)
 
 
 class Goal:

@@ -20,7 +20,8 @@ from ms_highway.perception.traffic_paths import traffic_of
 LANE_MARGIN = 6.0  # m, by which lanes are sampled beyond the route beside them
 MIN_LANE_COSINE = 0.7  # lower bound of the cosine of the angle between a lane and the route
 LANE_EXTENSION = 3.0  # m, up to which a lane is extended straight on
-DRIVEN = (6.0,)  # m, smoothing width of routes, which cut the corners of joints by up to 0.6 m
+DRIVEN = (6.0, 4.0, 3.0, 2.0)  # m, smoothing widths of routes, which cut corners
+WITHIN = 0.1  # m from the lanes, beyond which a route is smoothed less, as in sharp bends
 NEARBY = 2.0  # widths of a lane within which the robot can change to a lane that diverges
 
 
@@ -48,7 +49,7 @@ class Corridor:
 @kept
 def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return the corridor of the route along a chain of lanes near a block of it."""
-    curve = chain.curve(block, DRIVEN)
+    curve = chain.curve(block, DRIVEN, WITHIN)
     ways = curve.ways
     rows, is_open, low = np.zeros((LANES + 2, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
     lanes, edges = rows[:LANES], rows[LANES:]

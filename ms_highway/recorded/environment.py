@@ -1,7 +1,9 @@
 """Drive in recorded traffic: on its road, among its vehicles, from a start to a goal in time."""
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.utils import rect_corners
@@ -10,6 +12,8 @@ from msgspec import Meta, Struct
 from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.geometry.bodies import separation
+from ms_highway.geometry.curve import Pose, wrapped
 from ms_highway.geometry.road_map import Spot
 from ms_highway.recorded.scenario import (
     FULL_TURN,
@@ -17,6 +21,7 @@ from ms_highway.recorded.scenario import (
     GoalRegion,
     Points,
     Problem,
+    RecordedTrack,
     TrafficRecording,
     open_recording,
 )
@@ -29,18 +34,61 @@ from ms_highway.road.timed_goal import TimedGoal
 
 LATE = 20  # steps by which the ego may reach the last position of a recorded vehicle later than that vehicle
 GOAL_SIZE = 4.0, 3.0  # m, length along the road and width of the region around that position
+SAME_HEADING = np.pi / 6  # rad, largest turn of a recorded vehicle that is the ego of a planning problem
 
 
 def problem_of(scenario: TrafficRecording, ego: str | int) -> Problem:
     """Return a planning problem of a scenario, or the problem to go where a recorded vehicle went.
+
+    If the vehicle of a planning problem was recorded, too, the ego takes its place. It is
+    the vehicle that drives where the problem starts, in about the same direction: the
+    middle of one body is within the other, as two vehicles cannot be. Vehicles of other
+    planning problems stay.
 
     Args:
         scenario: the recording.
         ego: ``problem`` for the first planning problem, ``problem:NUMBER``, or the number of a vehicle's track.
 
     Raises:
-        ValueError: if there is no such planning problem, no such vehicle, or the vehicle was seen only once.
+        ValueError: if there is no such planning problem, no such vehicle, or the vehicle was seen only once; if
+            another body overlaps the ego at the start.
     """
+    problem = _chosen(scenario, ego)
+    if problem.track is None:
+        problem = msgspec.structs.replace(problem, track=_recorded_as(scenario, problem))
+
+    # Whatever else is there would collide with the ego at once.
+    for track, pose in _seen(scenario, problem.time):
+        if track.number != problem.track and separation(problem.start[:3], problem.size, pose, track.size) < 0:
+            place = f"the start of the ego, config['ego'] {ego!r}, overlaps obstacle {track.number}"
+            raise ValueError(f"{place}; mend the file or choose another ego")
+    return problem
+
+
+def _seen(scenario: TrafficRecording, step: int) -> Iterator[tuple[RecordedTrack, Pose]]:
+    """Yield the tracks that were seen at a step, with x, y and orientation there."""
+    for track in scenario.tracks:
+        if track.first <= step <= track.last:
+            _, x, y, orientation, _ = track.at(np.array([step]))[0]
+            yield track, (x, y, orientation)
+
+
+def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
+    """Return the number of the track of the vehicle that a planning problem is about, None if it was not recorded."""
+    own = problem.start[:3]
+    point = np.zeros(2)
+    found = {}
+    for track, pose in _seen(scenario, problem.time):
+        own_inside = separation(own, point, pose, track.size) < 0
+        other_inside = separation(own, problem.size, pose, point) < 0
+        same_way = abs(wrapped(pose[2] - own[2])) <= SAME_HEADING
+        if track.drives and same_way and (own_inside or other_inside):
+            found[track.number] = np.hypot(pose[0] - own[0], pose[1] - own[1])
+    return min(found, key=lambda number: found[number], default=None)
+
+
+def _chosen(scenario: TrafficRecording, ego: str | int) -> Problem:
+    """Return the problem of an ego as the recording has it; see `problem_of`."""
     vehicles = {track.number: track for track in scenario.tracks if track.drives and len(track.samples) > 1}
     if isinstance(ego, str):
         number = ego.partition(":")[2]
@@ -104,7 +152,9 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
       their own (`ms_highway.CommuterVehicle`); ``"replay"``, every vehicle moves as it was recorded; ``"idm"``,
       highway-env's drivers. Road users outside lanes, such as pedestrians and trains, are always replayed.
     * ``ego``: ``"problem"`` for the first planning problem, or ``"problem:NUMBER"`` for any; or the number of a
-      recorded vehicle: the ego starts in its place, and must be at its last position at most 2 s after it was there.
+      recorded vehicle: the ego starts in its place, and must be at its last position at most 2 s after it was there. If
+      the vehicle of a planning problem was recorded, too, the ego takes its place; any other obstacle that overlaps the
+      ego at the start is an error.
     * ``goal_reward``, ``collision_reward``, ``off_road_reward``: earned once, at the end; ``progress_reward``: earned
       for each metre along the road.
 
@@ -113,9 +163,9 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     the road, or the last time of all goals. The road moves at 10 Hz, as it was recorded. x goes along the road and y to
     its right; ``axes`` converts to the map.
 
-    ``info["recorded"]`` has ``step``, of the recording; ``success``, ``collision`` and ``off_road``; and ``waiting``:
-    for each of the scenario's ``tracks``, whether another vehicle blocks its entry. ``info["is_success"]`` repeats the
-    success.
+    ``info["recorded"]`` has ``step``, of the recording; ``success``, ``collision`` and ``off_road``; ``replaced``, the
+    number of the recorded vehicle whose place the ego has taken, -1 for none; and ``waiting``: for each of the
+    scenario's ``tracks``, whether another vehicle blocks its entry. ``info["is_success"]`` repeats the success.
 
     Attributes:
         scenario: the recording.
@@ -221,6 +271,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
                 "success": self.success,
                 "collision": bool(self.vehicle.crashed),
                 "off_road": self.off_road,
+                "replaced": -1 if self.task.track is None else self.task.track,
                 "waiting": np.array([track.number in waiting for track in self.scenario.tracks]),
             },
         }

@@ -29,6 +29,7 @@ class RoadPlanning:
         grip: largest total acceleration, the radius of the friction circle [m/s^2].
         curvature: largest curvature of the path [1/m].
         time_step: of plans [s].
+        frame: duration of the frames of the simulation, in each of which the robot moves straight on [s].
         steps: number of steps of a plan (static).
         cornering: share of the grip that plans use in bends; the rest is for steering errors (constant).
         stopping: share of the grip that plans use to stop; the rest is for steering (constant).
@@ -38,9 +39,15 @@ class RoadPlanning:
     grip: Scalar = 5.0
     curvature: Scalar = 0.2
     time_step: Scalar = 0.2
+    frame: Scalar = 1 / 15
     steps: int = field(default=20, metadata={"static": True})
     cornering = 0.85
     stopping = 0.9
+
+    @property
+    def lag(self) -> Scalar:
+        """Time by which the mean heading of motion lags behind the mean heading of the car: half a frame [s]."""
+        return jnp.minimum(self.frame, self.time_step) / 2
 
     @property
     def times(self) -> Steps:

@@ -152,7 +152,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         base = self._base
         if enable_pictures(base) and self.env.observation_space == base.observation_space:
             observation = base.observation_type.observe()  # the first picture was black
-        planning = self.settings.planning(desired_speed_of(base))
+        frame = 1 / base.config["simulation_frequency"]
+        planning = self.settings.planning(desired_speed_of(base), frame)
         random = deepcopy(base.np_random)  # so that traffic does not depend on who drives
         self.robots = []
         for number in range(len(base.controlled_vehicles)):

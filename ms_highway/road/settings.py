@@ -158,13 +158,19 @@ class RoadSettings(Struct, frozen=True):
             return Budget(Priced(ladder, costs, 0.0), costs, value / 1e3, 1.0)
         return Priced(ladder, costs, value)
 
-    def planning(self, desired_speed: float) -> RoadPlanning:
+    def planning(self, desired_speed: float, frame: float) -> RoadPlanning:
         """Return limits and wishes of plans.
 
         Args:
             desired_speed: the speed that the scene rewards, unless another one is configured [m/s].
+            frame: duration of the simulation's frames [s].
         """
-        return RoadPlanning(self.desired_speed or desired_speed, GRIP_MARGIN * self.acceleration, self.curvature)
+        return RoadPlanning(
+            desired_speed=self.desired_speed or desired_speed,
+            grip=GRIP_MARGIN * self.acceleration,
+            curvature=self.curvature,
+            frame=frame,
+        )
 
     def build(self, planning: RoadPlanning, random: np.random.Generator | None = None) -> RoadDriver | AddedRoadDriver:
         """Return a driver with these limits and wishes.

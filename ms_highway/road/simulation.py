@@ -124,9 +124,11 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     waits = blocked.any() & (crossings.oncoming & (where[0] > s)).any()
     goal = jnp.where(waits, interpolate(scene.lanes[1], s), target)
 
-    # Steer to the target.
+    # Steer to the target. In a bend, the rear axle points inwards by half the turn of a
+    # frame, see `advance`.
     turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
-    back = -(STEERING_FREQUENCY**2) * (d - goal) - 2 * STEERING_FREQUENCY * speed * jnp.sin(heading)
+    turned = heading - turn * speed * planning.lag
+    back = -(STEERING_FREQUENCY**2) * (d - goal) - 2 * STEERING_FREQUENCY * speed * jnp.sin(turned)
     squared = jnp.maximum(speed, STEERING_SPEED) ** 2
     curvature = (
         turn / jnp.maximum(1 - d * turn, 0.2)
@@ -175,20 +177,32 @@ def limited_control(planning: RoadPlanning, speed: Numbers, control: Control) ->
 def advance(scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control) -> tuple[Car, Control]:
     """Return the state one time step later, and the control within the grip, see `limited_control`.
 
-    With the curvature k_r of the road, and old values on the right-hand side::
+    With the curvature k_r of the road in the middle of the step, and old values on the
+    right-hand side::
 
-        s += u cos(heading) dt / (1 - d k_r);  d += u sin(heading) dt;  heading += (v k - k_r s') dt;  v += a dt
+        s += u cos(heading) dt / (1 - d k_r);  d += u sin(direction) dt
+        heading += (v k - k_r s') dt;          v += a dt
 
-    The speed v is that of the centre. Its slip angle is beta, ``sin(beta) = k length / 2``, so the speed of the rear
-    axle is ``u = v cos(beta)``.
+    The speed v is that of the centre. Its slip angle is beta, ``sin(beta) = k length /
+    2``, so the speed of the rear axle is ``u = v cos(beta)``.
+
+    The mean direction of motion, relative to the road, differs from the heading at the
+    beginning, because car and road turn meanwhile. In each frame of the simulation, the
+    car moves along its heading at the beginning of the frame, so that the mean heading of
+    dt lags by half a frame: ``direction = heading + v k (dt - frame) / 2 - k_r s' dt / 2``.
+    Without the last two terms, a car would seem to keep its lane in a bend where it is
+    carried outwards by ``v^2 k frame / 2`` in a second.
     """
     control = limited_control(planning, state[3], wanted)
     s, d, heading, speed = state
-    bend = interpolate(scene.route.curvature, s)
+    dt = planning.time_step
+    bend = interpolate(scene.route.curvature, s + 0.5 * speed * dt)
     rear = speed * jnp.sqrt(jnp.maximum(1 - (control[0] * scene.size[0] / 2) ** 2, 0.1))
     onward = rear * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
-    changes = [onward, rear * jnp.sin(heading), speed * control[0] - bend * onward, control[1]]
-    return state + jnp.stack(changes) * planning.time_step, control
+    own_turn = speed * control[0] * (dt / 2 - planning.lag)
+    direction = heading + own_turn - bend * onward * dt / 2
+    changes = [onward, rear * jnp.sin(direction), speed * control[0] - bend * onward, control[1]]
+    return state + jnp.stack(changes) * dt, control
 
 
 def bodies(scene: RoadScene, states: States) -> Pose:

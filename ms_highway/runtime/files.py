@@ -1,7 +1,9 @@
 """Read and write files that are either whole or absent."""
 
+import hashlib
 import json
 import os
+import re
 import shutil
 import tokenize
 import zipfile
@@ -21,6 +23,12 @@ PART = ".part."
 LOCK = f"{PART}lock"
 
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # only names of `part_of`
+
+SAFE_NAME = re.compile(r"\w[\w+@=,-]*")
+"""Names that are names of files as they are: no dots, separators of paths or spaces, and no option of a command."""
+
+LONGEST_NAME = 150  # bytes; file systems allow 255, which leaves room for endings and for names of `part_of`
+DIGEST = 8  # hexadecimal digits that tell names apart which would otherwise give the same name of a file
 
 DAMAGES = (
     ArithmeticError,
@@ -82,6 +90,25 @@ def _check_kind(path: Path, directory: bool = False) -> None:
 def part_of(path: Path, place: Path | None = None) -> Path:
     """Return a random name for the replacement of a file or directory, beside it or in another place."""
     return (place or path.parent) / f"{PART}{token_hex(8)}.{path.name}"
+
+
+def file_name(name: str) -> str:
+    """Return the name of a file for a name that comes from a user or from a file, without an ending.
+
+    It never leads to another directory. A name of letters, digits and ``_+@=,-`` stays
+    as it is. In any other name, or in a long one, each other character becomes ``_``,
+    and digits follow that depend on the whole name, so that names that differ do not
+    share a file.
+    """
+    encoded = name.encode(errors="surrogatepass")
+    if SAFE_NAME.fullmatch(name) and len(encoded) <= LONGEST_NAME:
+        return name
+
+    # Cut bytes, not characters: a character of a file's name may have four bytes.
+    replaced = re.sub(r"[^\w+@=,-]", "_", name)
+    shortened = replaced.encode()[:LONGEST_NAME].decode(errors="ignore")
+    digest = hashlib.sha256(encoded).hexdigest()[:DIGEST]
+    return f"{shortened.lstrip('+@=,-')}-{digest}"
 
 
 def tidy(directory: Path) -> None:

@@ -108,3 +108,28 @@ def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_a
     turned = [state.velocity / WHEELBASE * np.tan(state.steering_angle) for state in states[:-1]]
     np.testing.assert_allclose(np.diff([state.orientation for state in states]), 0.1 * np.array(turned), atol=1e-6)
     assert max(map(abs, turned)) > 1e-3
+
+
+def test_drives_of_recordings_whose_ids_are_paths_or_the_same_are_exported_into_the_directory(tmp_path):
+    data, exports = tmp_path / "data", tmp_path / "a" / "b" / "exports"
+    data.mkdir()
+    text = recordings.scenario(problems=recordings.problem(goal=22.0, times=(0, 20)))
+    for name in ("one", "two"):
+        (data / f"{name}.xml").write_text(text.replace("USA_Test-1_1_T-1", "../../../../x"))
+    starts = tuple(starts_of(data, "problem"))
+    assert [start.name for start in starts] == ["../../../../x_one.xml", "../../../../x_two.xml"]
+    for seed in range(2):
+        with pytest.warns(UserWarning, match="Not a valid scenario ID"):
+            run_episode(Block(RECORDED, "idm", "replay", starts, exports), seed)
+    written = [path for path in tmp_path.rglob("*.xml") if path.parent != data]
+    assert {path.parent for path in written} == {exports / "replay" / "idm"}
+    assert len(written) == 2 * 2
+
+
+@pytest.mark.slow
+def test_the_command_says_whose_place_the_ego_takes(tmp_path, capsys):
+    cars = recordings.car(100, 20, 0) + recordings.car(101, 40, 3.5)
+    text = recordings.scenario(cars=cars, problems=recordings.problem(goal=22.0, times=(0, 20)))
+    (tmp_path / "small.xml").write_text(text)
+    run(f"bench road recorded --data {tmp_path} --drivers idm --traffic replay")
+    assert "the ego takes the place of the recorded vehicle 100 in USA_Test-1_1_T-1" in capsys.readouterr().err

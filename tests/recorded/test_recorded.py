@@ -7,8 +7,21 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from recordings import TURN, car, moving, place, problem, scenario, two_lanes
+from recordings import (
+    RECTANGLE,
+    TURN,
+    bend,
+    car,
+    lanelet,
+    moving,
+    place,
+    problem,
+    scenario,
+    standing,
+    two_lanes,
+)
 
+from ms_highway import drive
 from ms_highway.benchmarks.road.peers import starts_of
 from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.commonroad import read_xml
@@ -191,6 +204,47 @@ def test_each_of_several_planning_problems_can_be_driven(tmp_path):
     assert [start.ego for start in starts_of(tmp_path, "problem")] == ["problem:7", "problem:8"]
 
 
+def turned(states, angle):
+    """A recorded car that stands at another angle."""
+    return [(step, x, y, orientation + angle, speed) for step, x, y, orientation, speed in states]
+
+
+@pytest.mark.parametrize("traffic", ["replay", "learned", "idm"])
+def test_the_ego_takes_the_place_of_the_vehicle_that_its_planning_problem_is_about(traffic, tmp_path):
+    """The vehicle of another planning problem stays, and so does a car at the ego's bumper."""
+    second = problem(40.0, WIDTH).replace('planningProblem id="7"', 'planningProblem id="8"')
+    cars = car(100, 21, 0.2) + car(101, 40, WIDTH) + car(102, 26, 0)
+    path = written(tmp_path, cars, PROBLEM + second)
+    for ego, own in (("problem:7", 100), ("problem:8", 101)):
+        env, told = begun(path, traffic, ego)
+        assert told["replaced"] == env.task.track == own
+        assert others(env).keys() == {100, 101, 102} - {own}
+        assert env.vehicle.position == pytest.approx(env.axes.positions(env.task.start[:2]))
+        assert not env.step(idle())[4]["recorded"]["collision"]
+    assert begun(path, traffic, 102)[1]["replaced"] == 102
+    assert begun(written(tmp_path), traffic)[1]["replaced"] == -1
+
+
+STILL = [(step, *place(20, 0), TURN, 0.0) for step in range(20)]
+
+
+@pytest.mark.parametrize(
+    "there",
+    [
+        car(102, 24, 0),  # the bumpers overlap
+        car(102, 20, 1.5),  # the sides overlap
+        moving(102, turned(STILL, 1.0)),  # it stands across the lane
+        moving(102, STILL, "pillar"),
+        standing(102, RECTANGLE, *place(20, 0)),
+    ],
+)
+def test_an_obstacle_that_overlaps_the_start_is_refused_unless_it_is_the_ego(there, tmp_path):
+    path = written(tmp_path, CARS + there)
+    for start in (lambda: begun(path), lambda: starts_of(tmp_path, "problem")):
+        with pytest.raises(ValueError, match=r"small\.xml: the start of the ego, .* overlaps obstacle 102; mend"):
+            start()
+
+
 def test_lanes_of_two_directions_are_two_roads(tmp_path):
     env, _ = begun(written(tmp_path, lanelets=two_lanes("opposite")), "learned")
     left, right = sorted(set(straight_road(env.scenario).centres.values()))
@@ -232,3 +286,52 @@ def test_lanes_go_on_smoothly_over_joints_and_within_themselves(us):
             assert np.linalg.norm(one.position(one.length, 0) - other.position(0, 0)) < 0.05
             assert abs(one.heading_at(one.length) - other.heading_at(0)) < 0.02
         assert max(np.abs(np.diff(lane.curve.heading)).max() for lane in network.lanes_list()) < 0.02
+
+
+GRIP = 4.9  # m/s^2, of a robot
+
+
+def driven_through(directory, radius, side, speed, angle=np.pi / 2):
+    """Drive through a bend on an empty road; the largest offsets of a corner and of the robot's middle [m]."""
+    slowest = min(speed, np.sqrt(0.8 * GRIP * radius))
+    seconds = 40 / speed + (radius * angle + 15) / slowest
+    there = problem(0.0, speed=speed, goal=None, times=(round(10 * seconds), round(10 * seconds) + 1))
+    far = moving(100, [(step, *place(-200, 100), TURN, 0.0) for step in range(2)], "pillar")
+    path = directory / "bend.xml"
+    road = lanelet(1, 0.0, bend(radius, side, angle, before=40.0 if speed**2 < 160 else 120.0))
+    path.write_text(scenario(lanelets=road, cars=far, problems=there))
+    env = drive(gym.make("ms-highway/recorded-v0", config={"recording": str(path), "traffic": "replay"}))
+    env.reset(seed=0)
+    inner = env.unwrapped
+    (lane,) = inner.road.network.lanes_list()
+    corners, middles, accelerations = [], [], []
+    done = False
+    while not done:
+        _, _, terminated, truncated, info = env.step(None)
+        done = terminated or truncated
+        _, aside = lane.curve.locate(inner.vehicle.polygon()[:-1])
+        corners.append(abs(aside).max())
+        middles.append(abs(lane.local_coordinates(inner.vehicle.position)[1]))
+        accelerations.append(info["road"]["acceleration"])
+    assert info["recorded"]["success"], (radius, side, speed, max(corners))
+    assert max(accelerations) < 1.01 * GRIP
+    return max(corners), max(middles)
+
+
+@pytest.mark.parametrize("radius", [12, 60])
+def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brakes_in_time_for_others(radius, tmp_path):
+    limit = np.sqrt(GRIP * radius)
+    for side, speed in ((1, limit), (-1, limit), (-1, 2 * limit)):
+        corner, middle = driven_through(tmp_path, radius, side, speed)
+        assert corner < WIDTH / 2
+        assert middle < 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("radius", [12, 30, 60, 150, 300])
+def test_the_robot_stays_in_its_lane_in_bends_of_all_radii_at_all_speeds(radius, side, tmp_path):
+    limit = np.sqrt(GRIP * radius)
+    for speed in np.array([0.5, 0.85, 1.0, 2.0]) * limit:
+        corner, _ = driven_through(tmp_path, radius, side, min(speed, 35.0), np.pi if radius < 50 else np.pi / 2)
+        assert corner < WIDTH / 2

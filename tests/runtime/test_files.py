@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from ms_highway.runtime.files import LOCK, held, replacing, tidy
+from ms_highway.runtime.files import LOCK, file_name, held, replacing, tidy
 
 SIZE = 20_000  # bytes
 
@@ -56,3 +56,43 @@ def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands
         pass
     assert {path.name for path in directory.iterdir()} == {"steps", ".part.notes.txt", "download.part"}
     assert not (tmp_path / "other").exists()
+
+
+NAMES = [
+    "",
+    ".",
+    "..",
+    "../../x",
+    "/tmp/x",
+    "..\\x",
+    "C:x",
+    "~",
+    "-rf",
+    "-a",
+    "+a",
+    "x\0y",
+    "x\ny",
+    ".part.lock",
+    "a b",
+    "a:b",
+    "a/b",
+    "a.b",
+    "\udcff",
+    "priced:1",
+    "learned:1:/path/values.npz",
+    "x" * 400,
+    "x" * 401,
+    "\N{HIRAGANA LETTER A}" * 100,
+    "\N{HIRAGANA LETTER A}" * 101,
+]
+
+
+def test_any_name_gives_a_file_in_its_directory_and_each_one_another(tmp_path):
+    for name in NAMES:
+        file = tmp_path / f"{file_name(name)}.solution.xml"
+        assert file.resolve().parent == tmp_path
+        with replacing(file) as path:
+            path.touch()
+    assert len(list(tmp_path.iterdir())) == len(NAMES)
+    plain = "USA_US101-3_1_T-1", "merge-v0_idm_success_5", "tom@6+warm", "Stra\N{LATIN SMALL LETTER SHARP S}e"
+    assert list(map(file_name, plain)) == list(plain)

@@ -1,6 +1,5 @@
 """Drive episodes of a stock scene, measure them, film them and summarise them."""
 
-import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from ms_highway.road.graphics import show
 from ms_highway.road.settings import DRIVERS, RoadSettings
 from ms_highway.road.stock import success
 from ms_highway.runtime import retired
+from ms_highway.runtime.files import file_name
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
 UNPHYSICAL_ACCELERATION = 10.0
@@ -142,7 +142,8 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
     off_road = inner.off_road if block.scene == RECORDED else bool(watch.off_road or off_at_end)
     reached = success(inner)
     if exported and block.exports:
-        exported.write(block.exports / block.traffic / file_name(block.driver), block.name(seed))
+        directory = block.exports / block.traffic / file_name(block.driver)
+        exported.write(directory, file_name(block.name(seed)))
     return {
         "seed": seed,
         "success": not watch.crashed and bool(not off_road if reached is None else reached),
@@ -197,13 +198,9 @@ def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[d
     if films is not None:
         for succeeds, seed in firsts.items():
             outcome = "success" if succeeds else "failure"
-            film(block, seed, films / file_name(f"{block.scene}_{block.driver}_{outcome}_{block.name(seed)}.gif"))
+            name = f"{block.scene}_{block.driver}_{outcome}_{block.name(seed)}"
+            film(block, seed, films / f"{file_name(name)}.gif")
     return episodes
-
-
-def file_name(text: str) -> str:
-    """Return a text as part of a file's name."""
-    return re.sub(r"[:/\\]", "_", text)
 
 
 def film(block: Block, seed: int, path: Path) -> None:

@@ -3,6 +3,7 @@
 Starts in recordings are planning problems, or vehicles that change lanes.
 """
 
+from collections import Counter
 from copy import deepcopy
 from functools import partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from highway_env.vehicle.controller import MDPVehicle
 
 from ms_highway.envs.agents import check_spaces, policy_of
 from ms_highway.recorded.commonroad import scenario_files
-from ms_highway.recorded.environment import RecordedEnv
+from ms_highway.recorded.environment import RecordedEnv, problem_of
 from ms_highway.recorded.scenario import SHIPPED, RecordedTrack, TrafficRecording, open_recording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import ReplayedVehicle
@@ -169,11 +170,13 @@ class RecordedStart(NamedTuple):
         name: for logs and files.
         recording: a file, or the name of a recording of the package.
         ego: as in the environment's configuration: ``problem:NUMBER``, or the number of a recorded vehicle.
+        replaced: number of the recorded vehicle whose place the ego takes, None for none.
     """
 
     name: str
     recording: str
     ego: str | int
+    replaced: int | None = None
 
     @property
     def config(self) -> dict:
@@ -189,7 +192,7 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
         egos: ``problem`` for all planning problems, ``changing`` for all vehicles that change lanes.
 
     Raises:
-        ValueError: if there is no recording, or no start in any.
+        ValueError: if there is no recording, no start in any, or a planning problem cannot be started.
     """
     starts: dict[tuple, RecordedStart] = {}
     for recording in [SHIPPED] if data is None else map(str, scenario_files(data)):
@@ -197,18 +200,29 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
         if egos == "changing":
             for track in filter(partial(_changes_lane, scenario), scenario.tracks):
                 place = tuple(track.samples[0, 1:3].round(2))  # files of the same group may share tracks
-                start = RecordedStart(f"{scenario.name}_{track.number}", recording, track.number)
+                start = RecordedStart(f"{scenario.name}_{track.number}", recording, track.number, track.number)
                 starts.setdefault((scenario.group, track.number, place), start)
             continue
         for problem in scenario.problems:
             name = scenario.name if len(scenario.problems) == 1 else f"{scenario.name}_{problem.number}"
-            starts[recording, problem.number] = RecordedStart(name, recording, f"problem:{problem.number}")
+            ego = f"problem:{problem.number}"
+            try:
+                replaced = problem_of(scenario, ego).track
+            except ValueError as error:
+                raise ValueError(f"{recording}: {error}") from error
+            starts[recording, problem.number] = RecordedStart(name, recording, ego, replaced)
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
         raise ValueError(
             f"--data: there is no {what} in {data or 'the recording of the package'}; give another directory"
         )
-    return list(starts.values())
+
+    # Recordings may share an id: their files tell such starts apart.
+    names = Counter(start.name for start in starts.values())
+    return [
+        start if names[start.name] == 1 else start._replace(name=f"{start.name}_{Path(start.recording).name}")
+        for start in starts.values()
+    ]
 
 
 def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
