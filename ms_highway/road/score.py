@@ -11,6 +11,7 @@ from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.simulation import DrivenPlans, earlier
+from ms_highway.road.swing import aside_of
 from ms_highway.road.terminal_value import terminal_value
 from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING_SPEED, Situation, lane_of
 from ms_highway.runtime.arrays import Numbers
@@ -67,7 +68,8 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     s, d, _, speed = jnp.moveaxis(driven.states, -1, 0)
     goal = lane_of(scene.lanes, lanes, s)
     off_speed = jnp.abs(speed - jnp.minimum(interpolate(now.caps, s), desired))
-    per_second = weights.speed * (1 - off_speed / desired) - weights.centre * (d - goal) ** 2 - _discomfort(now, driven)
+    aside = d - interpolate(now.inside, s) - goal
+    per_second = weights.speed * (1 - off_speed / desired) - weights.centre * aside**2 - _discomfort(now, driven)
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
     closed = closed | ((plans.side != 0) & ~now.obstruction.exists)  # there is no obstacle to pass
     leaves = _leaves(now, driven)
@@ -97,11 +99,13 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
 
 def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
     """Return whether plans leave the road farther than in their first step, which they cannot change."""
-    (s, d, heading, _), (length, width) = jnp.moveaxis(driven.states, -1, 0), now.scene.size
-    middle = d + length / 2 * jnp.sin(heading)
-    reach = (width * jnp.cos(heading) + length * jnp.abs(jnp.sin(heading))) / 2
-    left, right = interpolate(now.scene.edges, s + length / 2)
-    beyond = jnp.maximum(jnp.maximum(left - middle + reach, middle + reach - right), 0.0)
+    scene = now.scene
+    length, width = scene.size
+    left, right = interpolate(scene.edges, driven.states[..., 0] + length / 2)
+    places = [(ahead, side) for ahead in (0.0, length) for side in (-width / 2, width / 2)]
+    corners = jnp.stack([aside_of(scene, driven.states, ahead, side) for ahead, side in places])
+    beyond = jnp.maximum(left - corners.min(axis=0), corners.max(axis=0) - right)
+    beyond = jnp.maximum(beyond, 0.0)
     return (beyond > beyond[:, :1] + now.weights.off_road_tolerance).any(axis=1)
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
-from ms_highway.geometry.curve import Curve, Pose, interpolate
+from ms_highway.geometry.curve import SPACING, Curve, Pose, interpolate
 from ms_highway.perception.scene import EachStep, RoadScene, States, Steps, Traffic, World
 from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration, lowest
 from ms_highway.road.constants import RoadPlanning
@@ -125,10 +125,12 @@ def _control(now: Situation, plan: Profiles, car: Car, along: Traffic, where: Po
     goal = jnp.where(waits, interpolate(scene.lanes[1], s), target)
 
     # Steer to the target. In a bend, the rear axle points inwards by half the turn of a
-    # frame, see `advance`.
+    # frame, see `advance`; in a sharp one, it is inside the target.
     turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
-    turned = heading - turn * speed * planning.lag
-    back = -(STEERING_FREQUENCY**2) * (d - goal) - 2 * STEERING_FREQUENCY * speed * jnp.sin(turned)
+    inside = interpolate(now.inside, s)
+    slant = (interpolate(now.inside, s + SPACING) - inside) / SPACING
+    turned = heading - slant - turn * speed * planning.lag
+    back = -(STEERING_FREQUENCY**2) * (d - inside - goal) - 2 * STEERING_FREQUENCY * speed * jnp.sin(turned)
     squared = jnp.maximum(speed, STEERING_SPEED) ** 2
     curvature = (
         turn / jnp.maximum(1 - d * turn, 0.2)
@@ -180,18 +182,15 @@ def advance(scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Contro
     With the curvature k_r of the road in the middle of the step, and old values on the
     right-hand side::
 
-        s += u cos(heading) dt / (1 - d k_r);  d += u sin(direction) dt
+        s += u cos(heading) dt / (1 - d k_r);  d += u sin(heading - k_r s' frame / 2) dt
         heading += (v k - k_r s') dt;          v += a dt
 
     The speed v is that of the centre. Its slip angle is beta, ``sin(beta) = k length /
     2``, so the speed of the rear axle is ``u = v cos(beta)``.
 
-    The mean direction of motion, relative to the road, differs from the heading at the
-    beginning, because car and road turn meanwhile. In each frame of the simulation, the
-    car moves along its heading at the beginning of the frame, so that the mean heading of
-    dt lags by half a frame: ``direction = heading + v k (dt - frame) / 2 - k_r s' dt / 2``.
-    Without the last two terms, a car would seem to keep its lane in a bend where it is
-    carried outwards by ``v^2 k frame / 2`` in a second.
+    In each frame of the simulation, the car moves along its heading at the beginning of
+    the frame. In a bend, the road turns meanwhile, so that the car is carried outwards by
+    ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
     """
     control = limited_control(planning, state[3], wanted)
     s, d, heading, speed = state
@@ -199,8 +198,7 @@ def advance(scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Contro
     bend = interpolate(scene.route.curvature, s + 0.5 * speed * dt)
     rear = speed * jnp.sqrt(jnp.maximum(1 - (control[0] * scene.size[0] / 2) ** 2, 0.1))
     onward = rear * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
-    own_turn = speed * control[0] * (dt / 2 - planning.lag)
-    direction = heading + own_turn - bend * onward * dt / 2
+    direction = heading - bend * onward * planning.lag
     changes = [onward, rear * jnp.sin(direction), speed * control[0] - bend * onward, control[1]]
     return state + jnp.stack(changes) * dt, control
 

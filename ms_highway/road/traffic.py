@@ -10,6 +10,7 @@ from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, inter
 from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
 from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
+from ms_highway.road.swing import inside_of, sharpest_bends
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 
 STANDING_SPEED = 1.0
@@ -98,6 +99,7 @@ class Situation(NamedTuple):
         ways: paths of the traffic, relative to the route.
         crossings: of these paths and the route.
         leading: which vehicles drive ahead of the robot in its lane.
+        inside: how far inside its lane the rear axle has to be at the knots of the route, see `inside_of`.
         caps: highest speeds at the knots of the route, see `speed_caps`.
         obstruction: of the robot's lane.
     """
@@ -108,6 +110,7 @@ class Situation(NamedTuple):
     ways: Ways
     crossings: Crossings
     leading: Flags
+    inside: Knots
     caps: Knots
     obstruction: Obstruction
 
@@ -118,6 +121,7 @@ def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights)
     ways = Ways(s, d, jnp.cos(turn))
     s, d, cosine = ways.at(scene.states[:, 0], scene.states[:, 1])
     leading = (s > scene.robot[0]) & (cosine > CROSSING) & (jnp.abs(d - scene.robot[1]) < scene.size[1])
+    inside = inside_of(scene)
     return Situation(
         scene,
         planning,
@@ -125,7 +129,8 @@ def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights)
         ways,
         _crossings(scene, ways),
         leading,
-        speed_caps(scene, planning),
+        inside,
+        speed_caps(scene, planning, inside),
         obstruction_of(scene, weights),
     )
 
@@ -159,9 +164,9 @@ def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
     return jax.vmap(lambda lane, s: interpolate(values[lane], s))(lanes, s)
 
 
-def speed_caps(scene: RoadScene, planning: RoadPlanning) -> Knots:
+def speed_caps(scene: RoadScene, planning: RoadPlanning, inside: Knots) -> Knots:
     """Return the highest speed at each knot of the route from which gentle braking suffices for all bends ahead."""
-    bends = jnp.maximum(jnp.abs(scene.route.curvature), 1e-4)
+    bends = jnp.maximum(sharpest_bends(scene, inside), 1e-4)
     allowed = jnp.minimum(planning.cornering * planning.grip / bends, planning.desired_speed**2)
     ahead = 2 * BEND_BRAKING * SPACING * jnp.arange(len(bends))
     return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))

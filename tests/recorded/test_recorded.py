@@ -298,7 +298,8 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
     there = problem(0.0, speed=speed, goal=None, times=(round(10 * seconds), round(10 * seconds) + 1))
     far = moving(100, [(step, *place(-200, 100), TURN, 0.0) for step in range(2)], "pillar")
     path = directory / "bend.xml"
-    road = lanelet(1, 0.0, bend(radius, side, angle, before=40.0 if speed**2 < 160 else 120.0))
+    before = 40.0 if speed**2 < 160 else 120.0
+    road = lanelet(1, 0.0, bend(radius, side, angle, before, after=80.0))
     path.write_text(scenario(lanelets=road, cars=far, problems=there))
     env = drive(gym.make("ms-highway/recorded-v0", config={"recording": str(path), "traffic": "replay"}))
     env.reset(seed=0)
@@ -318,7 +319,7 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
     return max(corners), max(middles)
 
 
-@pytest.mark.parametrize("radius", [12, 60])
+@pytest.mark.parametrize("radius", [7, 12, 60])
 def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brakes_in_time_for_others(radius, tmp_path):
     limit = np.sqrt(GRIP * radius)
     for side, speed in ((1, limit), (-1, limit), (-1, 2 * limit)):
@@ -329,7 +330,7 @@ def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brake
 
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("radius", [12, 30, 60, 150, 300])
+@pytest.mark.parametrize("radius", [7, 12, 30, 60, 150, 300])
 def test_the_robot_stays_in_its_lane_in_bends_of_all_radii_at_all_speeds(radius, side, tmp_path):
     limit = np.sqrt(GRIP * radius)
     for speed in np.array([0.5, 0.85, 1.0, 2.0]) * limit:

@@ -1,0 +1,78 @@
+"""Know where the corners of the robot's body are in bends, where the front swings out of the way of the rear axle."""
+
+import jax
+from jax import numpy as jnp
+
+from ms_highway.geometry.curve import BEHIND, SPACING, Knots, interpolate
+from ms_highway.perception.scene import RoadScene, States
+from ms_highway.runtime.arrays import Numbers
+
+CORNER_MARGIN = 0.2
+"""Distance from the outer front corner to the edge of the lane, for steering errors, that is no sharp bend [m]."""
+
+FADE = 0.1
+"""Excess of the corner's swing at which the middle of the body follows the middle of the lane [m]."""
+
+AROUND = 8.0
+"""Distance before and behind a sharp bend within which the body is positioned as in it [m]."""
+
+
+def aside_of(scene: RoadScene, states: States, ahead: Numbers, right: Numbers = 0.0) -> Numbers:
+    """Return the lateral position of a point of the robot's body, on a road that bends away below the body [m].
+
+    A point that is x along the road from the rear axle and y beside it lies
+    ``y - x^2 k / (c + sqrt(c^2 + (k x)^2))`` beside a road of curvature k, where
+    ``c = 1 - k y``.
+
+    Args:
+        scene: the road.
+        states: of the robot, in road coordinates.
+        ahead: distance of the point ahead of the rear axle [m].
+        right: distance of the point to the right of the middle [m].
+    """
+    s, d, heading, _ = jnp.moveaxis(states, -1, 0)
+    bend = interpolate(scene.route.curvature, s + ahead / 2)
+    x = ahead * jnp.cos(heading) - right * jnp.sin(heading)
+    y = d + ahead * jnp.sin(heading) + right * jnp.cos(heading)
+    left = 1 - bend * y
+    return y - bend * x**2 / (left + jnp.sqrt(left**2 + (bend * x) ** 2))
+
+
+def inside_of(scene: RoadScene) -> Knots:
+    """Return how far inside the middle of a lane the rear axle has to be, positive to the right [m].
+
+    In most bends that is 0. Where the outer front corner would swing nearer than
+    `CORNER_MARGIN` to the edge of the lane, the middle of the body follows the middle of
+    the lane instead of the rear axle, also shortly before and behind.
+
+    Returns:
+        An array [knots], at each knot of the route.
+    """
+    length, width = scene.size
+    left, own, right = scene.lanes
+    room = jnp.maximum(own - left, right - own) / 2 - CORNER_MARGIN
+
+    # Where the body is while the rear axle is in the middle of the lane.
+    s = SPACING * jnp.arange(len(own)) - BEHIND
+    along = jnp.stack([s, *[jnp.zeros_like(s)] * 3], axis=-1)
+    left_corner = -aside_of(scene, along, length, -width / 2)
+    right_corner = aside_of(scene, along, length, width / 2)
+    middle = aside_of(scene, along, length / 2)
+
+    # Where the corner is too near, or soon will be, or was.
+    excess = jnp.maximum(left_corner, right_corner) - room
+    knots = 2 * round(AROUND / SPACING) + 1
+    nearby = jax.lax.reduce_window(excess, -jnp.inf, jax.lax.max, (knots,), (1,), "SAME")
+    return -middle * jnp.clip(nearby / FADE, 0.0, 1.0)
+
+
+def sharpest_bends(scene: RoadScene, inside: Knots) -> Knots:
+    """Return the curvature at each knot of the route for which the robot has to be slow enough there [1/m].
+
+    In sharp bends, in which the rear axle is inside its lane, see `inside_of`, the robot
+    steers in half its length before the bend.
+    """
+    bends = jnp.abs(scene.route.curvature)
+    half = jnp.round(scene.size[0] / 2 / SPACING).astype(int)
+    places = jnp.minimum(jnp.arange(len(bends)) + half, len(bends) - 1)
+    return jnp.maximum(bends, jnp.where(inside == 0, 0.0, bends[places]))
