@@ -225,7 +225,7 @@ class Results:
             ValueError: naming the file.
         """
         before = self.settings.get("sources", {}).get(scenario, {})
-        now = Comparison({scenario: controllers}).sources()[scenario]
+        now = Comparison({scenario: controllers}, config=self.config(scenario)).sources()[scenario]
         for name in controllers:
             what = f"these are results of {name} in {scenario}"
             refuse_changed(what, before.get(name, {}), now[name], "add --no-videos")
