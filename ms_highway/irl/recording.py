@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from hashlib import sha256
 from itertools import accumulate, chain
 from typing import Any, NamedTuple, Self
 
@@ -19,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.runtime.arrays import Vector
+from ms_highway.runtime.sources import digest_of
 
 # Arrays of learning and prediction, of NumPy or JAX
 Flags = Bool[Any, "n"]
@@ -114,7 +114,7 @@ class Recording:
 def fingerprint(numbers: np.ndarray) -> str:
     """Return a short text that is the same only for the same numbers, to a thousandth."""
     rounded = np.round(np.asarray(numbers, dtype=float) * 1000).astype(np.int64)
-    return sha256(rounded.tobytes()).hexdigest()[:16]
+    return digest_of(rounded.tobytes())
 
 
 def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
