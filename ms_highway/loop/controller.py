@@ -204,6 +204,15 @@ class FunctionDriver:
         self._key = key
         self.reset()
 
+    @property
+    def game(self) -> Game:
+        """The game, of which car 0 is driven; its arrays cannot be written."""
+        return self._game
+
+    @game.setter
+    def game(self, game: Game) -> None:
+        self._game = read_only(game)
+
     def reset(self) -> None:
         """Begin an episode: an object that remembers is copied anew, and gets the key."""
         self._function = new_driver(self._added)
@@ -219,12 +228,11 @@ class FunctionDriver:
             ValueError: if the driver does not return two finite numbers, writes into what it is given, or is a function
                 that answers the same question in two ways.
         """
-        shown = read_only(self.game)
         seen = read_only(facing(state))
         start = perf_counter()
-        control = self._ask(shown, seen)
+        control = self._ask(self.game, seen)
         seconds = perf_counter() - start
-        self._check_answers(shown, seen, control)
+        self._check_answers(seen, control)
         kept = np.tile(control, (self.game.planner.horizon, 1))
         return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * self.game.number, seconds)
 
@@ -236,12 +244,14 @@ class FunctionDriver:
             raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
         return control
 
-    def _check_answers(self, game: Game, state: State, control: Control) -> None:
+    def _check_answers(self, state: State, control: Control) -> None:
         """Ask a function again what it was asked first, in steps whose numbers are powers of two."""
         self._steps += 1
         if remembers(self._added) or self._steps & (self._steps - 1):
             return
-        first_game, first_state, first = self._first = self._first or (game, state, control)
+        if self._first is None:
+            self._first = (self.game, state, control)
+        first_game, first_state, first = self._first
         again = self._ask(first_game, first_state)
         if not np.allclose(again, first, rtol=SAME_ANSWER, atol=SAME_ANSWER):
             answers = f"{first.tolist()} and then {again.tolist()} in the same state"
