@@ -200,7 +200,7 @@ def test_an_unknown_driver_and_a_key_without_effect_are_refused(config, message)
 
 @pytest.mark.parametrize(
     ("scenario", "config"),
-    [("merger-v1", {"human_driver": "keyboard"}), ("demonstration-v0", {"manual_control": True})],
+    [("merger-v1", {"human_driver": "keyboard", "controller": "tom"}), ("demonstration-v0", {"manual_control": True})],
 )
 def test_keys_without_a_display_are_refused_in_one_sentence(scenario, config, monkeypatch):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
