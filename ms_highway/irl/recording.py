@@ -224,15 +224,18 @@ def _unusable(states: States, measured: bool) -> str:
 def _duplicates(recording: Recording) -> Iterator[tuple[int, int]]:
     """Yield each pair of cars that are in the same place whenever both are seen, if twice or more; drivers first."""
     positions = np.where(recording.seen[..., None], recording.states[..., :2], np.nan)
-    order = [*recording.drivers, *np.setdiff1d(np.arange(positions.shape[1]), recording.drivers)]
-    gone = set[int]()
-    for place, first in enumerate(order):
-        for second in order[place + 1 :]:
-            apart = np.abs(positions[:, first] - positions[:, second]).max(axis=-1)
-            apart = apart[np.isfinite(apart)]
-            if not {first, second} & gone and len(apart) > 1 and apart.max() < SAME_PLACE:
-                gone.add(second)
-                yield int(first), int(second)
+    left = [*recording.drivers, *np.setdiff1d(np.arange(positions.shape[1]), recording.drivers)]
+    while left:
+        first, *others = left
+        times = recording.seen[:, first]
+        offsets = positions[times][:, others] - positions[times, first][:, None]
+        apart = np.abs(offsets).max(axis=-1)  # [times, others]
+        both = np.isfinite(apart)
+        farthest = np.max(apart, axis=0, where=both, initial=0.0)
+        same = (both.sum(axis=0) > 1) & (farthest < SAME_PLACE)
+        for second in np.array(others, dtype=int)[same]:
+            yield int(first), int(second)
+        left = [car for car, gone in zip(others, same, strict=True) if not gone]
 
 
 class Rows:
