@@ -137,6 +137,17 @@ def test_films_of_results_are_refused_only_after_their_sources_have_changed(impo
         read_results(Path("out")).refuse_changed("merger", ["naive"])
 
 
+def test_results_are_read_but_not_filmed_where_a_driver_that_they_name_is_missing(imports):
+    imports()
+    asked = Comparison({"merger": ["naive"]}, seeds=1, config={"human_driver": "brakes", "duration": 0.2})
+    assert [*run(asked, "out")] == [0, 1]
+    HUMAN_DRIVERS.pop("brakes")
+    results = read_results(Path("out"))
+    assert len(results.records) == 2
+    with pytest.raises(ValueError, match=r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import"):
+        results.refuse_changed("merger", ["naive"])
+
+
 @pytest.mark.filterwarnings("ignore:the values of computation were learned")  # among other humans
 def test_a_worker_that_has_imported_the_same_has_the_same_sources(imports):
     imports()
