@@ -321,9 +321,15 @@ def traceable(name: str, game: Game) -> DriverFunction:
     return driver
 
 
+def _is_key(constant: Any) -> bool:
+    """Return whether a constant holds keys of JAX's random numbers, which NumPy cannot convert."""
+    return jnp.issubdtype(constant.dtype, jax.dtypes.prng_key)
+
+
 def _program(driver: DriverFunction, question: tuple[Game, State]) -> str:
     """Return the text of what JAX computes for a driver, with its constants."""
     # JAX keeps what it has traced of a function; a new one is traced anew.
     traced = jax.make_jaxpr(lambda game, state: driver(game, state))(*question)
-    text = f"{traced} {[np.asarray(each).tolist() for each in traced.consts]}"
+    constants = [jax.random.key_data(each) if _is_key(each) else each for each in traced.consts]
+    text = f"{traced} {[np.asarray(each).tolist() for each in constants]}"
     return re.sub("0x[0-9a-f]+", "", text)  # addresses differ
