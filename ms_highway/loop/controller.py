@@ -177,11 +177,11 @@ def check_driver(name: str, driver: Any) -> None:
         own = new_driver(driver)
         signature(own.reset).bind(0)  # type: ignore[attr-defined]
     except Exception as error:  # anything that code of the user's raises
-        remedy = "its class must be made without arguments, or its object be copied, and `reset` take a key"
+        remedy = "give a class that is made without arguments or an object that can be copied; let `reset` take a key"
         raise ValueError(f"{place}, which cannot begin an episode: {error}; {remedy}") from error
     if not callable(own) or own is driver:
         remedy = "give an object of a class with the methods `reset(key)` and `__call__(game, state)`"
-        raise ValueError(f"{place}, whose memory cannot be copied or which is not called; {remedy}")
+        raise ValueError(f"{place}, which cannot be copied or cannot be called; {remedy}")
 
 
 class FunctionDriver:
