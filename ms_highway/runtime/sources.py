@@ -28,9 +28,11 @@ CODE = (".py", ".pyc", ".pyd", ".so")
 
 PACKAGE = Path(__file__).parents[1]
 
-PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
-INSTALLED = {Path(sysconfig.get_path(place)).resolve() for place in PLACES}
-"""Directories of installed packages, whose versions are recorded instead."""
+STANDARD = {Path(sysconfig.get_path(place)).resolve() for place in ("stdlib", "platstdlib")}
+"""Directories of Python's own modules."""
+
+INSTALLED = {"site-packages", "dist-packages"}
+"""Names of directories of installed packages, also of other environments that this one builds on."""
 
 DEFINITION = "the definition of {}"
 """Name of the source of what a user has added, by the name under which it was added."""
@@ -213,6 +215,7 @@ def _note_opened(event: str, arguments: tuple) -> None:
 
 
 def _is_own(file: Path) -> bool:
-    """Return whether a file belongs neither to an installed package nor to this one."""
+    """Return whether a file belongs neither to Python, nor to an installed package, nor to this one."""
     above = {*file.parents, *file.resolve().parents}
-    return not above & {*INSTALLED, PACKAGE, PACKAGE.resolve()}
+    installed = INSTALLED & {place.name for place in above}
+    return not installed and not above & {*STANDARD, PACKAGE, PACKAGE.resolve()}

@@ -46,7 +46,8 @@ def imports(tmp_path, monkeypatch):
 
     yield import_anew
     import_modules([])
-    sys.modules.pop("made", None)
+    for name in ("made", "installed_elsewhere"):
+        sys.modules.pop(name, None)
     HUMAN_DRIVERS.pop("brakes", None)
 
 
@@ -169,6 +170,10 @@ def test_a_module_that_was_imported_before_counts_as_what_was_loaded(imports):
 
 def test_modules_of_packages_of_this_one_and_without_a_file_are_no_sources(imports):
     making = "import sys, types; sys.modules['made'] = made = types.ModuleType('made'); made.__file__ = '_made.py'"
-    Path("braking.py").write_text(f"BRAKING = 1.0; {making}")
+    Path("braking.py").write_text(f"import installed_elsewhere; BRAKING = 1.0; {making}")
+    elsewhere = Path("other/site-packages").absolute()  # as of an environment that this one builds on
+    elsewhere.mkdir(parents=True)
+    (elsewhere / "installed_elsewhere.py").write_text("")
+    sys.path.append(str(elsewhere))
     imports()
     assert imported_sources().keys() == {"my_driver", "braking", "strength.txt"}
