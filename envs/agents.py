@@ -164,8 +164,9 @@ class AgentDrives(gym.Wrapper):
         Raises:
             ValueError: if the environment's action space does not contain the agent's action.
         """
+        seen = deepcopy(self._seen)  # which others hold, too
         start = perf_counter()
-        chosen = self.policy(deepcopy(self._seen))  # which others hold, too
+        chosen = self.policy(seen)
         seconds = perf_counter() - start
         if isinstance(self.env.action_space, spaces.Box):  # agents may return lists or double precision
             chosen = np.asarray(chosen, self.env.action_space.dtype)

@@ -120,13 +120,14 @@ class GameEnv(ConfiguredEnv):
         """Describe the last step; after a reset, the reward and its terms are 0."""
         # The paper's indicator misses overlaps of bodies that highway-env notices.
         crashed = self.collision if self.game.scene.bodies_collide else bool(self.vehicle.hit)
+        given = action if self.steps else None  # highway-env draws one for a reset
         return {
             "speed": float(self.vehicle.speed),
             "collision_effect": "reward only",
             "collision": self.collision,
             "crashed": crashed,
             "control": {name: float(value) for name, value in self.vehicle.action.items()},
-            "action": self._as_in_space(action),
+            "action": self._as_in_space(given),
             "rewards": self._rewards(action),
         }
 

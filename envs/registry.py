@@ -263,7 +263,9 @@ def of_package(name: str) -> bool:
     Files of learned values hold numbers only. Agents, also those in files, and what users have added run other code.
     """
     config = controller_config(name)
-    if config["type"] not in PACKAGE_NAMES["a rule"] or config["type"] in ("driver", "agent"):
+    if config["type"] == "driver":
+        return config["name"] in PACKAGE_NAMES["a human driver"]
+    if config["type"] not in PACKAGE_NAMES["a rule"] or config["type"] == "agent":
         return False
     return all(type(human_model(model)) in PACKAGE_TYPES for model in controller_settings(config).names())
 

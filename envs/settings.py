@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from json import dumps as to_json
 from shlex import quote
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 from warnings import warn
 
 import numpy as np
@@ -28,8 +28,10 @@ from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
 HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "published"}
 """The default of the humans' reward, by semantics."""
 
-NAMED_REWARDS = ("learned", "published", "us101")
+NamedReward: TypeAlias = Literal["learned", "published", "us101"]
 """Names of the humans' rewards, see `human_weights`."""
+
+NAMED_REWARDS: tuple[str, ...] = get_args(NamedReward)
 
 YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
 """The human drivers for each way to yield."""
@@ -58,9 +60,7 @@ class Settings(Struct, frozen=True):
         Literal["published", "shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS_REMEDY)
     ]
     semantics: Semantics
-    human_reward: Annotated[
-        Literal["learned", "published", "us101"] | dict[str, Number] | None, Meta(description=REWARD_REMEDY)
-    ]
+    human_reward: Annotated[NamedReward | dict[str, Number] | None, Meta(description=REWARD_REMEDY)]
     humans: Annotated[int, Meta(description="it must be a whole number")]
     beliefs: Literal["learned", "true"]
     yielding: Literal["usual", "never", "always", "mixed"]
@@ -232,12 +232,12 @@ class Settings(Struct, frozen=True):
 def human_weights(reward: str | dict[str, float]) -> Mapping[str, float]:
     """Return the weights of a humans' reward, by name.
 
-    * ``learned``: from simulated demonstrations; ``us101``: from drivers on the US-101, as `ms-highway irl fit` learned
-      them and a file of its has them, without weights of collisions and of leaving the road;
-    * ``published``: the paper's.
+    ``learned`` has weights that were learned from simulated demonstrations, ``published`` the paper's. ``us101`` has
+    those that `ms-highway irl fit` learned from drivers on the US-101, without weights of collisions and of leaving the
+    road.
     """
     if not isinstance(reward, str):
         return reward
-    return (
-        COMMON_WEIGHTS if reward == "published" else shipped("us101" if reward == "us101" else "demonstrations").weights
-    )
+    if reward == "published":
+        return COMMON_WEIGHTS
+    return shipped("demonstrations" if reward == "learned" else reward).weights

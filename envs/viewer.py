@@ -153,11 +153,11 @@ def check_display() -> None:
         raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
 
 
-def check_window(render_mode: str | None) -> None:
+def check_window(render_mode: str | None = None) -> None:
     """Check that there is, or will be, a window whose keys a person can press.
 
     Args:
-        render_mode: of the environment; ``"human"`` opens a window.
+        render_mode: of the environment that is to open it, which only ``"human"`` does; by default, it is open.
 
     Raises:
         OSError: without a display, or without a window.
@@ -185,8 +185,7 @@ class Keyboard:
         Raises:
             OSError: if there is no window.
         """
-        if not pygame.display.get_init() or pygame.display.get_surface() is None:
-            raise OSError("there is no window to press keys in; make the environment with render_mode='human'")
+        check_window()
         keys = pygame.key.get_pressed()
         heading, speed = state[0, 2:]
         wanted = KEY_HEADING * (int(keys[pygame.K_RIGHT]) - int(keys[pygame.K_LEFT]))  # y points to the right

@@ -19,7 +19,7 @@ INFO = {
     "collision": "whether it collides by the reward's measure, see [Reward](#reward)",
     "collision_effect": "what a collision does: it only costs reward",
     "control": "what the robot did: `acceleration` before friction [m/s²], `steering` of the front wheels [rad]",
-    "action": "that was given",
+    "action": "that was given; NaN or -1 before the first step",
     "rewards": "terms of the reward by feature; `computation` is -lambda T where the agent chooses models",
     "model": "the model that predicts the human in the plan that drives; of several humans, their most expensive one",
     "models": "name of every human's model in it",

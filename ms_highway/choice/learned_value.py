@@ -15,7 +15,7 @@ from importlib import resources
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict
+from typing import Any, TypeAlias, TypedDict
 
 import jax
 import msgspec
@@ -26,6 +26,7 @@ from jaxtyping import Float
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, unestimated
 from ms_highway.choice.situation import describe, description_names, nearness
 from ms_highway.game.game import Game
+from ms_highway.game.scenario import Semantics
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Scalar, Structure, read, read_only
@@ -204,7 +205,7 @@ class _Provenance(TypedDict, total=False):
     """Entries of the provenance of values by which scenes are compared; all others are for people to read."""
 
     scenarios: list[str]
-    semantics: Literal["paper", "released", "physical"]
+    semantics: Semantics
     solver: str
     planning_horizon: int | list[int]
     human_reward: str | dict[str, float] | None

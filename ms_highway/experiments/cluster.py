@@ -14,7 +14,6 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from pathlib import Path
 
 import distributed
 import jax
@@ -26,7 +25,7 @@ from ms_highway.experiments.directory import PACKAGES
 from ms_highway.experiments.runner import Compute
 from ms_highway.runtime.jax_settings import keep_compilations
 from ms_highway.runtime.process import jax_has_begun
-from ms_highway.runtime.sources import Sources, digest, import_modules, imported_sources
+from ms_highway.runtime.sources import Sources, import_modules, source_now
 
 PATIENCE = 10  # s, within which a scheduler has to answer
 AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory
@@ -69,11 +68,9 @@ class Setup(distributed.WorkerPlugin):
             with suppress(OSError):
                 keep_compilations()
         import_modules(self.modules)
-        imported = imported_sources()
         for name, content in self.sources.items():
-            own = imported[name] if name in imported else digest(Path(name))
-            if own != content:
-                remedy = "copy it there and start the worker again"
+            if source_now(name) != content:
+                remedy = "copy its file there and start the worker again"
                 raise ValueError(f"worker {worker.address} has other content of {name}; {remedy}")
 
 

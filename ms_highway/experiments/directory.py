@@ -122,9 +122,11 @@ class ResultsDirectory:
 
         Raises:
             ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, results of these
-                scenarios and controllers that depend on other content, or other files.
+                scenarios and controllers that depend on other content, a record of runs that cannot be read, or other
+                files.
         """
         known = self.settings()
+        self.runs()  # to which this run will be added
         wanted = json.loads(json.dumps(settings))
         if not known:
             if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):

@@ -11,12 +11,10 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.registry import controller_config, of_package, priced_types
 from ms_highway.experiments.comparison import Comparison, models_of, per_episode
-from ms_highway.experiments.directory import EXTENDED, SETTINGS_FILE, ResultsDirectory, Run, refuse_changed
+from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, Run, refuse_changed
 from ms_highway.experiments.runner import read_steps
-from ms_highway.runtime.files import reading
 
 CONFIDENCE = 0.9
 MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_seconds", "decision_ms": "decision_seconds"}
@@ -219,13 +217,17 @@ class Results:
         return self.common | ({"costs": measured[scenario]} if scenario in measured else {})
 
     def refuse_changed(self, scenario: str, controllers: Sequence[str]) -> None:
-        """Refuse to drive controllers that depend on other content now than in these results.
+        """Refuse to drive controllers that cannot be driven now, or depend on other content than in these results.
 
         Raises:
-            ValueError: naming the file.
+            ValueError: naming what is missing or has changed.
         """
         before = self.settings.get("sources", {}).get(scenario, {})
-        now = Comparison({scenario: controllers}).sources()[scenario]
+        try:
+            now = Comparison({scenario: controllers}, config=self.config(scenario)).sources()[scenario]
+        except ValueError as error:
+            remedy = "import what these results need with --import, or add --no-videos"
+            raise ValueError(f"{scenario} cannot be filmed ({error}); {remedy}") from error
         for name in controllers:
             what = f"these are results of {name} in {scenario}"
             refuse_changed(what, before.get(name, {}), now[name], "add --no-videos")
@@ -244,11 +246,4 @@ def read_results(directory: Path) -> Results:
     records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(f"{directory} holds no whole episodes yet; let `ms-highway compare` finish one")
-    results = Results(records, summary(records), settings, directory_of_results.runs())
-
-    # The configuration; scenarios that are not imported are only tables and figures.
-    with reading(directory / SETTINGS_FILE, "choose another directory"):
-        for scenario in results.scenarios:
-            if scenario in ENVIRONMENTS:
-                ENVIRONMENTS[scenario].checked_config({**results.config(scenario), "controller": "naive"})
-    return results
+    return Results(records, summary(records), settings, directory_of_results.runs())

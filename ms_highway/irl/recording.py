@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from hashlib import sha256
 from itertools import accumulate, chain
 from typing import Any, NamedTuple, Self
 
@@ -19,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.runtime.arrays import Vector
+from ms_highway.runtime.sources import digest_of
 
 # Arrays of learning and prediction, of NumPy or JAX
 Flags = Bool[Any, "n"]
@@ -114,7 +114,7 @@ class Recording:
 def fingerprint(numbers: np.ndarray) -> str:
     """Return a short text that is the same only for the same numbers, to a thousandth."""
     rounded = np.round(np.asarray(numbers, dtype=float) * 1000).astype(np.int64)
-    return sha256(rounded.tobytes()).hexdigest()[:16]
+    return digest_of(rounded.tobytes())
 
 
 def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
@@ -224,15 +224,18 @@ def _unusable(states: States, measured: bool) -> str:
 def _duplicates(recording: Recording) -> Iterator[tuple[int, int]]:
     """Yield each pair of cars that are in the same place whenever both are seen, if twice or more; drivers first."""
     positions = np.where(recording.seen[..., None], recording.states[..., :2], np.nan)
-    order = [*recording.drivers, *np.setdiff1d(np.arange(positions.shape[1]), recording.drivers)]
-    gone = set[int]()
-    for place, first in enumerate(order):
-        for second in order[place + 1 :]:
-            apart = np.abs(positions[:, first] - positions[:, second]).max(axis=-1)
-            apart = apart[np.isfinite(apart)]
-            if not {first, second} & gone and len(apart) > 1 and apart.max() < SAME_PLACE:
-                gone.add(second)
-                yield int(first), int(second)
+    left = [*recording.drivers, *np.setdiff1d(np.arange(positions.shape[1]), recording.drivers)]
+    while left:
+        first, *others = left
+        times = recording.seen[:, first]
+        offsets = positions[times][:, others] - positions[times, first][:, None]
+        apart = np.abs(offsets).max(axis=-1)  # [times, others]
+        both = np.isfinite(apart)
+        farthest = np.max(apart, axis=0, where=both, initial=0.0)
+        same = (both.sum(axis=0) > 1) & (farthest < SAME_PLACE)
+        for second in np.array(others, dtype=int)[same]:
+            yield int(first), int(second)
+        left = [car for car, gone in zip(others, same, strict=True) if not gone]
 
 
 class Rows:

@@ -177,11 +177,11 @@ def check_driver(name: str, driver: Any) -> None:
         own = new_driver(driver)
         signature(own.reset).bind(0)  # type: ignore[attr-defined]
     except Exception as error:  # anything that code of the user's raises
-        remedy = "its class must be made without arguments, or its object be copied, and `reset` take a key"
+        remedy = "give a class that is made without arguments or an object that can be copied; let `reset` take a key"
         raise ValueError(f"{place}, which cannot begin an episode: {error}; {remedy}") from error
     if not callable(own) or own is driver:
         remedy = "give an object of a class with the methods `reset(key)` and `__call__(game, state)`"
-        raise ValueError(f"{place}, whose memory cannot be copied or which is not called; {remedy}")
+        raise ValueError(f"{place}, which cannot be copied or cannot be called; {remedy}")
 
 
 class FunctionDriver:
@@ -204,6 +204,15 @@ class FunctionDriver:
         self._key = key
         self.reset()
 
+    @property
+    def game(self) -> Game:
+        """The game, of which car 0 is driven; its arrays cannot be written."""
+        return self._game
+
+    @game.setter
+    def game(self, game: Game) -> None:
+        self._game = read_only(game)
+
     def reset(self) -> None:
         """Begin an episode: an object that remembers is copied anew, and gets the key."""
         self._function = new_driver(self._added)
@@ -219,12 +228,11 @@ class FunctionDriver:
             ValueError: if the driver does not return two finite numbers, writes into what it is given, or is a function
                 that answers the same question in two ways.
         """
-        shown = read_only(self.game)
         seen = read_only(facing(state))
         start = perf_counter()
-        control = self._ask(shown, seen)
+        control = self._ask(self.game, seen)
         seconds = perf_counter() - start
-        self._check_answers(shown, seen, control)
+        self._check_answers(seen, control)
         kept = np.tile(control, (self.game.planner.horizon, 1))
         return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * self.game.number, seconds)
 
@@ -236,12 +244,14 @@ class FunctionDriver:
             raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
         return control
 
-    def _check_answers(self, game: Game, state: State, control: Control) -> None:
+    def _check_answers(self, state: State, control: Control) -> None:
         """Ask a function again what it was asked first, in steps whose numbers are powers of two."""
         self._steps += 1
         if remembers(self._added) or self._steps & (self._steps - 1):
             return
-        first_game, first_state, first = self._first = self._first or (game, state, control)
+        if self._first is None:
+            self._first = (self.game, state, control)
+        first_game, first_state, first = self._first
         again = self._ask(first_game, first_state)
         if not np.allclose(again, first, rtol=SAME_ANSWER, atol=SAME_ANSWER):
             answers = f"{first.tolist()} and then {again.tolist()} in the same state"
@@ -311,9 +321,15 @@ def traceable(name: str, game: Game) -> DriverFunction:
     return driver
 
 
+def _is_key(constant: Any) -> bool:
+    """Return whether a constant holds keys of JAX's random numbers, which NumPy cannot convert."""
+    return jnp.issubdtype(constant.dtype, jax.dtypes.prng_key)
+
+
 def _program(driver: DriverFunction, question: tuple[Game, State]) -> str:
     """Return the text of what JAX computes for a driver, with its constants."""
     # JAX keeps what it has traced of a function; a new one is traced anew.
     traced = jax.make_jaxpr(lambda game, state: driver(game, state))(*question)
-    text = f"{traced} {[np.asarray(each).tolist() for each in traced.consts]}"
+    constants = [jax.random.key_data(each) if _is_key(each) else each for each in traced.consts]
+    text = f"{traced} {[np.asarray(each).tolist() for each in constants]}"
     return re.sub("0x[0-9a-f]+", "", text)  # addresses differ

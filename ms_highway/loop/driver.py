@@ -190,10 +190,10 @@ class Driver:
             found, seconds = timed(*self._choice(carry, now))
             belief, decision = jax.tree.map(np.asarray, found)
             carry = carry._replace(belief=belief)
+            if not is_of_package(self.rule):  # which a compiled decision cannot refuse
+                refuse_rungs(self.rule, decision.memory.rungs)
         else:
             decision = jax.tree.map(np.asarray, chosen_by(self.rule, self.game, carry.memory, carry.outcome))
-        if not is_of_package(self.rule):
-            refuse_rungs(self.rule, decision.memory.rungs)
         gains = np.where(decision.gains == NOT_ESTIMATED, np.nan, decision.gains)
         if self.game.number == 1:  # gains of switching: there is none for the model in use
             gains[0, carry.memory.rungs[0]] = np.nan

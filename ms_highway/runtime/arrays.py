@@ -129,10 +129,6 @@ class Published(dict[str, Any]):
 MAX_NUMBER = 1e300
 LONGEST = 80  # characters of a wrong value that a message shows
 
-Finite = Annotated[float, msgspec.Meta(gt=-MAX_NUMBER, lt=MAX_NUMBER)]
-"""A number that is neither infinite nor NaN."""
-
-NotNegative = Annotated[float, msgspec.Meta(ge=0, lt=MAX_NUMBER)]
 Positive = Annotated[float, msgspec.Meta(gt=0, lt=MAX_NUMBER)]
 
 

@@ -28,9 +28,14 @@ CODE = (".py", ".pyc", ".pyd", ".so")
 
 PACKAGE = Path(__file__).parents[1]
 
-PLACES = ("stdlib", "platstdlib", "purelib", "platlib")
-INSTALLED = {Path(sysconfig.get_path(place)).resolve() for place in PLACES}
-"""Directories of installed packages, whose versions are recorded instead."""
+STANDARD = {Path(sysconfig.get_path(place)).resolve() for place in ("stdlib", "platstdlib")}
+"""Directories of Python's own modules."""
+
+INSTALLED = {"site-packages", "dist-packages"}
+"""Names of directories of installed packages, also of other environments that this one builds on."""
+
+DEFINITION = "the definition of {}"
+"""Name of the source of what a user has added, by the name under which it was added."""
 
 _notes: dict[str, Sources] = {}  # what each module has brought that `import_modules` imported
 _named: tuple[str, ...] = ()  # the modules of the last `import_modules`
@@ -89,13 +94,37 @@ def note_definition(name: str, added: Any) -> None:
         text = getsource(defined).encode()
     except (OSError, TypeError):  # as of functions that were typed into a prompt
         text = getattr(getattr(defined, "__code__", None), "co_code", b"")
-    _definitions[name] = sha256(text).hexdigest()[:DIGITS]
+    _definitions[name] = digest_of(text)
 
 
 def definition_sources(text: str) -> Sources:
     """Return the digests of what the user has added by names that a text has as words."""
     words = {*re.findall(r"[\w-]+", text), *re.findall(r"\w+", text)}
-    return {f"the definition of {name}": content for name, content in _definitions.items() if name in words}
+    return {DEFINITION.format(name): content for name, content in _definitions.items() if name in words}
+
+
+def source_now(name: str) -> str | None:
+    """Return the digest that a source has in this process, as on a worker of a cluster.
+
+    Args:
+        name: of a module, of a definition, or the path of a file; see `imported_sources` and `definition_sources`.
+
+    Returns:
+        The digest; None for a definition that this process lacks.
+
+    Raises:
+        ValueError: if it is none of the first two, and no file that can be read.
+    """
+    definitions = {DEFINITION.format(added): content for added, content in _definitions.items()}
+    known = definitions | imported_sources()
+    if name in known or name.startswith(DEFINITION.format("")):
+        return known.get(name)
+    return digest(Path(name))
+
+
+def digest_of(content: bytes) -> str:
+    """Return the digest of some content."""
+    return sha256(content).hexdigest()[:DIGITS]
 
 
 def digest(file: Path) -> str:
@@ -107,7 +136,7 @@ def digest(file: Path) -> str:
     if not file.is_file():
         raise ValueError(f"{file} is missing, a directory or a device; name a file")
     try:
-        return sha256(file.read_bytes()).hexdigest()[:DIGITS]
+        return digest_of(file.read_bytes())
     except OSError as error:
         reason = error.strerror or str(error)
         raise ValueError(f"{file} cannot be read ({reason}); name another file") from error
@@ -127,7 +156,11 @@ def package_digest() -> str:
 
 @contextmanager
 def _noting(module: str) -> Iterator[None]:
-    """Note what the block brings, which imports a module; a module that was imported before keeps its notes."""
+    """Note what the block brings, which imports a module.
+
+    A module that was imported before keeps its notes: this process goes on with the code that it has loaded, whatever
+    has happened to the file since.
+    """
     before = {*sys.modules}
     with _noting_files() as opened:
         yield
@@ -135,11 +168,15 @@ def _noting(module: str) -> Iterator[None]:
 
     # Modules, under the digest of their source.
     directories = set()
-    for name in dict.fromkeys([module, *sorted({*sys.modules} - before)]):
-        file = getattr(sys.modules[name], "__file__", None)
-        if file and name.partition(".")[0] != "ms_highway" and _is_own(Path(file)):
-            notes[name] = digest(Path(file))
-            directories.add(Path(file).absolute().parent)
+    loaded = {*sys.modules} - before
+    for name in dict.fromkeys([module, *sorted(loaded)]):
+        if name in notes and name not in loaded:
+            continue
+        file = Path(getattr(sys.modules[name], "__file__", None) or "")
+        exists = file.is_file()  # packages such as PyTorch make modules that only claim a file
+        if exists and name.partition(".")[0] != "ms_highway" and _is_own(file):
+            notes[name] = digest(file)
+            directories.add(file.absolute().parent)
 
     # Other files, such as the weights of a driver.
     for path in opened:
@@ -166,17 +203,19 @@ def _noting_files() -> Iterator[set[Path]]:
 
 def _note_opened(event: str, arguments: tuple) -> None:
     """Note a file that Python opens; see `sys.addaudithook`."""
-    if _opened is None or event != "open":
+    opened = _opened  # which another thread may end meanwhile
+    if opened is None or event != "open":
         return
     path, _, flags = arguments
     reads = not flags & (os.O_WRONLY | os.O_RDWR)
     if reads and isinstance(path, (str, bytes, os.PathLike)):
         file = Path(os.fsdecode(path)).absolute()
         if file.suffix not in CODE:
-            _opened.add(file)
+            opened.add(file)
 
 
 def _is_own(file: Path) -> bool:
-    """Return whether a file belongs neither to an installed package nor to this one."""
+    """Return whether a file belongs neither to Python, nor to an installed package, nor to this one."""
     above = {*file.parents, *file.resolve().parents}
-    return not above & {*INSTALLED, PACKAGE, PACKAGE.resolve()}
+    installed = INSTALLED & {place.name for place in above}
+    return not installed and not above & {*STANDARD, PACKAGE, PACKAGE.resolve()}

@@ -223,6 +223,13 @@ def test_compare_refuses_damaged_records_and_leaves_them_unchanged(pattern, repl
     assert steps.read_text(encoding="latin-1") == spoilt
 
 
+def test_compare_changes_no_settings_if_its_run_cannot_be_recorded(begun, refused):
+    (begun / "provenance.json").write_text("{}")
+    before = (begun / "settings.json").read_text()
+    assert "provenance.json cannot be read as a list of runs" in refused("compare stay_back --controllers turn --out .")
+    assert (begun / "settings.json").read_text() == before
+
+
 WRONG = [None, -1, 2.5, "x", [1], {"a": [1]}, True, float("nan")]
 """Values that replace those of a file: each is of a wrong type somewhere."""
 

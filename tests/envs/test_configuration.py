@@ -412,6 +412,16 @@ def test_a_scenario_needs_a_name_of_one_word_that_the_package_does_not_use():
             add_own_scenario(name)
 
 
+@pytest.mark.usefixtures("names")
+def test_controllers_that_run_code_of_others_are_told_from_the_packages():
+    KINDS["a human model"]("mine")
+    KINDS["a rule"]("plain")
+    KINDS["a human driver"]("coasting")
+    ours = ["tom@8+warm", "learned:1", "naive+belief", "schedule:tom=6,naive", "budget:20", "never"]
+    others = ["mine", "schedule:tom=6,mine", "plain", "coasting", "agent.zip"]
+    assert [name for name in [*ours, *others] if registry.of_package(name)] == ours
+
+
 def test_learned_values_warn_only_where_they_were_not_learned():
     for scenario in ("merger", "merger-v1", "crossing_crowd", "crossing-crowd-v1"):
         make(scenario, "learned:0.1")  # a warning would be an error

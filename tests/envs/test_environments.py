@@ -108,6 +108,17 @@ def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked
         np.testing.assert_allclose(states[1, 2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
 
 
+@pytest.mark.parametrize(
+    ("config", "missing"), [({"action": DRIVING}, [np.nan] * 2), ({"action": {"type": "DiscreteAction"}}, -1)]
+)
+def test_info_tells_no_action_before_the_first_step(config, missing):
+    env = make("merger-v1", **config)
+    np.testing.assert_array_equal(env.reset(seed=0)[1]["action"], missing)
+    action = env.action_space.sample()
+    np.testing.assert_array_equal(env.step(action)[4]["action"], action)
+    np.testing.assert_array_equal(env.reset(seed=1)[1]["action"], missing)
+
+
 @pytest.mark.parametrize("name", ["merger-v1", "demonstration-v0", "recorded-v0", "merge-v1"])
 def test_seeds_are_whole_numbers_also_of_numpy(name):
     env = ms_highway.drive(gym.make(name)) if name == "merge-v1" else gym.make(f"ms_highway:ms-highway/{name}")

@@ -4,6 +4,7 @@ from collections import Counter
 from copy import deepcopy
 
 import gymnasium as gym
+import jax
 import numpy as np
 import pygame
 import pytest
@@ -15,7 +16,7 @@ import ms_highway
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.loop.controller import HUMAN_DRIVERS
+from ms_highway.loop.controller import HUMAN_DRIVERS, traceable
 
 
 def brakes(game, state):
@@ -54,6 +55,14 @@ def counts(game, state, calls=[0]):  # noqa: B006
     return keep_velocity(game.world, state[0]) + jnp.array([0.0, -0.1 * calls[0]])
 
 
+KEY = jax.random.key(0)
+
+
+def swerves_as_it_was_drawn(game, state):
+    """Pure, as its key is always the same."""
+    return keep_velocity(game.world, state[0]) + 0.001 * jax.random.normal(KEY, (2,))
+
+
 def forgets_the_reward(game, state):
     game.robot.weights[:] = 0.0
     return [0.0, 4.0]
@@ -80,6 +89,7 @@ def added():
         "leaks": leaks,
         "draws": draws,
         "counts": counts,
+        "swerves": swerves_as_it_was_drawn,
         "forgets": forgets_the_reward,
         "moves": moves_the_cars,
     }
@@ -96,6 +106,12 @@ def test_a_function_drives_the_human_alike_live_and_in_a_batch():
     np.testing.assert_allclose(np.diff(states[:, 1, 3]), -0.1, atol=2e-3)  # m/s in 0.1 s
     speeds = batch_of("brakes")["human_speed"].to_numpy()[:10]
     np.testing.assert_allclose(speeds, states[-10:, 1, 3], atol=1e-3)
+
+
+@pytest.mark.usefixtures("added")
+def test_a_function_that_draws_by_one_key_for_ever_can_be_simulated():
+    game = make("merger-v1").unwrapped.game
+    assert traceable("swerves", game) is swerves_as_it_was_drawn
 
 
 @pytest.mark.usefixtures("added")
@@ -200,7 +216,7 @@ def test_an_unknown_driver_and_a_key_without_effect_are_refused(config, message)
 
 @pytest.mark.parametrize(
     ("scenario", "config"),
-    [("merger-v1", {"human_driver": "keyboard"}), ("demonstration-v0", {"manual_control": True})],
+    [("merger-v1", {"human_driver": "keyboard", "controller": "tom"}), ("demonstration-v0", {"manual_control": True})],
 )
 def test_keys_without_a_display_are_refused_in_one_sentence(scenario, config, monkeypatch):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):

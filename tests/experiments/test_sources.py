@@ -13,8 +13,9 @@ from ms_highway.envs.registry import controller_settings
 from ms_highway.experiments.batch import simulate_parts
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import run, run_batched
+from ms_highway.experiments.summary import read_results
 from ms_highway.loop.controller import HUMAN_DRIVERS
-from ms_highway.runtime.sources import import_modules, imported_sources
+from ms_highway.runtime.sources import import_modules, imported_sources, source_now
 
 DRIVER = """
 from pathlib import Path
@@ -39,12 +40,14 @@ def imports(tmp_path, monkeypatch):
         Path(name).write_text(text)
 
     def import_anew():
-        for name in ("my_driver", "braking"):
+        for name in ("my_driver", "braking", "made"):
             sys.modules.pop(name, None)
         import_modules(["my_driver"])
 
     yield import_anew
     import_modules([])
+    for name in ("made", "installed_elsewhere"):
+        sys.modules.pop(name, None)
     HUMAN_DRIVERS.pop("brakes", None)
 
 
@@ -124,6 +127,53 @@ def test_results_are_refused_after_a_file_of_values_has_changed(tmp_path, monkey
     assert controller_settings("agents/mine.zip").files() == ("agents/mine.zip",)
 
 
-def test_modules_of_packages_and_of_this_one_are_no_sources(imports):
+def test_films_of_results_are_refused_only_after_their_sources_have_changed(imports):
+    imports()
+    asked = Comparison({"merger": ["naive"]}, seeds=1, config={"human_driver": "brakes", "duration": 0.2})
+    assert [*run(asked, "out")] == [0, 1]
+    read_results(Path("out")).refuse_changed("merger", ["naive"])
+    Path("strength.txt").write_text("3")
+    imports()
+    with pytest.raises(ValueError, match=r"of naive in merger .* before strength\.txt changed; add --no-videos"):
+        read_results(Path("out")).refuse_changed("merger", ["naive"])
+
+
+def test_results_are_read_but_not_filmed_where_a_driver_that_they_name_is_missing(imports):
+    imports()
+    asked = Comparison({"merger": ["naive"]}, seeds=1, config={"human_driver": "brakes", "duration": 0.2})
+    assert [*run(asked, "out")] == [0, 1]
+    HUMAN_DRIVERS.pop("brakes")
+    results = read_results(Path("out"))
+    assert len(results.records) == 2
+    with pytest.raises(ValueError, match=r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import"):
+        results.refuse_changed("merger", ["naive"])
+
+
+@pytest.mark.filterwarnings("ignore:the values of computation were learned")  # among other humans
+def test_a_worker_that_has_imported_the_same_has_the_same_sources(imports):
+    imports()
+    shutil.copy(SHIPPED / "values.npz", "learned.npz")
+    asked = Comparison({"merger": ["learned:1:learned.npz"]}, config={"human_driver": "brakes"})
+    (sources,) = asked.sources()["merger"].values()
+    assert sources.keys() == {"my_driver", "braking", "strength.txt", "the definition of brakes", "learned.npz"}
+    assert {name: source_now(name) for name in sources} == sources
+    assert source_now("the definition of nothing") is None
+
+
+def test_a_module_that_was_imported_before_counts_as_what_was_loaded(imports):
+    imports()
+    loaded = imported_sources()
+    Path("my_driver.py").write_text("")
+    import_modules(["my_driver"])
+    assert imported_sources() == loaded
+
+
+def test_modules_of_packages_of_this_one_and_without_a_file_are_no_sources(imports):
+    making = "import sys, types; sys.modules['made'] = made = types.ModuleType('made'); made.__file__ = '_made.py'"
+    Path("braking.py").write_text(f"import installed_elsewhere; BRAKING = 1.0; {making}")
+    elsewhere = Path("other/site-packages").absolute()  # as of an environment that this one builds on
+    elsewhere.mkdir(parents=True)
+    (elsewhere / "installed_elsewhere.py").write_text("")
+    sys.path.append(str(elsewhere))
     imports()
     assert imported_sources().keys() == {"my_driver", "braking", "strength.txt"}
