@@ -140,13 +140,29 @@ class ResultsDirectory:
 
     def _take_up_sources(self, known: dict, sources: AllSources) -> None:
         """Check the sources of results that are there, and add those of new ones to the settings."""
+        kept = known.get("sources", {})
         for scenario, controllers in sources.items():
             for controller, now in controllers.items():
-                before = known.get("sources", {}).get(scenario, {}).get(controller)
+                before = kept.get(scenario, {}).get(controller)
                 if before is not None:
                     place = f"{self.path} holds results of {controller} in {scenario}"
                     refuse_changed(place, before, now, REMEDY)
-                elif now and controller not in known.get("asked", {}).get(scenario, {}):
+
+        # All results of a directory stand in one table: a name has one content there, also for other controllers.
+        everything: Sources = {}
+        for controllers in sources.values():
+            for now in controllers.values():
+                everything |= now
+        for scenario, controllers in kept.items():
+            for controller, before in controllers.items():
+                common = {name: content for name, content in before.items() if name in everything}
+                place = f"{self.path} holds results of {controller} in {scenario}"
+                refuse_changed(place, common, everything, REMEDY)
+
+        for scenario, controllers in sources.items():
+            for controller, now in controllers.items():
+                results = {**kept.get(scenario, {}), **known.get("asked", {}).get(scenario, {})}
+                if now and controller not in results:
                     own = known.setdefault("sources", {}).setdefault(scenario, {})
                     own[controller] = now
 

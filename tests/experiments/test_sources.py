@@ -81,6 +81,20 @@ def test_results_are_refused_after_a_module_or_a_file_that_it_reads_has_changed(
     begin("naive", "brakes", out="elsewhere")
 
 
+def test_results_of_other_controllers_and_scenarios_are_refused_beside_those_of_a_module_before(imports):
+    """All of them stand in one table, and the module may drive their humans."""
+    imports()
+    begin("naive")
+    with Path("braking.py").open("a") as file:
+        file.write(" ")
+    imports()
+    refused = r"results of naive in merger .* before braking changed; choose another"
+    with pytest.raises(ValueError, match=refused):
+        begin("tom")
+    with pytest.raises(ValueError, match=refused):
+        next(run(Comparison({"give_way": ["naive"]}, seeds=1), "out"))
+
+
 def test_imports_are_added_to_results_but_not_taken_away(imports):
     begin("naive")
     imports()
