@@ -67,8 +67,8 @@ def imported_sources() -> Sources:
     """Return the digests of what the modules have brought that the user has named.
 
     These are modules of Python outside the directories of installed packages, also those that other modules import;
-    and files in the directories of these modules or below that were read meanwhile, except hidden ones. This package
-    is left out.
+    and files that were read meanwhile in the current directory, beside these modules and their packages, or below,
+    except hidden ones. This package is left out.
     """
     return {name: content for module in _named for name, content in _notes.get(module, {}).items()}
 
@@ -166,8 +166,9 @@ def _noting(module: str) -> Iterator[None]:
         yield
     notes = _notes.setdefault(module, {})
 
-    # Modules, under the digest of their source.
-    directories = set()
+    # Modules, under the digest of their source. What they read may also lie beside their
+    # packages, or where they run.
+    directories = {Path.cwd()}
     loaded = {*sys.modules} - before
     for name in dict.fromkeys([module, *sorted(loaded)]):
         if name in notes and name not in loaded:
@@ -176,11 +177,13 @@ def _noting(module: str) -> Iterator[None]:
         exists = file.is_file()  # packages such as PyTorch make modules that only claim a file
         if exists and name.partition(".")[0] != "ms_highway" and _is_own(file):
             notes[name] = digest(file)
-            directories.add(file.absolute().parent)
+            above = file.absolute().parents
+            depth = name.count(".") + (file.stem == "__init__")
+            directories.add(above[min(depth, len(above) - 1)])
 
     # Other files, such as the weights of a driver.
     for path in opened:
-        near = [place for place in directories if path.is_relative_to(place)]
+        near = [place for place in directories if path.is_relative_to(place) and place != Path(path.anchor)]
         hidden = any(part.startswith(".") for place in near for part in path.relative_to(place).parts)
         if near and not hidden and path.is_file() and _is_own(path):
             notes[os.path.relpath(path)] = digest(path)

@@ -141,6 +141,23 @@ def test_results_are_refused_after_a_file_of_values_has_changed(tmp_path, monkey
     assert controller_settings("agents/mine.zip").files() == ("agents/mine.zip",)
 
 
+def test_files_beside_a_package_are_sources_of_its_modules(imports, tmp_path, monkeypatch):
+    package = Path("own package") / "cars" / "humans"
+    package.mkdir(parents=True)
+    monkeypatch.syspath_prepend(tmp_path / "own package")
+    (package / "__init__.py").touch()
+    (package.parent / "__init__.py").touch()
+    read = "from pathlib import Path\nSTRENGTH = (Path(__file__).parents[2] / 'data' / 'strength').read_text()"
+    (package / "calm.py").write_text(read)
+    data = package.parents[1] / "data"
+    data.mkdir()
+    (data / "strength").write_text("1")
+    monkeypatch.chdir(package)
+    import_modules(["cars.humans.calm"])
+    modules = {"cars", "cars.humans", "cars.humans.calm"}
+    assert imported_sources().keys() == {*modules, str(Path("..") / ".." / "data" / "strength")}
+
+
 def test_films_of_results_are_refused_only_after_their_sources_have_changed(imports):
     imports()
     asked = Comparison({"merger": ["naive"]}, seeds=1, config={"human_driver": "brakes", "duration": 0.2})
