@@ -9,7 +9,7 @@ import numpy as np
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import Order, in_ladder
+from ms_highway.choice.rule import Order, compilable, in_ladder
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
@@ -158,7 +158,7 @@ class FunctionalEnv:
             self.loop = replace(self.loop, belief=controller.belief)
             warn_of_limits(self.loop.models, game, start)
         if controller.chooses and type(kind) is Autopilot:
-            rule = controller.rule(settings.start(settings.seconds, self.steps, random))
+            rule = compilable(controller.rule(settings.start(settings.seconds, self.steps, random)))
             self.loop = replace(self.loop, rule=rule)
 
     def draw(self, random: Random) -> Episodes:

@@ -155,8 +155,10 @@ class Rule:
 
         Raises:
             ValueError: if the ladder holds something else than human models, if the costs or the price are negative,
-                or if there is not one cost for each rung.
+                or if there is not one cost for each rung; for a rule that estimates, if JAX cannot compile for it.
         """
+        if self.estimates:
+            compilable(self)
         if strange := [model for model in self.ladder if not hasattr(model, "plan")]:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
         costs, price = getattr(self, "costs", None), np.asarray(getattr(self, "price", 0.0))
@@ -221,6 +223,20 @@ class Nearest(Rule):
         """Choose by the distances after the last step."""
         rank = nearness(game, outcome.after)
         return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))
+
+
+def compilable(rule: Rule) -> Rule:
+    """Return a rule of whose class JAX knows the fields.
+
+    Raises:
+        ValueError: if JAX does not know them.
+    """
+    if jax.tree_util.all_leaves([rule]):
+        remedy = "write @jax.tree_util.register_dataclass above its @dataclass(frozen=True)"
+        raise ValueError(
+            f"JAX cannot compile for the rule {type(rule).__name__}, as it does not know its fields; {remedy}"
+        )
+    return rule
 
 
 def is_of_package(rule: Rule) -> bool:
@@ -313,6 +329,8 @@ def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     """Return the decision for these rungs, without estimated gains."""
     xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
     gains = xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
+    if isinstance(rungs, np.ndarray) and rungs.dtype.kind in "iu":  # of 64 bits, which JAX cuts to 32
+        rungs = np.clip(rungs, -1, np.iinfo(np.int32).max)
     rungs = xp.asarray(rungs)
     if not xp.isdtype(rungs.dtype, "real floating"):  # which `decide` refuses, instead of cutting its numbers off
         rungs = xp.asarray(rungs, dtype=xp.int32)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
 
-from ms_highway.choice.rule import highest_gains
+from ms_highway.choice.rule import compilable, highest_gains
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.agents import is_agent
 from ms_highway.envs.base import InteractionEnv
@@ -118,11 +118,12 @@ class Batch:
         """Return the loop of the episodes of a controller, whose rule decides if it chooses models from the ladder.
 
         Raises:
-            ValueError: if its values were learned on another ladder.
+            ValueError: if its values were learned on another ladder, or JAX cannot compile for its rule.
         """
         settings, rule = self.settings(controller), self.loop.rule
         if settings.chooses:
-            rule = settings.rule(self.environment.settings.start(self.costs, self.steps, np.random.default_rng()))
+            start = self.environment.settings.start(self.costs, self.steps, np.random.default_rng())
+            rule = compilable(settings.rule(start))
         return replace(self.loop, rule=rule, belief=settings.belief)
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:

@@ -17,6 +17,7 @@ from jax import numpy as jnp
 import ms_highway
 from ms_highway import always
 from ms_highway.choice.learned_value import load_values
+from ms_highway.choice.rule import first_memory
 from ms_highway.cli.main import parse
 from ms_highway.cli.options import configuration
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
@@ -25,6 +26,8 @@ from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
 from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
 from ms_highway.envs.settings import YIELDING
 from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
+from ms_highway.experiments.batch import make_batch
+from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.learned_reward import save, shipped
@@ -350,6 +353,46 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
         episode(np.nan, kind="float32")
     with pytest.raises(ValueError, match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}"):
         episode(1.0, humans=5)
+
+
+@dataclass(frozen=True)
+class Unknown(ms_highway.Rule):
+    """A rule whose author has forgotten to tell JAX its fields."""
+
+    ladder: tuple
+
+    def decide(self, game, memory, outcome):
+        return ms_highway.unestimated(memory, memory.rungs)
+
+
+class UnknownSettings(ControllerSettings, frozen=True, tag="unknown"):
+    def rule(self, start):
+        return Unknown(start.ladder)
+
+
+@pytest.mark.usefixtures("rules")
+def test_a_rule_whose_fields_jax_does_not_know_is_refused_with_the_line_that_is_missing(monkeypatch):
+    add_rule(UnknownSettings)
+    config = {"controller": "unknown"}
+    makes = [
+        lambda: gym.make(environment_id("merger-v1"), config=config).reset(seed=0),
+        lambda: gym.make_vec(environment_id("merger-v1"), num_envs=2, config=config),
+        lambda: FunctionalEnv("merger-v1", config),
+        lambda: make_batch(Comparison({"merger-v1": ["unknown"]}, seeds=1), "merger-v1"),
+    ]
+    missing = r"the rule Unknown, .*; write @jax\.tree_util\.register_dataclass above"
+    for estimates in (True, False):  # what estimates nothing is compiled in simulations only
+        monkeypatch.setattr(Unknown, "estimates", estimates)
+        for make_it in makes[not estimates :]:
+            with pytest.raises(ValueError, match=missing):
+                make_it()
+
+
+def test_a_rung_beyond_32_bits_is_not_taken_for_another_one():
+    memory = first_memory(always(MODELS["naive"]), 1)
+    for number in (2**32, -(2**32), 2**63 + 1):
+        rungs = ms_highway.unestimated(memory, np.array([number])).memory.rungs
+        assert not 0 <= rungs[0] < 2
 
 
 def add_own_scenario(name):
