@@ -84,9 +84,11 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
     """Refuse unknown keys.
 
     Raises:
-        ValueError: for the first unknown key; it suggests the most similar known key.
+        ValueError: for the first unknown key; it suggests the most similar known key. For what has no keys.
     """
     known = sorted(known)
+    if not isinstance(given, Iterable):
+        raise ValueError(f"{place} are {given!r}; give a mapping with keys out of {', '.join(known)}")
     for key in given:
         if key not in known:
             near = get_close_matches(str(key), known, n=1)

@@ -169,9 +169,12 @@ class FunctionalEnv:
         """Start an episode that is drawn by a key of `jax.random`; return its state and the observation.
 
         Raises:
+            ValueError: for what is no key.
             AttributeError: if the environment draws by a method that `ms_highway.game.starts.TracedRandom` lacks.
         """
         refuse_after_fork()
+        if not isinstance(key, (jax.Array, np.ndarray)):
+            raise ValueError(f"the key of reset is {key!r}; give one of JAX, such as jax.random.key(0)")
         with single_precision():
             episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
             state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))

@@ -101,7 +101,8 @@ class InteractionVectorEnv(VectorEnv):
             raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
         if self._state is None and not mask.all():
             raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
-        if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str):
+        several = seed.ndim > 0 if isinstance(seed, np.ndarray) else isinstance(seed, Sequence)
+        if isinstance(seed, (Sequence, np.ndarray)) and several and not isinstance(seed, str):
             seeds = [checked_seed(each) for each in seed]
         else:
             first = checked_seed(seed)

@@ -175,9 +175,14 @@ def test_wrong_actions_seeds_and_masks_are_refused():
     env = gym.make_vec(NAME + "merger-v1", num_envs=2, config=CHOOSING)
     with pytest.raises(ValueError, match="3 seeds for 2 environments"):
         env.reset(seed=[0, 1, 2])
-    for seed in (1.5, -1, "ab", [0, 0.5], [-1, 0]):
+    for seed in (1.5, -1, "ab", [0, 0.5], [-1, 0], np.array(3)):
         with pytest.raises(ValueError, match=r"the seed of reset is .*; give a whole number from 0 on, or None"):
             env.reset(seed=seed)
+    with pytest.raises(ValueError, match="the reset options are 3; give a mapping with keys out of reset_mask"):
+        env.reset(options=3)
+    for key in (3, None):
+        with pytest.raises(ValueError, match=rf"the key of reset is {key}; give one of JAX, such as jax\.random\.key"):
+            FunctionalEnv("merger-v1").reset(key)
     with pytest.raises(ValueError, match="never reset; reset all of them"):
         env.reset(options={"reset_mask": np.array([False, True])})
     with pytest.raises(ValueError, match=r"reset before they can step: \[0, 1\]"):
