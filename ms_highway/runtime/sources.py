@@ -9,12 +9,13 @@ import os
 import re
 import sys
 import sysconfig
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from hashlib import sha256
 from inspect import getsource
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import Any, TypeAlias
 
 Sources: TypeAlias = dict[str, str]
@@ -25,6 +26,12 @@ DIGITS = 16
 
 CODE = (".py", ".pyc", ".pyd", ".so")
 """Ends of files of code. Modules count by name, however Python reads them."""
+
+MAX_DEPTH = 4
+"""Largest number of steps from what is added to what counts with it, such as a function that a function uses."""
+
+MAX_SIZE = 10_000_000
+"""Number of numbers from which an array counts only by its shape, as an agent's memory of past steps."""
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -74,27 +81,70 @@ def imported_sources() -> Sources:
 
 
 def note_definition(name: str, added: Any) -> None:
-    """Note the source of what a user adds by a name: the file of its module or, in a notebook, its own text.
+    """Note the source of what a user adds by a name, and what it holds.
+
+    The source is the file of its module or, in a notebook, its own text with the variables
+    that it uses. It holds the arguments of a partial function, defaults, what a function
+    takes from the function around it, and attributes of an object.
 
     Args:
         name: under which it is added.
         added: function, class or object.
     """
+    held: list[Any] = []
     while isinstance(added, partial):
+        held += [added.args, added.keywords]
         added = added.func
     defined = added if hasattr(added, "__qualname__") else type(added)
+    held.append(added if isinstance(added, FunctionType) else getattr(added, "__dict__", None))
+
     module = sys.modules.get(defined.__module__)
     file = Path(getattr(module, "__file__", None) or "")
+    in_module = defined.__module__ != "__main__" and file.is_file()
     _definitions.pop(name, None)
-    if defined.__module__ != "__main__" and file.is_file():
-        if _is_own(file):
-            _definitions[name] = digest(file)
-        return
+    if not in_module or _is_own(file):
+        source = digest(file).encode() if in_module else _content(defined)
+        _definitions[name] = digest_of(source + _content(held))
+
+
+def _content(value: Any, depth: int = 0) -> bytes:
+    """Return bytes that differ for values that differ, as far as values tell."""
+    if depth > MAX_DEPTH or isinstance(value, ModuleType):
+        return b""
+    if isinstance(value, (FunctionType, type)):
+        return _code(value, depth)
+    if isinstance(value, Mapping):
+        value = list(value.items())
+    if isinstance(value, (list, tuple)):
+        return b"(" + b",".join(_content(part, depth + 1) for part in value) + b")"
+    if hasattr(value, "__array__"):
+        import numpy as np  # help of commands needs none
+
+        with suppress(TypeError, ValueError, RuntimeError):  # as of JAX's keys, and tensors
+            array = np.asarray(value)
+            numbers = array.tobytes() if array.size < MAX_SIZE else b""
+            return f"{array.dtype}{array.shape}".encode() + numbers
+    return re.sub(" at 0x[0-9a-f]+", "", repr(value)).encode()
+
+
+def _code(defined: Any, depth: int) -> bytes:
+    """Return the text of a function or a class, and what a function uses."""
     try:
         text = getsource(defined).encode()
     except (OSError, TypeError):  # as of functions that were typed into a prompt
         text = getattr(getattr(defined, "__code__", None), "co_code", b"")
-    _definitions[name] = digest_of(text)
+    if isinstance(defined, type):
+        return text
+
+    # Variables of a notebook, and of the function around this one.
+    used: list[Any] = [defined.__defaults__, defined.__kwdefaults__]
+    if defined.__module__ == "__main__":
+        names = defined.__code__.co_names
+        used += [defined.__globals__[name] for name in names if name in defined.__globals__]
+    for cell in defined.__closure__ or ():
+        with suppress(ValueError):  # it is empty
+            used.append(cell.cell_contents)
+    return text + _content(used, depth + 1)
 
 
 def definition_sources(text: str) -> Sources:

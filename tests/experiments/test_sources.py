@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +118,12 @@ def test_results_are_refused_after_a_name_has_got_another_meaning(tmp_path, monk
     def stays(game, state):
         return [0.0, 0.0]
 
-    brakes.__module__ = stays.__module__ = "__main__"
+    strengths = [1.0]
+
+    def brakes_by(strength, game, state):
+        return [0.0, -strength * strengths[0]]
+
+    brakes.__module__ = stays.__module__ = brakes_by.__module__ = "__main__"
     add_driver("mine", brakes)
     begin("mine", "naive")
     add_driver("mine", brakes)
@@ -126,6 +132,17 @@ def test_results_are_refused_after_a_name_has_got_another_meaning(tmp_path, monk
     begin("naive")
     with pytest.raises(ValueError, match=r"results of mine in merger .* before the definition of mine changed"):
         begin("mine", "naive")
+
+    # The same text with other numbers: of a partial function, and of the function around it.
+    for strength, around, directory in ((1.0, 1.0, "partial"), (2.0, 1.0, "around")):
+        strengths[0] = around
+        add_driver("mine", partial(brakes_by, strength))
+        begin("mine", out=directory)
+    for strength, around, directory in ((2.0, 1.0, "partial"), (2.0, 3.0, "around")):
+        strengths[0] = around
+        add_driver("mine", partial(brakes_by, strength))
+        with pytest.raises(ValueError, match="before the definition of mine changed"):
+            begin("mine", out=directory)
 
 
 def test_results_are_refused_after_a_file_of_values_has_changed(tmp_path, monkeypatch):
