@@ -115,6 +115,8 @@ def _content(value: Any, depth: int = 0) -> bytes:
         return _code(value, depth)
     if isinstance(value, Mapping):
         value = list(value.items())
+    if isinstance(value, (set, frozenset)):
+        value = sorted(_content(part, depth + 1) for part in value)
     if isinstance(value, (list, tuple)):
         return b"(" + b",".join(_content(part, depth + 1) for part in value) + b")"
     if hasattr(value, "__array__"):
