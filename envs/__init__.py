@@ -28,8 +28,8 @@ from ms_highway.game.scenarios import (
     STAY_BACK_V1,
 )
 from ms_highway.planning.ladders import ladder
+from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import check_name
-from ms_highway.runtime.sources import note_definition
 
 __all__ = [
     "DEMONSTRATION_ID",

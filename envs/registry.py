@@ -28,8 +28,8 @@ from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, Rememberin
 from ms_highway.planning.human_models import PACKAGE_TYPES
 from ms_highway.planning.ladders import human_model, is_model, model_names
 from ms_highway.runtime import retired
+from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import PACKAGE_NAMES, check_own_name, keep_apart
-from ms_highway.runtime.sources import note_definition
 
 BELIEF = "+belief"
 EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"

@@ -217,6 +217,7 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.experiments.directory import ResultsDirectory, write_table
     from ms_highway.experiments.frontier import Outcomes, best, regrets, search
     from ms_highway.runtime.compilation import use_devices
+    from ms_highway.runtime.sources import late_sources
     from ms_highway.visualization.figures import frontier
     from ms_highway.visualization.tables import regret_tables
 
@@ -242,6 +243,7 @@ def frontier(options: argparse.Namespace) -> None:
             for scenario, outcomes in every.items():
                 tell(f"{scenario}: compiling, and driving fixed models and controllers")
                 outcomes.of(outcomes.batch.keys())
+                directory.add_late_sources(settings, late_sources())
                 for count in search(outcomes, seeds, options.prices, options.population, options.rounds):
                     tell(f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
                 for price in dict.fromkeys(options.prices):

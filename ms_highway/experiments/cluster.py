@@ -23,9 +23,10 @@ from ms_highway.experiments.batch import Tables, simulate_parts
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import PACKAGES
 from ms_highway.experiments.runner import Compute
+from ms_highway.runtime.definitions import source_now
 from ms_highway.runtime.jax_settings import keep_compilations
 from ms_highway.runtime.process import jax_has_begun
-from ms_highway.runtime.sources import Sources, import_modules, source_now
+from ms_highway.runtime.sources import Sources, import_modules
 
 PATIENCE = 10  # s, within which a scheduler has to answer
 AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory

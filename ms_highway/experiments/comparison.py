@@ -15,7 +15,8 @@ from ms_highway.envs.registry import controller_settings, robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.loop.step import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.planning.ladders import known_models, rung_names
-from ms_highway.runtime.sources import Sources, definition_sources, digest, imported_sources
+from ms_highway.runtime.definitions import definition_sources
+from ms_highway.runtime.sources import Sources, digest, imported_sources
 
 EpisodeKey: TypeAlias = tuple[str, str, int]
 """An episode: its scenario, the short name of its controller, and its seed."""

@@ -18,7 +18,7 @@ from msgspec import Meta
 from ms_highway.runtime.arrays import Positive, read
 from ms_highway.runtime.files import PART, held, read_json, reading, replacing, tidy, write_json
 from ms_highway.runtime.jax_settings import cores
-from ms_highway.runtime.sources import Sources, package_digest
+from ms_highway.runtime.sources import Sources, digest, package_digest
 
 SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
 REMEDY = "choose another directory with --out"
@@ -37,12 +37,14 @@ class Extended(TypedDict, total=False):
         asked: number of requested episodes, by controller.
         lengths: number of steps of an episode that nothing ends early.
         sources: see `AllSources`; controllers that depend on none are left out.
+        late_sources: digests of what modules have imported and read while episodes were driven, by path.
     """
 
     measured: dict[str, dict[str, Positive]]
     asked: dict[str, dict[str, Count]]
     lengths: dict[str, Count]
     sources: AllSources
+    late_sources: Sources
 
 
 EXTENDED = tuple(Extended.__annotations__)
@@ -159,12 +161,30 @@ class ResultsDirectory:
                 place = f"{self.path} holds results of {controller} in {scenario}"
                 refuse_changed(place, common, everything, REMEDY)
 
+        late = known.get("late_sources", {})
+        refuse_changed(f"{self.path} holds results", late, {name: _digest_now(name) for name in late}, REMEDY)
+
         for scenario, controllers in sources.items():
             for controller, now in controllers.items():
                 results = {**kept.get(scenario, {}), **known.get("asked", {}).get(scenario, {})}
                 if now and controller not in results:
                     own = known.setdefault("sources", {}).setdefault(scenario, {})
                     own[controller] = now
+
+    def add_late_sources(self, settings: dict, late: Sources) -> None:
+        """Add to the settings what modules have imported and read while they drove, and write them if that is new.
+
+        Raises:
+            ValueError: if a file has changed meanwhile.
+        """
+        if not late:
+            return
+        kept = settings.setdefault("late_sources", {})
+        common = {name: content for name, content in kept.items() if name in late}
+        refuse_changed(f"{self.path} holds results", common, late, REMEDY)
+        if late.keys() - kept.keys():
+            kept.update(late)
+            self.write_settings(settings)
 
     def write_settings(self, settings: Mapping) -> None:
         """Write the settings of the results.
@@ -221,6 +241,11 @@ def _differences(one: Mapping, other: Mapping, absent: str, but: tuple[str, ...]
     """Say in which keys two mappings differ, and what the first one has instead of the second."""
     pairs = {key: (one.get(key, absent), other.get(key, absent)) for key in {**one, **other} if key not in but}
     return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
+
+
+def _digest_now(name: str) -> str:
+    """Return the digest of a file, or what no file has."""
+    return digest(Path(name)) if Path(name).is_file() else "missing"
 
 
 def refuse_changed(what: str, before: Sources, now: Sources, remedy: str) -> None:

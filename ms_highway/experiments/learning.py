@@ -29,6 +29,7 @@ from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import Devices
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import read_arrays, reading, replacing
+from ms_highway.runtime.sources import late_sources
 
 with needing("learning"):
     import optax
@@ -142,6 +143,7 @@ def learn(
                 rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
                 driving = Driving(batch, learning, rule, number > 1, devices)
                 found = driving.roll_out(_stream(learning, number, SCENARIO, place), learning.states[number > 1])
+                results.add_late_sources(settings, late_sources())
                 with replacing(file) as path:
                     np.savez(path, **found._asdict())
             done.append(read_rollouts(file))

@@ -34,6 +34,7 @@ from ms_highway.experiments.comparison import KEYS, NEEDED, Comparison, EpisodeK
 from ms_highway.experiments.directory import ResultsDirectory, write_table
 from ms_highway.runtime.files import reading, whole_lines
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
+from ms_highway.runtime.sources import Sources, late_sources
 
 STEPS_FILE, PARTS = "steps.csv", "parts"
 EPISODES, STEPS = "episodes", "steps"
@@ -42,6 +43,9 @@ MIN_EPISODES = 60  # with fewer, further processes take more time to start than 
 
 Compute: TypeAlias = Callable[[Comparison, Mapping[str, range]], Iterator[tuple[str, Tables]]]
 """Computes named parts, each a range of places in `Comparison.episodes`; yields them by name, in any order."""
+
+Driven: TypeAlias = tuple[pd.DataFrame, Sources]
+"""The records of an episode, and the `ms_highway.runtime.sources.late_sources` of the process that drove it."""
 
 
 def run(
@@ -93,7 +97,8 @@ def run(
     results.write_settings(settings)
     yield number
     drive = partial(_driven, comparison, settings["measured"])
-    for steps in _in_processes(drive, missing, min(processes, cores()), modules):
+    for steps, late in _in_processes(drive, missing, min(processes, cores()), modules):
+        results.add_late_sources(settings, late)
         write_table(steps, results.path / PARTS / f"{token_hex(8)}.csv")
         number += 1
         yield number
@@ -147,6 +152,7 @@ def run_batched(
     yield number
     kinds = (STEPS, EPISODES) if steps else (EPISODES,)  # episodes last: with them, the part is done
     for name, tables in compute(comparison, missing):
+        results.add_late_sources(settings, late_sources())
         for kind in kinds:
             write_table(tables[kind], directory / kind / name)
         number += len(parts[name])
@@ -171,9 +177,9 @@ def _rows(file: Path) -> int:
 
 
 def _in_processes(
-    drive: Callable[[EpisodeKey], pd.DataFrame], keys: Sequence[EpisodeKey], number: int, modules: Sequence[str]
-) -> Iterator[pd.DataFrame]:
-    """Drive episodes in this process or, if they are many, in several; yield their records in any order.
+    drive: Callable[[EpisodeKey], Driven], keys: Sequence[EpisodeKey], number: int, modules: Sequence[str]
+) -> Iterator[Driven]:
+    """Drive episodes in this process or, if they are many, in several; yield what `_driven` returns in any order.
 
     Each process drives neighbouring episodes, so that two processes rarely compile the same functions.
     """
@@ -289,15 +295,15 @@ def read_episodes(directory: Path, comparison: Comparison, part: int) -> pd.Data
     return pd.concat(tables[1:] or tables)
 
 
-def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> pd.DataFrame:
-    """Drive one episode and return its records."""
+def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> Driven:
+    """Drive one episode; return its records, and what modules have imported and read in this process so far."""
     scenario, controller, seed = key
     config = dict(comparison.config)
     if scenario in measured and controller_config(controller)["type"] != "budget":  # budgets need a high quantile
         config["costs"] = measured[scenario]
     env = _environment(scenario, controller, json.dumps(config))
     records = pd.DataFrame(episode(env, seed)).assign(scenario=scenario, controller=controller, seed=seed)
-    return records.reindex(columns=comparison.columns())
+    return records.reindex(columns=comparison.columns()), late_sources()
 
 
 @lru_cache(maxsize=1)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array, Scalar, Weights
-from ms_highway.runtime.sources import note_definition
+from ms_highway.runtime.definitions import note_definition
 
 PAPER_FEATURES = (
     "speed",

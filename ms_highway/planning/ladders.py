@@ -11,8 +11,8 @@ from math import inf
 
 from ms_highway.numerics.solvers import MAX_ITERATIONS
 from ms_highway.planning.human_models import PACKAGE_TYPES, HumanModel, PredictedHuman
+from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import check_own_name, keep_apart
-from ms_highway.runtime.sources import note_definition
 
 NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")
 

@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import run, run_batched
 from ms_highway.experiments.summary import read_results
 from ms_highway.loop.controller import HUMAN_DRIVERS
-from ms_highway.runtime.sources import import_modules, imported_sources, source_now
+from ms_highway.runtime.definitions import source_now
+from ms_highway.runtime.sources import import_modules, imported_sources
 
 DRIVER = """
 from pathlib import Path
@@ -29,6 +31,17 @@ FILES = {"my_driver.py": DRIVER, "braking.py": "BRAKING = 1.0", "strength.txt": 
 """A user's module, a module that it imports, and a file that it reads."""
 
 SHIPPED = Path(learned_value.__file__).parents[1] / "data"
+
+
+LATE = """
+from pathlib import Path
+import ms_highway
+def brakes(game, state):
+    from braking import BRAKING
+    return [0.0, -BRAKING * float(Path("strength.txt").read_text())]
+ms_highway.add_driver("brakes", brakes)
+"""
+"""The same, but it imports and reads only when it drives."""
 
 
 @pytest.fixture
@@ -94,6 +107,25 @@ def test_results_of_other_controllers_and_scenarios_are_refused_beside_those_of_
         begin("tom")
     with pytest.raises(ValueError, match=refused):
         next(run(Comparison({"give_way": ["naive"]}, seeds=1), "out"))
+
+
+def test_results_are_refused_after_what_a_driver_imports_and_reads_while_it_drives_has_changed(imports):
+    Path("my_driver.py").write_text(LATE)
+    imports()
+    asked = Comparison({"merger": ["brakes"]}, seeds=1, config={"duration": 0.1})
+    list(run(asked, "out"))
+    imports()
+    assert list(run(asked, "out")) == [1]
+    for name in ("braking.py", "strength.txt"):
+        text = Path(name).read_text()
+        Path(name).write_text(f"{text} ")
+        imports()
+        with pytest.raises(ValueError, match=rf"out holds results that .* before {name} changed; choose another"):
+            next(run(asked, "out"))
+        Path(name).unlink()
+        with pytest.raises(ValueError, match=rf"before {name} changed"):
+            next(run(replace(asked, controllers={"merger": ["naive"]}), "out"))
+        Path(name).write_text(text)
 
 
 def test_imports_are_added_to_results_but_not_taken_away(imports):
