@@ -161,8 +161,7 @@ class ResultsDirectory:
                 place = f"{self.path} holds results of {controller} in {scenario}"
                 refuse_changed(place, common, everything, REMEDY)
 
-        late = known.get("late_sources", {})
-        refuse_changed(f"{self.path} holds results", late, {name: _digest_now(name) for name in late}, REMEDY)
+        refuse_changed_files(f"{self.path} holds results", known, REMEDY)
 
         for scenario, controllers in sources.items():
             for controller, now in controllers.items():
@@ -243,9 +242,11 @@ def _differences(one: Mapping, other: Mapping, absent: str, but: tuple[str, ...]
     return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
 
 
-def _digest_now(name: str) -> str:
-    """Return the digest of a file, or what no file has."""
-    return digest(Path(name)) if Path(name).is_file() else "missing"
+def refuse_changed_files(what: str, settings: Mapping, remedy: str) -> None:
+    """Refuse to go on with results after one of their ``late_sources`` has changed; see `refuse_changed`."""
+    late = settings.get("late_sources", {})
+    now = {name: digest(Path(name)) if Path(name).is_file() else "missing" for name in late}
+    refuse_changed(what, late, now, remedy)
 
 
 def refuse_changed(what: str, before: Sources, now: Sources, remedy: str) -> None:

@@ -13,7 +13,13 @@ from scipy import stats
 
 from ms_highway.envs.registry import controller_config, of_package, priced_types
 from ms_highway.experiments.comparison import Comparison, models_of, per_episode
-from ms_highway.experiments.directory import EXTENDED, ResultsDirectory, Run, refuse_changed
+from ms_highway.experiments.directory import (
+    EXTENDED,
+    ResultsDirectory,
+    Run,
+    refuse_changed,
+    refuse_changed_files,
+)
 from ms_highway.experiments.runner import read_steps
 
 CONFIDENCE = 0.9
@@ -222,15 +228,17 @@ class Results:
         Raises:
             ValueError: naming what is missing or has changed.
         """
+        remedy = "add --no-videos"
+        refuse_changed_files("these are results", self.settings, remedy)
         before = self.settings.get("sources", {}).get(scenario, {})
         try:
             now = Comparison({scenario: controllers}, config=self.config(scenario)).sources()[scenario]
         except ValueError as error:
-            remedy = "import what these results need with --import, or add --no-videos"
-            raise ValueError(f"{scenario} cannot be filmed ({error}); {remedy}") from error
+            needed = "import what these results need with --import, or add --no-videos"
+            raise ValueError(f"{scenario} cannot be filmed ({error}); {needed}") from error
         for name in controllers:
             what = f"these are results of {name} in {scenario}"
-            refuse_changed(what, before.get(name, {}), now[name], "add --no-videos")
+            refuse_changed(what, before.get(name, {}), now[name], remedy)
 
 
 def read_results(directory: Path) -> Results:

@@ -122,6 +122,8 @@ def test_results_are_refused_after_what_a_driver_imports_and_reads_while_it_driv
         imports()
         with pytest.raises(ValueError, match=rf"out holds results that .* before {name} changed; choose another"):
             next(run(asked, "out"))
+        with pytest.raises(ValueError, match=rf"results that .* before {name} changed; add --no-videos"):
+            read_results(Path("out")).refuse_changed("merger", ["brakes"])
         Path(name).unlink()
         with pytest.raises(ValueError, match=rf"before {name} changed"):
             next(run(replace(asked, controllers={"merger": ["naive"]}), "out"))
