@@ -305,7 +305,8 @@ class InteractionEnv(GameEnv):
             return info
 
         # What drives the robot.
-        step, controller = self.robot.last_step, settings.controller
+        step = self.robot.last_step
+        controller = settings.controller
         asked = isinstance(self.action_type, HumanModelAction)
         info |= {name: getattr(step, name, value) for name, value in UNTIL_FIRST.items()}
         info["models"] = step.models if step else ("",) * settings.humans
@@ -315,7 +316,7 @@ class InteractionEnv(GameEnv):
         if controller.belief:
             info["belief"] = read_only(step.belief if step else first_belief(settings.humans))
 
-        # What a rule estimates, and by what it chooses.
+        # Estimates of the rule, and whether measured times had a say.
         rungs = [model.name for model in settings.models]
         chooses = controller.chooses and not asked
         estimated = step.highest_gains() if step else {}

@@ -151,7 +151,8 @@ class FunctionalEnv:
         self.loop = shared_loop(env, [controller])
         seconds = [settings.seconds.get(model.name, np.nan) for model in self.loop.models]
         self.costs, self._price = Costs.of(seconds, settings.humans), float(env.config["action"].get("lambda", 0.0))
-        random, game = np.random.default_rng(0), self.loop.game
+        random = np.random.default_rng(0)
+        game = self.loop.game
         start, _ = env.draw_episode(random)
         check_own_features(game.scene, game.robot, game.number, start)
         if not self.agent_drives:

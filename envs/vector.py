@@ -207,7 +207,8 @@ class InteractionVectorEnv(VectorEnv):
 
     def _info_at_reset(self) -> dict[str, Any]:
         """Return the values of ``info`` of environments that have done no step: with the keys and types of `_info`."""
-        number, humans = self.num_envs, self._functions.loop.game.number
+        number = self.num_envs
+        humans = self._functions.loop.game.number
         none = np.zeros((number, humans), np.int32)
         nothing = Records(none, none, none[:, 0], collision=self._collided, states=np.asarray(self._state.now.state))
         values = self._info(nothing)

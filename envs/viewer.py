@@ -174,7 +174,7 @@ HEADING_RATE = 0.4  # rad/s
 
 
 class Keyboard:
-    """A person who drives by the keyboard. Pressed keys are not in the state, so this is no function of it."""
+    """Drives by the keyboard. It is no function of the state, as pressed keys are not in it."""
 
     def reset(self, key: int) -> None:
         """Nothing is remembered or drawn."""

@@ -170,7 +170,8 @@ class Scenario:
         Raises:
             ValueError: naming the scenario, the value and a remedy.
         """
-        place, whole = f"scenario {self.name!r}", isinstance(self.steps, int)
+        place = f"scenario {self.name!r}"
+        whole = isinstance(self.steps, int)
         if not self.streams and len(self.cars) < 2:
             remedy = "give the starts of the robot and of the human, or streams of humans"
             raise ValueError(f"{place} has no human, as its cars are {self.cars}; {remedy}")

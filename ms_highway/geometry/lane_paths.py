@@ -121,7 +121,8 @@ def join_lanes(
         bend = np.abs(smooth.curve.curvature).max()
         if found and within < np.inf and bend > SHARPER * sharpest:
             break
-        found, sharpest = smooth, max(sharpest, bend)
+        found = smooth
+        sharpest = max(sharpest, bend)
         if bend <= MAX_CURVATURE and moved <= within:
             break
     assert found

@@ -109,7 +109,8 @@ def learn_reward(
             f"change at all ({listed(names)}): with them, {error.what} without bound",
             stacklevel=2,
         )
-        segments, derivatives = segments.of(~steady), derivatives.of(~steady)
+        segments = segments.of(~steady)
+        derivatives = derivatives.of(~steady)
         found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
     held_out, parts = list[float](), folds(segments.group, validations)
     for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):

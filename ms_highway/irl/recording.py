@@ -181,7 +181,7 @@ def usable(recording: Recording) -> Recording:
 
 
 def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], dict[str, str]]:
-    """Return the `usable` recordings, and the reasons for which drivers are left out, of which a warning is given.
+    """Return the `usable` recordings, and why drivers are left out; warn of these.
 
     Raises:
         ValueError: if no driver is left.
@@ -199,14 +199,15 @@ def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording],
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names in one text, of which no more than the first `SHOWN` are given."""
+    """Return the first `SHOWN` names in one text, and the number of the others."""
     more = [f"{len(names) - SHOWN} more"] if len(names) > SHOWN else []
     return "; ".join([*names[:SHOWN], *more])
 
 
 def _unusable(states: States, measured: bool) -> str:
     """Return why the states of a driver cannot be learned from; empty if they can."""
-    positions, seconds = states[:, :2], TIME_STEP * (len(states) - 1)
+    positions = states[:, :2]
+    seconds = TIME_STEP * (len(states) - 1)
     extent = np.ptp(positions, axis=0).max()
     if extent < STANDS and extent < SLOWEST * seconds:
         return "only stands"

@@ -206,7 +206,7 @@ class FunctionDriver:
 
     @property
     def game(self) -> Game:
-        """The game, of which car 0 is driven; its arrays cannot be written."""
+        """The game, whose car 0 is driven; its arrays cannot be written."""
         return self._game
 
     @game.setter
@@ -245,7 +245,7 @@ class FunctionDriver:
         return control
 
     def _check_answers(self, state: State, control: Control) -> None:
-        """Ask a function again what it was asked first, in steps whose numbers are powers of two."""
+        """Ask a function the first question again in steps 1, 2, 4, 8 and so on, and compare its answers."""
         self._steps += 1
         if remembers(self._added) or self._steps & (self._steps - 1):
             return
@@ -328,7 +328,7 @@ def _is_key(constant: Any) -> bool:
 
 def _program(driver: DriverFunction, question: tuple[Game, State]) -> str:
     """Return the text of what JAX computes for a driver, with its constants."""
-    # JAX keeps what it has traced of a function; a new one is traced anew.
+    # JAX caches the trace of a function, so a new function makes it trace again.
     traced = jax.make_jaxpr(lambda game, state: driver(game, state))(*question)
     constants = [jax.random.key_data(each) if _is_key(each) else each for each in traced.consts]
     text = f"{traced} {[np.asarray(each).tolist() for each in constants]}"

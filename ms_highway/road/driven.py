@@ -190,7 +190,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return self.unwrapped
 
     def _described(self, info: dict[str, Any]) -> dict[str, Any]:
-        """Return ``info`` with the driver's part; highway-env tells some speeds as whole numbers after a reset."""
+        """Return ``info`` with the driver's part; highway-env returns some speeds as whole numbers after a reset."""
         speed = {"speed": float(info["speed"])} if "speed" in info else {}
         return {**info, **speed, **self._road_info()}
 

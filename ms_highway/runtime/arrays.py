@@ -169,7 +169,7 @@ def read(content: Any, kind: type[Kind]) -> Kind:
 
 
 def _problem(content: Any, kind: type) -> str:
-    """Return what is wrong with the content of a structure; empty if nothing is."""
+    """Return the problem of a structure's content; an empty text without one."""
     try:
         msgspec.convert(content, kind)
     except msgspec.ValidationError as error:

@@ -19,7 +19,7 @@ DEFINITION = "the definition of {}"
 """Name of the source of what a user has added, by the name under which it was added."""
 
 MAX_DEPTH = 4
-"""Largest number of steps from what is added to what counts with it, such as a function that a function uses."""
+"""Largest depth of values that count with what is added, such as a list within a variable of a function."""
 
 MAX_SIZE = 10_000_000
 """Number of numbers from which an array counts only by its shape, as an agent's memory of past steps."""
@@ -28,11 +28,11 @@ _definitions: Sources = {}  # by name
 
 
 def note_definition(name: str, added: Any) -> None:
-    """Note the source of what a user adds by a name, and what it holds.
+    """Note the digest of a user's function, class or object under its name.
 
-    The source is the file of its module or, in a notebook, its own text with the variables
-    that it uses. It holds the arguments of a partial function, defaults, what a function
-    takes from the function around it, and attributes of an object.
+    The digest covers the file of its module or, in a notebook, its own text with the
+    variables that it uses; arguments of partial functions, defaults, variables of the
+    function around it; and attributes of an object.
 
     Args:
         name: under which it is added.

@@ -13,7 +13,7 @@ PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
     "an agent": (),
     "a driver of roads": ("priced", "human"),
 }
-"""Names of the package by what they name, repeated here, as a user may add a name before its module is loaded."""
+"""Names of the package, by kind. They are repeated here because a user may add a name before its module is loaded."""
 
 _ADDED: dict[str, Callable[[], Iterable[str]]] = {}
 
