@@ -82,7 +82,8 @@ def checked_records(loop: Loop, records: Records) -> Records:
         refuse_rungs(loop.rule, records.chosen)
     robot = loop.game.robot
     if robot.own:
-        rewards, states = np.asarray(records.reward), np.asarray(records.states)
+        rewards = np.asarray(records.reward)
+        states = np.asarray(records.states)
         failed = states[~np.isfinite(rewards) & np.isfinite(states).all(axis=(-2, -1))]
         for state in failed[:1]:
             check_own_features(loop.game.scene, robot, 0, state, gradients=False)

@@ -8,7 +8,7 @@ from ms_highway.perception.scene import RoadScene, States
 from ms_highway.runtime.arrays import Numbers
 
 CORNER_MARGIN = 0.2
-"""Distance from the outer front corner to the edge of the lane, for steering errors, that is no sharp bend [m]."""
+"""Distance from the outer front corner to the edge of the lane below which a bend is sharp; for steering errors [m]."""
 
 FADE = 0.1
 """Excess of the corner's swing at which the middle of the body follows the middle of the lane [m]."""

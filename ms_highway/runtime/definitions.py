@@ -19,7 +19,7 @@ DEFINITION = "the definition of {}"
 """Name of the source of what a user has added, by the name under which it was added."""
 
 MAX_DEPTH = 4
-"""Largest depth of values that count with what is added, such as a list within a variable of a function."""
+"""Depth to which values within values count, such as lists within lists."""
 
 MAX_SIZE = 10_000_000
 """Number of numbers from which an array counts only by its shape, as an agent's memory of past steps."""

@@ -1,4 +1,4 @@
-"""Know the files that results depend on: modules that a user imports, what they read, and files that are named.
+"""Know the files that results depend on: a user's modules, the files that these read, and files that a user names.
 
 Results of other content of one of these files must not stand in a table beside new ones. So each file counts as its
 digest, and a directory of results keeps the digests, see `ms_highway.experiments.directory`.
@@ -44,7 +44,7 @@ _listens = False  # whether `_note_opened` is a hook of this process; hooks stay
 
 
 def import_modules(names: Sequence[str]) -> None:
-    """Import the modules that a user has named, also from the current directory, and note what they bring.
+    """Import a user's modules, also from the current directory; note the modules and files that these load.
 
     Raises:
         ImportError: naming the module, for any error in it.
@@ -100,7 +100,8 @@ def late_sources() -> Sources:
         for name, content in _new_sources().items():
             file = _file_of(name) if name in sys.modules else None
             _late.setdefault(os.path.relpath(file) if file else name, content)
-    return {name: content for name, content in _late.items() if name not in imported_sources()}
+    imported = imported_sources()
+    return {name: content for name, content in _late.items() if name not in imported}
 
 
 def _new_sources() -> Sources:

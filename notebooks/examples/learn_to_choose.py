@@ -60,7 +60,7 @@ class ManyEnvironments(VecEnv):
         observations, rewards, terminated, truncated, info = self.envs.step(self.actions)
         ends = terminated | truncated
         infos = [{} for _ in ends]
-        # The last step of an episode ends what is paid, so no value is added for later ones.
+        # After the last step of an episode nothing is paid, so the value of later steps is 0.
         for place in np.flatnonzero(ends):
             infos[place]["terminal_observation"] = info["final_obs"][place]
         return observations.copy(), rewards.astype(np.float32), ends, infos

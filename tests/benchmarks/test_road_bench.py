@@ -111,7 +111,8 @@ def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_a
 
 
 def test_drives_of_recordings_whose_ids_are_paths_or_the_same_are_exported_into_the_directory(tmp_path):
-    data, exports = tmp_path / "data", tmp_path / "a" / "b" / "exports"
+    data = tmp_path / "data"
+    exports = tmp_path / "a" / "b" / "exports"
     data.mkdir()
     text = recordings.scenario(problems=recordings.problem(goal=22.0, times=(0, 20)))
     for name in ("one", "two"):

@@ -140,7 +140,8 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
 @pytest.mark.filterwarnings("always:.*not whole")
 def test_episodes_that_are_not_whole_are_computed_again(compared, begun, capsys):
     """One has lost its last rows, the end of its last row, a row in its middle, or has a row twice."""
-    steps, wanted = begun / "steps.csv", untimed(compared)
+    steps = begun / "steps.csv"
+    wanted = untimed(compared)
     head, *lines = steps.read_text().splitlines(keepends=True)
     cut = [lines[:-30], [*lines[:-1], lines[-1][:-4]], lines[:80] + lines[81:], [*lines, lines[-1]]]
     for rest in cut:
@@ -154,7 +155,9 @@ def test_episodes_that_are_not_whole_are_computed_again(compared, begun, capsys)
 
 def test_a_page_runs_no_code_that_results_name(begun, capsys):
     """A file of an agent can run any code when it is opened."""
-    steps, agent, ran = begun / "steps.csv", begun / "agent.zip", begun / "ran"
+    steps = begun / "steps.csv"
+    agent = begun / "agent.zip"
+    ran = begun / "ran"
     with ZipFile(agent, "w") as archive:
         archive.writestr("data", pickle.dumps(Traps(str(ran))))
     steps.write_text(steps.read_text().replace(",switching:0.4,", f",{agent},"))

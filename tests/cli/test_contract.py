@@ -29,7 +29,7 @@ ASCII = (
     {"PYTHONIOENCODING": "ascii"},
     {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
 )
-"""Variables of the environment, each of which makes standard output ASCII."""
+"""Environments of the process, each with an ASCII standard output."""
 
 
 def test_help_describes_every_command_and_loads_no_package_that_computes_or_draws():

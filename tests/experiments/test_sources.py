@@ -1,4 +1,4 @@
-"""Results never go stale: what they were computed with, beside their settings, must not change."""
+"""Results never go stale: modules, files and definitions that they depend on must not change."""
 
 import shutil
 import sys

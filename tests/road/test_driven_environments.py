@@ -145,7 +145,7 @@ def test_vector_environments_collect_infos_although_episodes_end_at_different_ti
 
 
 class Follows:
-    """Keep to the target lane, and keep a distance that is drawn for the episode, to what is ahead."""
+    """Keep to the target lane, and keep a distance to the car ahead that is drawn for the episode."""
 
     def reset(self, key):
         self.distance, self.seen = np.random.default_rng(key).uniform(10.0, 30.0), []
