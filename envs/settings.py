@@ -20,7 +20,7 @@ from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
 from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS
-from ms_highway.numerics.solvers import MAX_ITERATIONS, PlanningSettings, Solver, gradient_steps, longest_step
+from ms_highway.numerics.solvers import MAX_ITERATIONS, PlanningSettings, SolverName, gradient_steps, longest_step
 from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
@@ -68,7 +68,7 @@ class Settings(Struct, frozen=True):
     control_limit: Annotated[Literal["unlimited"] | tuple[Positive, Positive] | None, Meta(description=LIMIT_REMEDY)]
     grip: Annotated[Positive | None, Meta(description=GRIP_REMEDY)]
     way_out: bool
-    solver: Solver
+    solver: SolverName
     horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON, description=f"{WHOLE_NUMBER} {MAX_HORIZON}")]
     time_step: Annotated[float, Meta(ge=0.01, le=1.0, description="it must be from 0.01 to 1 s")]
     iterations: Annotated[

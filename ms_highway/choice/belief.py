@@ -18,10 +18,11 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.dynamics import keep_velocity, recover_control
 from ms_highway.game.game import Game, constant_velocity, each_human, pair, swap_players
-from ms_highway.numerics.solvers import PlanningSettings, gradient_steps, longest_step
+from ms_highway.numerics.solvers import Ascent, PlanningSettings, gradient_steps, longest_step
 from ms_highway.planning.human_models import following_control
 from ms_highway.planning.ladders import PACKAGE_MODELS
-from ms_highway.planning.plans import Plan, plan_against
+from ms_highway.planning.joint import plan_against
+from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, Belief, Control, Controls, Index, SameArray, State
 
 LOOKAHEAD = 8  # steps of humans' plans at most; only the first one counts
@@ -50,12 +51,14 @@ def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "huma
         state: all cars.
         robot: scaled controls that the robot follows from this state on.
     """
-    planner = replace(game.planner, solver="gradient")
+    planner = game.planner
     shortened = planner.horizon > LOOKAHEAD
-    if shortened:
-        iterations, usual = gradient_steps(PlanningSettings(LOOKAHEAD))
-        length = jnp.minimum(usual, longest_step(LOOKAHEAD, game.dynamics.time_step))
-        planner = replace(planner, horizon=LOOKAHEAD, iterations=iterations, step_size=length)
+    if shortened or not isinstance(planner.solver, Ascent):
+        steps = min(planner.horizon, LOOKAHEAD)
+        iterations, usual = gradient_steps(PlanningSettings(steps))
+        length = jnp.minimum(usual, longest_step(steps, game.dynamics.time_step))
+        solver = Ascent(length, iterations, smooth=planner.solver.smooth)
+        planner = replace(planner, horizon=steps, solver=solver)
     game = replace(game, planner=planner)
 
     def predict(human: Index) -> Float[Any, "models 2"]:
@@ -63,8 +66,8 @@ def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "huma
         start = constant_velocity(own, seen[0]) if shortened else jnp.zeros((planner.horizon, 2))
 
         def answer(robot: Controls) -> Control:
-            plan = plan_against(own, seen, robot[None], Plan(start, robot[None]))
-            return plan.robot[0] * planner.control_scale
+            solution = plan_against(own, seen, robot[None], Plan(start, robot[None]))
+            return solution.plan.robot[0] * planner.control_scale
 
         answers = [answer(each) for each in (constant_velocity(own, seen[1]), robot[: planner.horizon])]
         following = following_control(*pair(game, state, human))

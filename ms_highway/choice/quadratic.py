@@ -20,7 +20,6 @@ from ms_highway.game.game import (
     move,
     step_rewards,
     swap_players,
-    total_reward,
     with_scripted,
 )
 from ms_highway.game.reward import Reward
@@ -163,12 +162,12 @@ class Quadratic(Rule):
     def _gains(self, game: Game, outcome: Outcome, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
         """Estimate the gains of going up and down for one human; return `NOT_ESTIMATED` for unneeded ones."""
         ladder, costs, none = self.ladder, jnp.asarray(self.costs.each), jnp.float32(NOT_ESTIMATED)
-        state, plan, observed = jnp.asarray(outcome.before), outcome.plan, _observed(game)
+        state, plan, observed = jnp.asarray(outcome.before), outcome.plan, game.observed_payoff
 
         def estimate() -> tuple[Scalar, Scalar]:
             robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
             human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
-            later = step_rewards(observed, state, robot, human[None])[1:] if self.steps != 1 else jnp.zeros(0)
+            later = step_rewards(game, observed, state, robot, human[None])[1:] if self.steps != 1 else jnp.zeros(0)
             earned = outcome.reward + jnp.sum(later)
             expansion = expand(game, state, robot.ravel(), human.ravel())
 
@@ -176,14 +175,15 @@ class Quadratic(Rule):
                 influence = expansion.influence if responds else jnp.zeros_like(expansion.influence)
                 change = change_of_control(expansion, (expected - human).ravel(), influence, self)
                 response = (expansion.influence @ change).reshape(human.shape)
-                better = total_reward(observed, state, robot + change.reshape(robot.shape), (human + response)[None])
+                moved = robot + change.reshape(robot.shape)
+                better = jnp.sum(step_rewards(game, observed, state, moved, (human + response)[None]))
                 saved = costs[rung] - costs[alternative]
                 return jnp.where(jnp.isnan(saved), none, better - earned + len(robot) * self.price * saved)
 
             def gain_down() -> Scalar:
                 below = jnp.maximum(rung - 1, 0)
                 models = [
-                    partial(scaled_prediction, model, model.within(game), state) for model in ladder[:-1] or ladder
+                    partial(scaled_prediction, model, game, state) for model in ladder[:-1] or ladder
                 ]
                 return gain(jax.lax.switch(below, models)[: len(robot)], False, below)
 
@@ -193,15 +193,10 @@ class Quadratic(Rule):
         return jax.lax.cond(climbs | checks, estimate, lambda: (none, none))
 
 
-def _observed(game: Game) -> Game:
-    """Return the game with the observed reward, whose jumps are not smoothed."""
-    return replace(game, planner=replace(game.planner, smooth=False))
-
-
 @jax.jit
 def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
     """Expand the rewards of both players in the controls of both, in one batch; each is seen from its own car."""
-    payoff, n = _observed(game).payoff, len(robot)
+    payoff, n = game.observed_payoff, len(robot)
 
     def earned(controls: Float[jax.Array, "both"], driver: Reward, state: State) -> Scalar:
         own, partner = controls.reshape(2, -1, 2)

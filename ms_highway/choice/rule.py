@@ -159,7 +159,7 @@ class Rule:
         """
         if self.estimates:
             compilable(self)
-        if strange := [model for model in self.ladder if not hasattr(model, "plan")]:
+        if strange := [model for model in self.ladder if not isinstance(model, HumanModel)]:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
         costs, price = getattr(self, "costs", None), np.asarray(getattr(self, "price", 0.0))
         if costs is None:

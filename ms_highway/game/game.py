@@ -27,7 +27,7 @@ from ms_highway.game.payoff import Payoff
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.numerics.second_derivatives import Influence
-from ms_highway.numerics.solvers import Planner
+from ms_highway.numerics.solvers import Newton, Planner
 from ms_highway.runtime.arrays import (
     Car,
     Controls,
@@ -39,6 +39,7 @@ from ms_highway.runtime.arrays import (
     State,
     Trajectories,
     Trajectory,
+    for_numbers,
     for_rows,
 )
 
@@ -76,17 +77,27 @@ class Game:
 
     @property
     def payoff(self) -> Payoff:
-        """What trajectories of the robot earn; under a smooth reward, the robot keeps room to stop before obstacles."""
-        planner, braking = self.planner, None
-        if planner.smooth and len(self.scene.obstacles):
-            limit = jnp.asarray(planner.control_limit)[1]
-            braking = limit if planner.grip is None else jnp.minimum(limit, jnp.asarray(planner.grip))
-        return Payoff(self.scene, self.robot, braking, planner.smooth)
+        """What plans of the robot climb.
+
+        Under a smooth reward, the robot keeps room to stop before obstacles.
+        """
+        smooth = self.planner.solver.smooth
+        braking = None
+        if smooth and len(self.scene.obstacles):
+            braking = jnp.asarray(self.planner.control_limit)[1]
+            if self.planner.grip is not None:
+                braking = jnp.minimum(braking, jnp.asarray(self.planner.grip))
+        return Payoff(self.scene, self.robot, braking, smooth)
+
+    @property
+    def observed_payoff(self) -> Payoff:
+        """What trajectories of the robot earn when they are driven, with the reward's jumps."""
+        return Payoff(self.scene, self.robot, None, smooth=False)
 
     def human(self, human: Index = 0) -> Reward:
         """Return the reward of a human."""
         weights = self.humans.weights if isinstance(human, int) else jnp.asarray(self.humans.weights)
-        return replace(self.humans, weights=weights[0 if self.number == 1 else human])
+        return replace(self.humans, weights=weights[human])
 
     def players(self) -> Reward:
         """Return the rewards of the robot and of the only human, stacked along a first axis.
@@ -109,9 +120,7 @@ def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
 
 def each_human(game: Game, function: Callable[[Index], Any]) -> Any:
     """Compute a function of every human's number, one by one; the results get an axis of humans."""
-    if game.number == 1:
-        return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
-    return jax.lax.map(function, jnp.arange(game.number))
+    return for_numbers(game.number, function)
 
 
 def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
@@ -136,11 +145,9 @@ def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, Stat
 def swap_roles(game: Game, human: Index = 0) -> Game:
     """Return the game in which a human plans, and the robot is its only partner.
 
-    Humans plan anew in every step, without the robot's ``ease``. They use the paper's solver, or the robot's where that
-    climbs a smooth reward.
+    Humans plan by the robot's solver, but anew in every step and without its ease.
     """
-    solver = game.planner.solver if game.planner.smooth else "gradient"
-    planner = replace(game.planner, solver=solver, persistent=False, ease=0.0)
+    planner = replace(game.planner, solver=game.planner.solver.of_human())
     return replace(game, robot=game.human(human), humans=_alone(game.robot), planner=planner)
 
 
@@ -176,14 +183,17 @@ def _held(dynamics: Dynamics, grip: Scalar, bend: Scalar, car: Car, controls: Ma
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
     """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled.
 
-    The planner's ``ease`` is added to the weights of comfort. For steering, it is multiplied by the square of the
+    The ease of `Newton` is added to the weights of comfort. For steering, it is multiplied by the square of the
     lateral acceleration that a curvature causes, relative to the one at the speed limit: a standing car steers for
     nothing.
     """
+    solver = game.planner.solver
     kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
-    pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
-    steering = pace**4 if game.dynamics.steering == "curvature" else pace**2
-    comfort = game.robot.comfort + game.planner.ease * jnp.stack([steering, jnp.ones_like(pace)])
+    comfort = game.robot.comfort
+    if isinstance(solver, Newton):
+        pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
+        steering = pace**4 if game.dynamics.steering == "curvature" else pace**2
+        comfort = comfort + solver.ease * jnp.stack([steering, jnp.ones_like(pace)])
     return jnp.sum(comfort * (controls - kept) ** 2) / 2
 
 
@@ -215,12 +225,23 @@ def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectori
     return jnp.concatenate([players, jnp.stack(scripted, axis=1)])
 
 
-def step_rewards(game: Game, state: State, robot: Controls, humans: HumansControls) -> Float[jax.Array, "steps"]:
-    """Return the robot's reward after each step under scaled controls of the robot and the humans."""
-    paths = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
-    return game.payoff.steps(move(game, state[0], robot), paths)
+def step_rewards(
+    game: Game, payoff: Payoff, state: State, robot: Controls, humans: HumansControls
+) -> Float[jax.Array, "steps"]:
+    """Return what each step earns under scaled controls of the robot and the humans.
+
+    Args:
+        game: that is played.
+        payoff: the game's ``payoff`` or ``observed_payoff``.
+        state: all cars now.
+        robot: scaled controls of the robot.
+        humans: scaled controls of the humans.
+    """
+    humans_paths = move_all(game, state[1 : 1 + len(humans)], humans)
+    others = with_scripted(game, state, humans_paths)
+    return payoff.steps(move(game, state[0], robot), others)
 
 
 def total_reward(game: Game, state: State, robot: Controls, humans: HumansControls) -> Scalar:
-    """Return the sum of `step_rewards`, R_R(x, u_R, u_H)."""
-    return jnp.sum(step_rewards(game, state, robot, humans))
+    """Return the sum of `step_rewards` of plans, R_R(x, u_R, u_H)."""
+    return jnp.sum(step_rewards(game, game.payoff, state, robot, humans))

@@ -17,7 +17,16 @@ from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import CAR_SIZE, CONE_SIZE, PAPER_UNIT, Scene
 from ms_highway.numerics.convex_newton import EASE
 from ms_highway.numerics.second_derivatives import Influence
-from ms_highway.numerics.solvers import PAPER_PLANNING, Planner, PlanningSettings, Solver, gradient_steps
+from ms_highway.numerics.solvers import (
+    PAPER_PLANNING,
+    Ascent,
+    Newton,
+    Planner,
+    PlanningSettings,
+    Solver,
+    SolverName,
+    gradient_steps,
+)
 from ms_highway.runtime.arrays import Published, read_only
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
@@ -123,7 +132,7 @@ class Scenario:
     careless: float = 0.2
     semantics: Semantics = "paper"
     planning: PlanningSettings = PAPER_PLANNING
-    solver: Solver = "gradient"
+    solver: SolverName = "gradient"
     control_limit: tuple[float, float] | None = PHYSICAL_LIMIT
     grip: float | None = None
     way_out: bool = False
@@ -201,7 +210,7 @@ def build_game(
     control_limit: tuple[float, float] | None = None,
     grip: float | None = None,
     unit: float = PAPER_UNIT,
-    solver: Solver | None = None,
+    solver: SolverName | None = None,
     human_driving: Mapping[str, float] | None = None,
     planning: PlanningSettings | None = None,
     humans: int | None = None,
@@ -220,8 +229,7 @@ def build_game(
         grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`; None for no limit, in
             physical semantics for `GRIP`.
         unit: length of one paper unit, 100/3 m, in the game; 1 keeps the released code's numbers.
-        solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`; None for the
-            scenario's.
+        solver: ``gradient`` or ``convex_newton``, see `ms_highway.numerics.solvers`; None for the scenario's.
         human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans' reward; other weights of the
             scenario stay unless they are named here.
         planning: horizon and gradient steps of all plans, and the time step of plans and world; None for the
@@ -257,8 +265,8 @@ def build_game(
         plans = world = replace(PAPER_DYNAMICS, time_step=planning.time_step)
     if semantics == "physical" and grip is None:
         grip = GRIP * metre
-    planner = _planner(scene, plans, control_limit, grip, solver or scenario.solver, planning)
-    planner = replace(planner, persistent=bool(scenario.streams), ease=EASE if planner.smooth else 0.0)
+    improves = _solver(solver or scenario.solver, planning, bool(scenario.streams), EASE)
+    planner = _planner(scene, plans, control_limit, grip, improves, planning.horizon)
     influence: Influence = "exact" if semantics == "released" else "damped"
     game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
     return read_only(jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game))
@@ -269,7 +277,7 @@ def driving_game(
     speed_limit: float,
     weights: Mapping[str, float] = COMMON_WEIGHTS,
     names: tuple[str, ...] | None = None,
-    solver: Solver = "gradient",
+    solver: SolverName = "gradient",
     planning: PlanningSettings = PAPER_PLANNING,
     grip: float | None = GRIP,
 ) -> Game:
@@ -283,18 +291,29 @@ def driving_game(
         speed_limit: speed that is rewarded most [m/s].
         weights: of the reward of both, by name.
         names: of the features to compute, see `ms_highway.game.reward.linear_reward`.
-        solver: how plans are improved, see `ms_highway.numerics.solvers.optimize_controls`.
+        solver: ``gradient`` or ``convex_newton``, see `ms_highway.numerics.solvers`.
         planning: see `build_game`.
         grip: of tyres [m/s^2], see `ms_highway.numerics.solvers.Planner`; None for `PHYSICAL_LIMIT` alone.
     """
     driver = linear_reward(weights, speed_limit, names=names)
     motion = replace(PAPER_DYNAMICS, time_step=planning.time_step)
-    planner = _planner(scene, motion, PHYSICAL_LIMIT, grip, solver, planning)
+    improves = _solver(solver, planning, continues=False, ease=0.0)
+    planner = _planner(scene, motion, PHYSICAL_LIMIT, grip, improves, planning.horizon)
     return Game(scene, driver, _humans(driver, 1), motion, motion, planner)
 
 
 def _humans(reward: Reward, number: int) -> Reward:
     return replace(reward, weights=np.tile(reward.weights, (number, 1)))
+
+
+def _solver(
+    name: SolverName, planning: PlanningSettings, continues: bool, ease: float
+) -> Solver:
+    """Return the solver of a name; only `Newton` has an ease."""
+    if name == "convex_newton":
+        return Newton(ease, continues=continues)
+    iterations, step_size = gradient_steps(planning)
+    return Ascent(step_size, iterations, continues)
 
 
 def _planner(
@@ -303,24 +322,16 @@ def _planner(
     control_limit: tuple[float, float] | None,
     grip: float | None,
     solver: Solver,
-    planning: PlanningSettings,
+    horizon: int,
 ) -> Planner:
     """Return a planner with the control scale in which a gradient step of 0.03 has the paper's effect.
 
-    The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw rate. With steering by
-    curvature, it is converted at the paper's speed limit, ``omega = yaw_rate / v``: omega's gradient step scales with
-    1/v^2. The solver ``convex_newton`` climbs a smooth reward, from constant velocity.
+    The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw rate. With
+    steering by curvature, it is converted at the paper's speed limit, ``omega = yaw_rate / v``:
+    omega's gradient step scales with 1/v^2.
     """
-    smooth = solver == "convex_newton"
-    iterations, step_size = gradient_steps(planning)
-    turn_scale = PAPER_UNIT / (SPEED_LIMIT * scene.length_unit) if dynamics.steering == "curvature" else 1.0
-    return Planner(
-        control_scale=np.array([turn_scale, scene.length_unit]),
-        control_limit=np.full(2, np.inf) if control_limit is None else np.array(control_limit),
-        grip=grip,
-        step_size=step_size,
-        horizon=planning.horizon,
-        iterations=iterations,
-        solver=solver,
-        smooth=smooth,
-    )
+    turn_scale = 1.0
+    if dynamics.steering == "curvature":
+        turn_scale = PAPER_UNIT / (SPEED_LIMIT * scene.length_unit)
+    limit = np.full(2, np.inf) if control_limit is None else np.array(control_limit)
+    return Planner(np.array([turn_scale, scene.length_unit]), limit, grip, solver, horizon)

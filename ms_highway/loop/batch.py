@@ -34,7 +34,7 @@ from ms_highway.loop.step import (
     responsive_rungs,
 )
 from ms_highway.planning.compiled_plans import plan_for
-from ms_highway.planning.human_models import HumanModel, Naive, warn_of_limits
+from ms_highway.planning.human_models import HumanModel, plan_alone, warn_of_limits
 from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Control, Flag, Index, Rungs, State, for_rows
@@ -190,7 +190,7 @@ def _plan(loop: Loop, game: Game, seen: State, rest: Rest, rungs: Rungs) -> Plan
         if may_continue(models, game):
             left = continues_plan(models, game, used, rest)
             start = jax.tree.map(partial(jnp.where, left), one_step_later(rest.start), start)
-        return plan_for(models, game, seen, used, start)
+        return plan_for(models, game, seen, used, start).plan
 
     if game.number > 1:
         return planned(loop.models, rungs)
@@ -222,7 +222,7 @@ def _world(loop: Loop, now: Now, own: Episodes, robot: Control, records: Records
     def drive(human: Index) -> tuple[Control, Rest]:
         view, turned = swap_players(truth, state, human)
         rest = jax.tree.map(lambda part: part[human], now.humans)
-        driving = or_brake(view, turned[0], follow(Naive().plan(view, turned), rest.rungs, rest))
+        driving = or_brake(view, turned[0], follow(plan_alone(view, turned).plan, rest.rungs, rest))
         control = driving.now.plan.robot[0] * game.planner.control_scale
         for number, driver in enumerate(loop.drivers, PLANS + 1):
             control = jnp.where(own.drivers[human] == number, driver(view, turned), control)

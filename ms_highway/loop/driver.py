@@ -133,7 +133,8 @@ class Driver:
         carry, decision, deciding = self._decide(now)
         rungs = decision.memory.rungs
         continues = continues_plan(self.rule.ladder, self.game, rungs, self._rest)
-        plan, planning = self._plans.plan(now, rungs, one_step_later(self._rest.start) if continues else None)
+        solution, planning = self._plans.plan(now, rungs, one_step_later(self._rest.start) if continues else None)
+        plan = solution.plan
         late = self.budget is not None and perf_counter() - start + self._checking > self.budget
         followed, self._checking = self._follow(follow(plan, rungs, self._rest, late), now)
         self._carry, (rest, self._rest, status) = advance(carry, decision, followed, now), followed

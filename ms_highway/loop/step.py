@@ -141,7 +141,7 @@ def decide(
 def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, rest: Rest) -> bool:
     """Return whether the coming plan starts from the rest of the last one, as the planner or a rung wants."""
     warm = np.array([model.warm for model in ladder])
-    wanted = game.planner.persistent or bool(warm.all())
+    wanted = game.planner.solver.continues or bool(warm.all())
     if not wanted and warm.any():
         wanted = rungs.__array_namespace__().asarray(warm)[rungs].any()
     return wanted & (rest.steps > 0)

@@ -68,7 +68,12 @@ class Local(NamedTuple):
         return whole * jnp.minimum(1.0, MAX_STEP / jnp.maximum(jnp.sqrt(jnp.sum(whole**2)), MAX_STEP))
 
 
-def expand(objective: Objective, controls: Controls, slope: Trajectory | None = None) -> Local:
+def expand(
+    objective: Objective,
+    controls: Controls,
+    path: Trajectory | None = None,
+    slope: Trajectory | None = None,
+) -> Local:
     """Expand an objective around controls.
 
     With ``J_k = ds_k / du`` of the motion at step k, the reward's convex curvature Q_k there and the costs' second
@@ -77,12 +82,16 @@ def expand(objective: Objective, controls: Controls, slope: Trajectory | None = 
     Args:
         objective: to climb.
         controls: where to expand.
+        path: trajectory under the controls, where it is known.
         slope: of the reward in the trajectory, where it is known.
     """
     assert objective.curvature is not None
     assert objective.jacobian is not None
-    path = objective.path(controls)
-    slope, bends = objective.slope(path) if slope is None else slope, -objective.curvature(path)
+    if path is None:
+        path = objective.path(controls)
+    if slope is None:
+        slope = objective.slope(path)
+    bends = -objective.curvature(path)
     gradient, hessian, jacobian = second_order_expansion(
         objective.path, controls, slope, bends, objective.cost, objective.jacobian(controls)
     )
@@ -124,43 +133,44 @@ def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
     return objective.bounded(controls + share(local.gradient @ step.ravel(), after) * whole)
 
 
-def convex_newton_steps(objective: Objective, start: Controls, steps: Index = STEPS) -> Controls:
-    """Improve controls by a number of steps at most, see `improve` and `until_still`."""
-    return until_still(
-        lambda controls: improve(objective, controls, expand(objective, controls)),
-        objective.bounded(start),
-        steps,
-        lambda controls: controls,
-    )
-
-
-def until_still(step: Callable[[Point], Point], start: Point, most: Index, moving: Callable[[Point], Any]) -> Point:
+def until_still(
+    step: Callable[[Index, Point], Point],
+    start: Point,
+    most: Index,
+    controls: Callable[[Point], Any],
+) -> tuple[Point, Index, Flag]:
     """Repeat a step until it hardly moves anything.
 
-    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a shorter one not at all. So a
-    similar start that takes one step more or less ends in nearly the same point.
+    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a shorter one not
+    at all. So a similar start that takes one step more or less ends in nearly the same point.
 
     Args:
-        step: returns the next point.
+        step: takes the number of the step and a point, and returns the next point.
         start: first point.
         most: number of steps at most.
-        moving: returns the controls of a point; their change is the norm of a step.
+        controls: of a point; their change is the norm of a step.
+
+    Returns:
+        The last point, the number of steps, and whether the last one hardly moved the controls.
     """
 
     def go(now: tuple[Point, Scalar, Index]) -> tuple[Point, Scalar, Index]:
-        point, _, count = now
-        after = step(point)
-        gone = jax.tree.map(jnp.subtract, after, point)
-        norm = jnp.sqrt(sum(jnp.sum(part**2) for part in jax.tree.leaves(moving(gone))))
+        before, _, number = now
+        after = step(number, before)
+        change = jax.tree.map(jnp.subtract, after, before)
+        norm = jnp.sqrt(sum(jnp.sum(part**2) for part in jax.tree.leaves(controls(change))))
         part = jnp.clip(norm / STEP_TOLERANCE - 1, 0.0, 1.0)
-        return (
-            jax.tree.map(lambda a, b, way: jnp.where(part < 1, a + part * way, b), point, after, gone),
-            part,
-            count + 1,
-        )
+
+        def partial_step(old: Any, new: Any, moved: Any) -> Any:
+            return jnp.where(part < 1, old + part * moved, new)
+
+        point = jax.tree.map(partial_step, before, after, change)
+        return point, part, number + 1
 
     def goes_on(now: tuple[Point, Scalar, Index]) -> Flag:
-        _, part, count = now
-        return (part > MIN_PART) & (count < most)
+        _, part, number = now
+        return (part > MIN_PART) & (number < most)
 
-    return jax.lax.while_loop(goes_on, go, (start, jnp.ones(()), jnp.zeros((), int)))[0]
+    first = (start, jnp.ones(()), jnp.zeros((), int))
+    point, part, number = jax.lax.while_loop(goes_on, go, first)
+    return point, number, part <= MIN_PART

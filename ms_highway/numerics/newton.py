@@ -71,11 +71,6 @@ def best_of(candidates: Numbers, earned: Float[Any, "candidates"]) -> Numbers:
     return jnp.where(known.any(), best, jnp.nan)
 
 
-STEPS = 16  # of a plan
-HESSIAN_EVERY = 8  # steps
-FLOOR = 12.0  # of the Hessian's eigenvalues; 1 / 12 is the longest step per unit of gradient
-SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 8, 0], dtype=np.float32)  # of a Newton step that its line search tries
-
 MAX_STEPS = 50  # of the search for an optimum
 FINE_SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of its steps
 TOLERANCE = 1e-3  # reward per scaled control, the gradient at which an optimum counts as found
@@ -94,21 +89,6 @@ class Optimum(NamedTuple):
     controls: Controls
     gradient: Controls
     hessian: Matrix
-
-
-def newton_steps(objective: Objective, start: Controls) -> Controls:
-    """Improve controls by 16 Newton steps, see `ms_highway.numerics.solvers.optimize_controls`."""
-
-    def with_hessian(_: int, controls: Controls) -> Controls:
-        metric = damped_inverse(objective.expand(controls).hessian, FLOOR)
-
-        def improve(_: int, controls: Controls) -> Controls:
-            step = (metric @ objective.gradient(controls).ravel()).reshape(controls.shape)
-            return best_of(*objective.search_line(controls, step, SHARES))
-
-        return jax.lax.fori_loop(0, HESSIAN_EVERY, improve, controls)
-
-    return jax.lax.fori_loop(0, STEPS // HESSIAN_EVERY, with_hessian, objective.bounded(start))
 
 
 Search: TypeAlias = tuple[int, Controls, Optimum]

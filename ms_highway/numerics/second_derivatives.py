@@ -26,6 +26,13 @@ class Expansion(NamedTuple):
     jacobian: Float[jax.Array, "fields steps n"]
 
 
+def trajectory_jacobian(
+    path: Callable[[Controls], Trajectory], controls: Controls
+) -> Float[jax.Array, "fields steps n"]:
+    """Return the derivative of a trajectory in its n ravelled controls."""
+    return jax.jacfwd(lambda point: path(point.reshape(-1, 2)))(controls.ravel())
+
+
 def second_order_expansion(
     path: Callable[[Controls], Trajectory],
     controls: Controls,
@@ -57,7 +64,8 @@ def second_order_expansion(
 
     point = controls.ravel()
     linear = jacobian is not None
-    jacobian = jax.jacfwd(ravelled)(point) if jacobian is None else jacobian
+    if jacobian is None:
+        jacobian = trajectory_jacobian(path, controls)
     flat = jacobian.reshape(-1, point.size)
     bent = jnp.sum(bends[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
     gradient, hessian = slope.ravel() @ flat, flat.T @ bent.reshape(-1, point.size)

@@ -1,116 +1,191 @@
-"""Improve the controls of a plan by projected gradient ascent or Newton steps; choose the number and size of steps."""
+"""Solvers of plans, and the number and size of gradient steps.
+
+A solver is an object with its own numbers. It repeats a step of `ms_highway.planning.joint` and
+says how many it took, and whether they converged.
+"""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Literal, TypeAlias
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
+from jax import numpy as jnp
 
-from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS, Point, convex_newton_steps
-from ms_highway.numerics.newton import Objective, newton_steps
-from ms_highway.runtime.arrays import Control, Controls, Index, Scalar
+from ms_highway.numerics.convex_newton import (
+    JOINT_STEPS,
+    STEP_TOLERANCE,
+    STEPS,
+    Point,
+    until_still,
+)
+from ms_highway.runtime.arrays import Control, Flag, Index, Scalar
 
-Solver: TypeAlias = Literal["gradient", "newton", "convex_newton"]
+SolverName: TypeAlias = Literal["gradient", "convex_newton"]
+"""Names of `Ascent` and `Newton` in configurations."""
+
+
+class Repeated(NamedTuple):
+    """Result of a repeated step.
+
+    Attributes:
+        point: after the last step.
+        steps: number of steps that were taken.
+        converged: whether the last one hardly moved the controls.
+    """
+
+    point: Any
+    steps: Index
+    converged: Flag
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Ascent:
+    """Take a fixed number of gradient steps, as the paper does.
+
+    Attributes:
+        step_size: length of a step per unit of gradient.
+        iterations: number of steps (static).
+        continues: whether plans start from the rest of the last plan (static).
+        smooth: whether plans climb a reward without jumps, see `ms_highway.game.payoff` (static).
+    """
+
+    step_size: Scalar = 0.03
+    iterations: int = field(default=20, metadata={"static": True})
+    continues: bool = field(default=False, metadata={"static": True})
+    smooth: bool = field(default=False, metadata={"static": True})
+
+    def most_steps(self, responds: bool) -> int:
+        """Return the number of steps of a plan, whether or not humans respond to it."""
+        return self.iterations
+
+    def with_steps(self, number: int, longest: Scalar) -> "Ascent":
+        """Return the solver with its own number of steps, as long as is safe.
+
+        A step is `COUNTED_STEP` long or, if that is shorter, `STEP_SHARE` of the longest step.
+
+        Args:
+            number: of steps.
+            longest: step that does not overshoot, see `longest_step`.
+        """
+        length = jnp.minimum(COUNTED_STEP, STEP_SHARE * longest)
+        return replace(self, iterations=number, step_size=length)
+
+    def of_human(self) -> "Ascent":
+        """Return the solver of a human, who plans anew in every step."""
+        return replace(self, continues=False)
+
+    def repeat(
+        self,
+        step: Callable[[Index, Point], Point],
+        start: Point,
+        most: Index,
+        controls: Callable[[Point], Any],
+    ) -> Repeated:
+        """Repeat a step a number of times.
+
+        Args:
+            step: takes the number of the step and a point, and returns the next point.
+            start: first point.
+            most: number of steps.
+            controls: of a point; the norm of their change tells whether the last step moved them.
+        """
+
+        def go(number: Index, now: tuple[Point, Scalar]) -> tuple[Point, Scalar]:
+            before, _ = now
+            after = step(number, before)
+            change = jax.tree.map(jnp.subtract, controls(after), controls(before))
+            squared = sum(jnp.sum(part**2) for part in jax.tree.leaves(change))
+            return after, squared
+
+        point, squared = jax.lax.fori_loop(0, most, go, (start, jnp.float32(jnp.inf)))
+        return Repeated(point, most, squared < STEP_TOLERANCE**2)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Newton:
+    """Take a few Newton steps up a smooth reward, for plans of seconds.
+
+    Plans change steadily with what is seen, see `ms_highway.numerics.convex_newton`.
+
+    Attributes:
+        ease: cost of plans, beside their reward, per squared scaled control that changes the
+            velocity, so that they do not follow every bump of the reward at once; less for steering
+            at low speed, see `ms_highway.game.game.discomfort`.
+        steps: largest number of steps where no human responds to them (static).
+        joint_steps: largest number of steps to which humans respond (static).
+        continues: whether plans start from the rest of the last plan or, if that earns more, from a
+            simple manoeuvre (static).
+    """
+
+    ease: Scalar = 0.0
+    steps: int = field(default=STEPS, metadata={"static": True})
+    joint_steps: int = field(default=JOINT_STEPS, metadata={"static": True})
+    continues: bool = field(default=False, metadata={"static": True})
+    smooth: ClassVar[bool] = True
+
+    def most_steps(self, responds: bool) -> int:
+        """Return the largest number of steps of a plan to which humans respond or do not."""
+        return self.joint_steps if responds else self.steps
+
+    def with_steps(self, number: int, longest: Scalar) -> "Newton":
+        """Return the solver with its own number of steps, see `Ascent.with_steps`."""
+        return replace(self, steps=number, joint_steps=number)
+
+    def of_human(self) -> "Newton":
+        """Return the solver of a human, who plans anew in every step, without the robot's ease."""
+        return replace(self, continues=False, ease=0.0)
+
+    def repeat(
+        self,
+        step: Callable[[Index, Point], Point],
+        start: Point,
+        most: Index,
+        controls: Callable[[Point], Any],
+    ) -> Repeated:
+        """Repeat a step until it hardly moves the controls, see `Ascent.repeat`."""
+        return Repeated(*until_still(step, start, most, controls))
+
+
+Solver: TypeAlias = Ascent | Newton
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Planner:
-    """Horizon, solver and limits of plans.
+    """Horizon, limits and solver of plans.
 
     Attributes:
-        control_scale: unit of each control; steps are taken in ``u / control_scale``, so that a larger scale means
-            larger steps of that control. ``(1, 1)`` in the units of the reward is the plain gradient.
+        control_scale: unit of each control; steps are taken in ``u / control_scale``, so that a
+            larger scale means larger steps of that control. ``(1, 1)`` in the units of the reward
+            is the plain gradient.
         control_limit: bound on the magnitude of each control, infinite for none.
-        grip: total acceleration that tyres hold [m/s^2]; plans are cut down to it and do not reverse, see
-            `ms_highway.game.game.bounded`. None for no such limit.
-        step_size: length of a gradient step per unit of gradient.
+        grip: total acceleration that tyres hold [m/s^2]; plans are cut down to it and do not
+            reverse, see `ms_highway.game.game.bounded`. None for no such limit.
+        solver: improves plans.
         horizon: number of planned controls, K in the paper (static).
-        iterations: number of gradient steps (static).
-        newton_steps: number of steps of the solver for seconds at most (static).
-        joint_steps: the same where humans respond to each of them (static).
-        ease: cost of plans, beside their reward, per squared scaled control that does not keep the velocity, so that
-            they do not follow every bump of the reward at once; less for steering at low speed, see
-            `ms_highway.game.game.discomfort`.
-        solver: ``gradient``, the paper's, ``newton`` or ``convex_newton``, see `optimize_controls` (static).
-        smooth: whether plans climb a reward without jumps, keep room to stop before obstacles and, without a last plan,
-            start from constant velocity instead of the paper's zero controls (static).
-        persistent: whether plans start from the rest of the last plan or, under a smooth reward, from a simple
-            manoeuvre that earns more (static).
     """
 
     control_scale: Control
     control_limit: Control
     grip: Scalar | None = None
-    step_size: Scalar = 0.03
-    ease: Scalar = 0.0
+    solver: Solver = Ascent()
     horizon: int = field(default=5, metadata={"static": True})
-    iterations: int = field(default=20, metadata={"static": True})
-    newton_steps: int = field(default=STEPS, metadata={"static": True})
-    joint_steps: int = field(default=JOINT_STEPS, metadata={"static": True})
-    solver: Solver = field(default="gradient", metadata={"static": True})
-    smooth: bool = field(default=False, metadata={"static": True})
-    persistent: bool = field(default=False, metadata={"static": True})
-
-    @property
-    def steps(self) -> tuple[int, int]:
-        """Largest numbers of steps of a plan: where no human responds to it, and where some human does."""
-        if self.solver == "convex_newton":
-            return self.newton_steps, self.joint_steps
-        return self.iterations, self.iterations
-
-
-def projected_ascent(
-    planner: Planner,
-    direction: Callable[[Point], Point],
-    start: Point,
-    bounded: Callable[[Point], Point],
-    steps: Index,
-) -> Point:
-    """Improve controls by projected steps, ``z <- bounded(z + step_size * direction(z))``.
-
-    Args:
-        planner: with the step size.
-        direction: of ascent at given controls; the gradient of the objective for gradient ascent.
-        start: first controls, an array [..., 2] or a pytree of them, scaled.
-        bounded: projects scaled controls on their limits.
-        steps: their number.
-
-    Returns:
-        The improved controls, like ``start``, within the limits.
-    """
-
-    def improve(_: int, controls: Point) -> Point:
-        slopes = direction(controls)
-        return bounded(jax.tree.map(lambda u, slope: u + planner.step_size * slope, controls, slopes))
-
-    return jax.lax.fori_loop(0, steps, improve, start)
-
-
-def optimize_controls(planner: Planner, objective: Objective, start: Controls) -> Controls:
-    """Maximise an objective locally, from scaled controls, by the planner's solver.
-
-    * ``gradient``: `projected_ascent` along the reward's gradient g, the paper's solver.
-    * ``newton``: 16 steps along ``sum_i v_i v_i^T g / max(|l_i|, 12)``, with the eigenpairs (l_i, v_i) of the Hessian,
-      computed every 8 steps. Such a step ascends even where the reward is not concave (the saddle-free Newton step of
-      Dauphin et al. 2014). The line search takes the best of the step, its halves and no step, projected on the limits.
-      Unlike the gradient, it sees jumps of the reward, such as the cost of a collision.
-    * ``convex_newton``: for horizons of seconds, a few steps of continuous length up a smooth reward. Plans then change
-      steadily with what is seen, see `ms_highway.numerics.convex_newton`.
-    """
-    if planner.solver == "gradient":
-        return projected_ascent(planner, objective.gradient, start, objective.bounded, planner.iterations)
-    if planner.solver == "newton":
-        return newton_steps(objective, start)
-    return convex_newton_steps(objective, start, planner.newton_steps)
 
 
 # Number and size of gradient steps; the constants are those of the paper's scenes
 
 MAX_ITERATIONS = 5000
 """Upper bound on the gradient steps of a plan; more take seconds."""
+
+COUNTED_STEP = 0.1
+"""Length of the steps of a model with its own number of them.
+
+The reward of a plan depends on the summed length of its steps: 6 of them earn as much as the paper's 20 of 0.03, and
+more of them earn more. At the paper's horizon, some plans overshoot and collide from 0.15 on."""
 
 PAPER_STEPS = 20, 0.03  # number and size
 STEP_SHARE = 0.6

@@ -1,89 +1,186 @@
 """Plan with a human model for each human, by functions that are compiled once, called with few arguments, and timed."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from ms_highway.game.dynamics import facing
 from ms_highway.game.features import check_own_features
 from ms_highway.game.game import Game, constant_velocity, pair
-from ms_highway.planning.human_models import HumanModel, Naive, is_of_package, scaled_prediction, warn_of_limits
-from ms_highway.planning.joint import Interaction, joint_ascent
+from ms_highway.numerics.solvers import Ascent
+from ms_highway.planning.human_models import (
+    HumanModel,
+    Naive,
+    own_solver,
+    scaled_prediction,
+    warn_of_limits,
+)
+from ms_highway.planning.joint import Interaction, Responders, ascend
 from ms_highway.planning.ladders import human_model
-from ms_highway.planning.plans import Plan, cold_start, may_continue, within_limits
+from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.planning.way_out import Escape, keep_way_out
-from ms_highway.runtime.arrays import Array, Control, HumansControls, Index, Rungs, Scalar, State, for_each
+from ms_highway.runtime.arrays import (
+    Array,
+    Control,
+    Controls,
+    HumansControls,
+    Index,
+    Rungs,
+    Scalar,
+    State,
+    for_each,
+    for_numbers,
+)
 from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
 
 def plan_for(
-    ladder: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs | None = None, start: Plan | None = None
-) -> Plan:
-    """Return a plan whose controls keep to the limits of `ms_highway.game.game.bounded`, where they are finite.
+    models: tuple[HumanModel, ...],
+    game: Game,
+    state: State,
+    rungs: Rungs,
+    start: Plan,
+) -> Solution:
+    """Plan with a model for each human; all controls keep to `ms_highway.game.game.bounded`.
+
+    With a single model, it is known before the call who responds, so that only this is compiled.
+    With several, one program plans under all assignments: for each model that predicts, a loop takes
+    one round for every human on it, and in each step of the ascent, a loop takes one round for every
+    human who responds in it. So the time of a plan is a sum over the humans.
 
     Args:
-        ladder: human models; with one human, the one that predicts it.
+        models: human models.
         game: with the humans' rewards as the robot believes them.
         state: all cars now.
-        rungs: of every human; ignored with one human.
-        start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
+        rungs: of every human, its model's place.
+        start: scaled plan to improve, such as `ms_highway.planning.plans.cold_start`.
     """
-    if game.number == 1:
-        plan = Plan(*ladder[0].plan(ladder[0].within(game), state, start))
-        if is_of_package(ladder[0]):  # keeps to the limits by itself
-            return plan
-        plan = Plan(jnp.asarray(plan.robot), jnp.asarray(plan.humans))
-        held = within_limits(game, state, plan)
-        return jax.tree.map(lambda given, limited: jnp.where(jnp.isfinite(given), limited, given), plan, held)
-    begin = jax.tree.map(jnp.asarray, cold_start(game, state) if start is None else start)
-    return _plan_several(ladder, game, state, rungs, begin)
+    begin = Plan(jnp.asarray(start.robot), jnp.asarray(start.humans))
 
-
-def _plan_several(ladder: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, start: Plan) -> Plan:
-    """Plan with a rung for each of several humans.
-
-    For each rung, a loop takes one round for every human on it. So the time of a plan is a sum over the humans, and one
-    compiled function plans under all assignments. For the number of steps, see `most_steps`.
-    """
+    # Humans who do not respond drive as predicted.
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
-    for rung, model in enumerate(ladder):
+    for rung, model in enumerate(models):
         if not model.responds and type(model) is not Naive:
-            expected = _predict(model, rung, game, state, rungs, start, expected)
-    responding = jnp.array([model.responds for model in ladder])[rungs]
-    interaction = Interaction(game, state, jnp.argsort(~responding, stable=True), jnp.sum(responding))
-    first = Plan(start.robot, jnp.where(responding[:, None, None], start.humans, expected))
-    return joint_ascent(interaction, first, most_steps(ladder, game, rungs))
+            chosen = None if len(models) == 1 else rungs == rung
+            expected = _predicted(model, chosen, game, state, begin, expected)
+
+    # Humans who respond begin where their model says.
+    for rung, model in enumerate(models):
+        if model.responds and type(model).start is not HumanModel.start:
+            chosen = None if len(models) == 1 else rungs == rung
+            begin = _started(model, chosen, game, state, begin)
+
+    if len(models) == 1:
+        (model,) = models
+        humans = begin.humans if model.responds else expected
+        known = tuple(range(game.number)) if model.responds else ()
+        planner = replace(game.planner, solver=own_solver(model, game))
+        own = replace(game, planner=planner)
+        return ascend(Interaction(own, state, Responders(known)), Plan(begin.robot, humans))
+    responders = assigned_responders(models, game, rungs)
+    responds = responders.steps > 0
+    humans = jnp.where(responds[:, None, None], begin.humans, expected)
+    return ascend(Interaction(game, state, responders), Plan(begin.robot, humans))
 
 
-def _predict(
-    model: HumanModel, rung: int, game: Game, state: State, rungs: Rungs, start: Plan, expected: HumansControls
+def _predicted(
+    model: HumanModel,
+    chosen: Bool[Array, "humans"] | None,
+    game: Game,
+    state: State,
+    start: Plan,
+    expected: HumansControls,
 ) -> HumansControls:
-    """Predict the humans on a rung, one after the other, each in the game of the robot with this human alone."""
-    anew = game.planner.smooth  # plans up a smooth reward find their own start
+    """Predict the chosen humans by a model, each in the game of the robot with this human alone.
 
-    def predict(human: Index, expected: HumansControls) -> HumansControls:
-        begin = None if anew else Plan(start.robot, start.humans[human][None])
-        return expected.at[human].set(scaled_prediction(model, *pair(model.within(game), state, human), begin))
-
-    return for_each(rungs == rung, predict, expected)
-
-
-def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tuple[Index, Index] | None:
-    """Return the largest numbers of steps that rungs in use ask for: without responses, and with responses.
-
-    None if all rungs ask for the planner's. Only models that respond count for steps with responses.
+    Args:
+        model: that predicts.
+        chosen: whether the model predicts each human; None for all.
+        game: that is played.
+        state: all cars now.
+        start: scaled plan from which the robot's starts.
+        expected: controls of the humans who are not chosen.
     """
-    if not any(model.steps for model in ladder):
-        return None
-    alone, joint = game.planner.steps
-    each = [(model.steps or alone, model.responds * (model.steps or joint)) for model in ladder]
-    return tuple(jnp.asarray(each)[rungs].max(axis=0))
+
+    def predict(human: Index) -> Controls:
+        begin = None
+        if not game.planner.solver.smooth:  # plans up a smooth reward find their own start
+            begin = Plan(start.robot, start.humans[human][None])
+        return scaled_prediction(model, *pair(game, state, human), begin)
+
+    if chosen is None:
+        return for_numbers(game.number, predict)
+    return for_each(chosen, lambda human, all_of: all_of.at[human].set(predict(human)), expected)
+
+
+def _started(
+    model: HumanModel,
+    chosen: Bool[Array, "humans"] | None,
+    game: Game,
+    state: State,
+    start: Plan,
+) -> Plan:
+    """Return the start of the plan with that of a model for the humans who are chosen, see `_predicted`.
+
+    The robot begins as the model says for the first of these humans.
+    """
+
+    def begin(human: Index) -> Plan:
+        own_game, own_state = pair(game, state, human)
+        last = Plan(start.robot, start.humans[human][None])
+        own = model.start(own_game, own_state, last)
+        return Plan(jnp.asarray(own.robot), jnp.asarray(own.humans)[0])
+
+    starts = for_numbers(game.number, begin)
+    if chosen is None:
+        return Plan(starts.robot[0], starts.humans)
+    humans = jnp.where(chosen[:, None, None], starts.humans, start.humans)
+    first = jnp.argmax(chosen)
+    robot = jnp.where(chosen.any(), starts.robot[first], start.robot)
+    return Plan(robot, humans)
+
+
+def assigned_responders(
+    models: tuple[HumanModel, ...], game: Game, rungs: Rungs
+) -> Responders:
+    """Return who responds under an assignment of models, and in which steps.
+
+    Each human takes the steps of its own model. The robot takes those of the model in use with the
+    most steps; where somebody responds, of the models that respond.
+    """
+    solvers = [own_solver(model, game) for model in models]
+    responds = jnp.array([model.responds for model in models])[rungs]
+    joint_steps = _of_rungs([solver.most_steps(responds=True) for solver in solvers], rungs)
+    steps_alone = _of_rungs([solver.most_steps(responds=False) for solver in solvers], rungs)
+
+    # Humans who respond in most steps come first; the robot goes on for as long as one of them.
+    steps = jnp.where(responds, joint_steps, 0).astype(jnp.int32)
+    order = jnp.argsort(-steps, stable=True)
+    longest = steps.max()
+    robot_steps = jnp.where(longest > 0, longest, jnp.max(steps_alone))
+    if all(solver is game.planner.solver for solver in solvers):
+        return Responders(None, order, steps, robot_steps)
+    if not isinstance(game.planner.solver, Ascent):
+        return Responders(None, order, steps, robot_steps)
+
+    # Gradient steps are as long as each human's own model says, the robot's as those it follows.
+    sizes = jnp.stack([jnp.asarray(solver.step_size, jnp.float32) for solver in solvers])[rungs]
+    leading = jnp.argmax(jnp.where(longest > 0, steps, steps_alone))
+    return Responders(None, order, steps, robot_steps, sizes, sizes[leading])
+
+
+def _of_rungs(values: Sequence[int], rungs: Rungs) -> Int[Array, "humans"] | int:
+    """Return the value of each human's rung; a number if it is the same for all rungs."""
+    if len({*values}) == 1:
+        return values[0]
+    return jnp.array(values)[rungs]
 
 
 REPEATS = 20  # of timed plans and decisions
@@ -125,10 +222,11 @@ class CompiledPlans:
     def __init__(self, game: Game, ladder: Sequence[HumanModel]) -> None:
         self.game, self.ladder = game, tuple(ladder)
         self._placed = Placed(single(game))
-        self._continues = may_continue(self.ladder, game)
 
-    def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Plan, float]:
-        """Return the scaled plan in a `checked_state`, as NumPy arrays, and the seconds that it took.
+    def plan(
+        self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
+    ) -> tuple[Solution, float]:
+        """Return the solution in a `checked_state`, as NumPy arrays, and the seconds that it took.
 
         Args:
             state: all cars now.
@@ -136,16 +234,19 @@ class CompiledPlans:
             start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
         """
         function, *arguments = self.call(state, rungs, start)
-        planned, seconds = timed(function, *arguments)
-        return Plan(*map(np.asarray, planned)), seconds
+        solution, seconds = timed(function, *arguments)
+        return jax.tree.map(np.asarray, solution), seconds
 
     def call(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple:
         """Return the compiled function of a plan, see `plan_function`, and its arguments."""
-        if start is None and self._continues:  # compiled once, with a start
+        if start is None:
             start = cold_start(self.game, np.asarray(state))
-        several = self.game.number > 1
-        models = self.ladder if several else (self.ladder[int(rungs[0])],)
-        arguments = self._placed.take(), state, np.asarray(rungs, np.int32) if several else None, start
+        models = self.ladder
+        places = np.asarray(rungs, np.int32)
+        if self.game.number == 1:  # each model has its own function, which is smaller
+            models = (self.ladder[int(rungs[0])],)
+            places = np.zeros(1, np.int32)
+        arguments = self._placed.take(), state, places, start
         return plan_function(models).of(*arguments), *arguments
 
     def warm_up(self, state: State, way_out: bool = False) -> float:
@@ -196,9 +297,9 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
     if len(now) <= game.number:
         raise ValueError(f"the state has {len(now)} cars; the game has a robot and {game.number} humans")
     check_own_features(game.scene, game.robot, game.number, now)
-    planned, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
+    solution, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
     scale = np.asarray(game.planner.control_scale, dtype=float)
-    return Plan(planned.robot * scale, planned.humans * scale)
+    return Plan(solution.plan.robot * scale, solution.plan.humans * scale)
 
 
 def checked_state(state: State) -> State:
@@ -238,8 +339,11 @@ def measure_costs(game: Game, ladder: Sequence[HumanModel], state: State, quanti
     plans.warm_up(now, way_out)
 
     def once(rung: int) -> float:
-        plan, seconds = plans.plan(now, [rung] * game.number)
-        return seconds + (plans.keep_way_out(now, plan.robot[0])[1] if way_out else 0.0)
+        solution, seconds = plans.plan(now, [rung] * game.number)
+        if not way_out:
+            return seconds
+        _, checking = plans.keep_way_out(now, solution.plan.robot[0])
+        return seconds + checking
 
     whole = np.quantile([[once(rung) for _ in range(REPEATS)] for rung in range(len(ladder))], quantile, axis=1)
     base = float(whole[0]) if game.number > 1 else 0.0

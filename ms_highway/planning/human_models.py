@@ -1,11 +1,13 @@
-"""Plan under each human model of the ladder: naive, IDM, turn and theory of mind.
+"""Define the human models of the ladder: naive, IDM, turn and theory of mind.
 
-A `HumanModel` predicts one human, in the game of the robot with that human alone (`ms_highway.game.game.pair`);
-`ms_highway.planning.compiled_plans` plans among several. Predictions are in SI units; plans and their starts are
-scaled, see `ms_highway.game.game`.
+A `HumanModel` predicts one human, in the game of the robot with that human alone
+(`ms_highway.game.game.pair`), or lets it respond to the robot's plan;
+`ms_highway.planning.compiled_plans` plans with a model for every human. Predictions are in SI units;
+plans and their starts are scaled, see `ms_highway.game.game`.
 
-A model has an effort: its number of steps, and the plan from which they start. ``tom@8`` is theory of mind in 8 ascent
-steps, ``tom+warm`` starts from the rest of the last plan, and ``tom@8+warm`` does both.
+A model has an effort: its number of steps, and the plan from which they start. ``tom@8`` is theory
+of mind in 8 ascent steps, ``tom+warm`` starts from the rest of the last plan, and ``tom@8+warm``
+does both.
 """
 
 from collections.abc import Iterable, Mapping
@@ -19,32 +21,28 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.game.dynamics import keep_velocity, step
-from ms_highway.game.game import Game, bounded, pair, swap_players
+from ms_highway.game.game import Game, bounded, constant_velocity, pair, swap_players
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.numerics.solvers import STEP_SHARE, longest_step
-from ms_highway.planning.joint import Interaction, joint_ascent
+from ms_highway.numerics.solvers import Solver, longest_step
+from ms_highway.planning.joint import Interaction, Responders, ascend, plan_against
 from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration
-from ms_highway.planning.plans import Plan, cold_start, plan_against
+from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.runtime.arrays import Car, Control, Controls, State, naming_writes, read_only
 
 HEADWAY, STANDSTILL = 0.1, 1.0  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 
-STEP_SIZE = 0.1  # of a counted step; at the paper's horizon, some plans overshoot and collide from 0.15 on
-
 
 @dataclass(frozen=True)
 class HumanModel:
-    """A rung of the ladder, which predicts one human; hashable, as a plan is compiled once per model.
+    """A rung of the ladder; hashable, as a plan is compiled once per model.
 
-    With a number of steps, a model takes gradient steps, whatever the planner's solver and step size. They are as long
-    as is safe: 0.1 or, if that is shorter, `ms_highway.numerics.solvers.STEP_SHARE` of the longest step, as from
-    K = 6 on at 0.1 s. The reward of a plan depends on the summed length of its steps: 6 of them earn as much as the
-    paper's 20 of 0.03, and more of them earn more. The solver ``convex_newton`` takes so many of its own steps.
-    Among several humans, see `ms_highway.planning.compiled_plans.most_steps`.
+    A model predicts the human, by `predict`, or it ``responds``: then the human improves its own
+    controls in every step of the robot's plan, alone and among several humans, in the steps of
+    `solver` from `start`.
 
     Attributes:
         name: in configurations and reports, with the effort; that of the class is without.
-        responds: whether the human responds to the robot's plan; among several humans, as under theory of mind.
+        responds: whether the human responds to the robot's plan.
         steps: number of steps of each ascent; None for the planner's.
         warm: whether plans start from the rest of the last plan, of any model, instead of a cold start.
     """
@@ -60,16 +58,27 @@ class HumanModel:
         if effort:
             object.__setattr__(self, "name", type(self).name + effort)
 
-    def within(self, game: Game) -> Game:
-        """Return the game for plans in this effort."""
+    def solver(self, game: Game) -> Solver:
+        """Return the solver of plans under this model: the planner's, in the model's number of steps.
+
+        A model of one's own may return the planner's solver with other numbers, but no solver of
+        another type.
+        """
+        usual = game.planner.solver
         if self.steps is None:
-            return game
-        if game.planner.solver == "convex_newton":
-            return replace(game, planner=replace(game.planner, newton_steps=self.steps, joint_steps=self.steps))
+            return usual
         longest = longest_step(game.planner.horizon, game.dynamics.time_step)
-        length = jnp.minimum(STEP_SIZE, STEP_SHARE * longest)
-        planner = replace(game.planner, iterations=self.steps, step_size=length, solver="gradient")
-        return replace(game, planner=planner)
+        return usual.with_steps(self.steps, longest)
+
+    def start(self, game: Game, state: State, last: Plan) -> Plan:
+        """Return the scaled plan that plans under this model improve, for the robot and this human.
+
+        Args:
+            game: of the robot and this human.
+            state: of the robot, the human and all other cars.
+            last: rest of the last plan, if the model or the planner continues it, or else a cold start.
+        """
+        return last
 
     def seconds(self, costs: Mapping[str, float], usual: int) -> float | None:
         """Return T(M) [s]; None where it does not follow from the costs.
@@ -102,23 +111,16 @@ class HumanModel:
         Returns:
             Curvature omega [1/m] and acceleration a before friction [m/s^2] of each step, [horizon, 2].
         """
-        raise NotImplementedError
-
-    def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
-        """Plan against this model of the human, improving ``start``, by default `ms_highway.planning.plans.cold_start`.
-
-        The plan need not keep to the limits, see `ms_highway.planning.compiled_plans.plan_for`.
-        """
-        raise NotImplementedError
+        if not self.responds:
+            raise NotImplementedError(f"human model {self.name!r} defines no `predict`")
+        begin = cold_start(game, state) if start is None else start
+        solution = ascend(Interaction(game, state, Responders(known=(0,))), begin)
+        return solution.plan.humans[0] * game.planner.control_scale
 
 
 @dataclass(frozen=True)
 class PredictedHuman(HumanModel):
-    """Base of models that predict the human whatever the robot plans; the robot optimises against the prediction."""
-
-    def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
-        """Optimise the robot's controls against the prediction."""
-        return plan_against(game, state, scaled_prediction(self, game, state, start)[None], start)
+    """Base of models that predict the human whatever the robot plans."""
 
 
 @dataclass(frozen=True)
@@ -172,28 +174,25 @@ class Turn(PredictedHuman):
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the human's plan against a robot that keeps its velocity."""
-        mirrored = start and Plan(start.humans[0], start.robot[None])
-        return Naive().plan(*swap_players(game, state), mirrored).robot * game.planner.control_scale
+        mirrored = None if start is None else Plan(start.humans[0], start.robot[None])
+        own_game, own_state = swap_players(game, state)
+        solution = plan_alone(own_game, own_state, mirrored)
+        return solution.plan.robot * game.planner.control_scale
 
 
 @dataclass(frozen=True)
 class TheoryOfMind(HumanModel):
-    """The human responds optimally to the robot's plan, and the robot anticipates it, see `ms_highway.planning.joint`.
-
-    Under the planner's solvers ``gradient`` and ``newton``, plans take gradient steps, as a joint ascent has no single
-    objective for a line search.
-    """
+    """The human responds optimally to the robot's plan, and the robot anticipates it, see `ms_highway.planning.joint`."""
 
     name: ClassVar[str] = "tom"
     responds: ClassVar[bool] = True
 
-    def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
-        """Return the human's side of the joint plan."""
-        return self.plan(game, state, start).humans[0] * game.planner.control_scale
 
-    def plan(self, game: Game, state: State, start: Plan | None = None) -> Plan:
-        """Improve the robot's and the human's controls by a joint ascent."""
-        return joint_ascent(Interaction(game, state), cold_start(game, state) if start is None else start)
+def plan_alone(game: Game, state: State, start: Plan | None = None) -> Solution:
+    """Plan the controls of car 0, which believes that all others keep their velocity."""
+    partners = constant_velocity(game, state[1 : 1 + game.number])
+    begin = cold_start(game, state) if start is None else start
+    return plan_against(game, state, partners, begin)
 
 
 PACKAGE_TYPES = (Naive, IntelligentDriver, Turn, TheoryOfMind)
@@ -211,10 +210,29 @@ def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan |
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
     """
-    controls = model.predict(game, state, start)
+    controls = model.predict(_within(model, game), state, start)
     if is_of_package(model):
         return controls / game.planner.control_scale
     return _scaled_within_limits(game, state[1], _checked(model, game, controls))
+
+
+def own_solver(model: HumanModel, game: Game) -> Solver:
+    """Return the solver of a model, see `HumanModel.solver`.
+
+    Raises:
+        ValueError: for a solver of another type than the planner's.
+    """
+    solver = model.solver(game)
+    usual = type(game.planner.solver)
+    if type(solver) is not usual:
+        remedy = f"return game.planner.solver, a {usual.__name__}, with other numbers"
+        raise ValueError(f"human model {model.name!r} plans by {solver!r}; {remedy}")
+    return solver
+
+
+def _within(model: HumanModel, game: Game) -> Game:
+    """Return the game with the solver of a model."""
+    return replace(game, planner=replace(game.planner, solver=own_solver(model, game)))
 
 
 def _scaled_within_limits(game: Game, human: Car, controls: Controls) -> Controls:
@@ -244,7 +262,7 @@ def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> No
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue
-        own, cars = pair(read_only(model.within(game)), jnp.asarray(state), 0)
+        own, cars = pair(read_only(_within(model, game)), jnp.asarray(state), 0)
         with naming_writes(f"the human model {model.name!r}"):
             predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
         kept = np.asarray(_scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale)

@@ -1,14 +1,15 @@
-"""Improve the robot's plan jointly with the humans' responses: theory of mind about one human or several.
+"""Improve the robot's plan jointly with the responses of any number of humans, or of none.
 
-A human under theory of mind responds to the robot's plan; all others drive as predicted. So the derivative of the
-humans' controls in the robot's is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``. The robot climbs along
-``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each human along ``dR_i/du_i``. J is never formed (adjoint method):
-``J_i^T dR_R/du_i`` follows from one linear response of the human to ``dR_R/du_i`` and from the derivatives of its
-reward in both trajectories.
+A human who responds to the robot's plan (theory of mind) improves its own controls in every step of
+the ascent; all others drive as predicted. So the derivative of the humans' controls in the robot's
+is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``. The robot climbs along
+``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each responding human along ``dR_i/du_i``. J is never formed
+(adjoint method): ``J_i^T dR_R/du_i`` follows from one linear response of the human to ``dR_R/du_i``
+and from the derivatives of its reward in both trajectories.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple, TypeVar
 
@@ -27,13 +28,19 @@ from ms_highway.game.game import (
     with_scripted,
 )
 from ms_highway.game.payoff import Bends
-from ms_highway.numerics.convex_newton import Local, expand, improve, share, until_still
-from ms_highway.numerics.second_derivatives import response, second_order_expansion
-from ms_highway.numerics.solvers import projected_ascent
-from ms_highway.planning.plans import Plan, best_start, driving, within_limits
+from ms_highway.numerics.convex_newton import Local, expand, improve, share
+from ms_highway.numerics.second_derivatives import (
+    response,
+    second_order_expansion,
+    trajectory_jacobian,
+)
+from ms_highway.numerics.solvers import Ascent
+from ms_highway.planning.plans import Plan, Solution, best_start, driving, within_limits
 from ms_highway.runtime.arrays import (
+    Controls,
     HumansControls,
     Index,
+    PerHuman,
     Rungs,
     Scalar,
     State,
@@ -45,82 +52,213 @@ from ms_highway.runtime.arrays import (
 Carry = TypeVar("Carry")
 
 
-class Interaction(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Responders:
+    """The humans who respond to the robot's plan, and the steps of the ascent.
+
+    Attributes:
+        known: their numbers, if these are known before the call; then all respond in every step, and
+            the steps are those of the planner's solver (static).
+        order: numbers of all humans otherwise, those who respond in most steps first.
+        steps: number of the first steps in which each human responds, by its own number.
+        robot_steps: number of the robot's steps at most.
+        step_sizes: length of each human's gradient steps, by its own number.
+        robot_step_size: length of the robot's.
+    """
+
+    known: tuple[int, ...] | None = field(default=None, metadata={"static": True})
+    order: Rungs | None = None
+    steps: Rungs | None = None
+    robot_steps: Index | None = None
+    step_sizes: PerHuman | None = None
+    robot_step_size: Scalar | None = None
+
+
+NOBODY = Responders(known=())
+"""Responders of a plan to which no human responds."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Interaction:
     """A situation, and the humans who respond to the robot's plan in it.
 
     Attributes:
         game: that is played.
         state: all cars now.
-        order: numbers of the humans, those who respond first; None where the only human responds.
-        responding: number of humans who respond.
+        responders: humans who respond.
     """
 
     game: Game
     state: State
-    order: Rungs | None = None
-    responding: Index = 1
+    responders: Responders = NOBODY
 
-    def fold(self, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
-        """Apply a function to the number of every human who responds, one after the other."""
-        order = self.order
-        if order is None:
-            return function(0, carry)
-        return jax.lax.fori_loop(0, self.responding, lambda place, carry: function(order[place], carry), carry)
+    @property
+    def nobody_responds(self) -> bool:
+        """Whether it is known before the call that no human responds."""
+        return self.responders.known == ()
 
-    def around(self, human: Index, robot: Trajectory, others: Trajectories) -> Trajectories:
-        """Return the trajectories of all others from a human's side, the robot's first, from those around the robot."""
-        if self.game.number == 1:
-            return jnp.concatenate([robot[None], others[1:]])
-        return jnp.concatenate([robot[None], others[jnp.asarray(others_of(len(others)))[human]]])
+    @property
+    def most_steps(self) -> Index:
+        """Number of steps of the ascent at most."""
+        if self.responders.known is None:
+            return self.responders.robot_steps
+        return self.game.planner.solver.most_steps(responds=bool(self.responders.known))
+
+    def fold(
+        self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
+    ) -> Carry:
+        """Apply a function to the number of every human who responds, one by one.
+
+        Args:
+            count: number of humans who respond, of `responding`.
+            function: takes the number of a human and the result so far.
+            carry: first result.
+        """
+        known = self.responders.known
+        if known is not None and len(known) < 2:
+            return function(known[0], carry) if known else carry
+        order = self.responders.order if known is None else jnp.array(known)
+
+        def respond(place: Index, carry: Carry) -> Carry:
+            return function(order[place], carry)
+
+        return jax.lax.fori_loop(0, count, respond, carry)
+
+    def responding(self, step: Index) -> Index:
+        """Return the number of the humans who respond in a step."""
+        if self.responders.known is None:
+            return jnp.sum(self.responders.steps > step)
+        return len(self.responders.known)
+
+    def human_step_size(self, human: Index) -> Scalar:
+        """Return the length of a human's gradient steps."""
+        sizes = self.responders.step_sizes
+        return self.game.planner.solver.step_size if sizes is None else sizes[human]
+
+    @property
+    def robot_step_size(self) -> Scalar:
+        """Length of the robot's gradient steps."""
+        size = self.responders.robot_step_size
+        return self.game.planner.solver.step_size if size is None else size
 
 
-def joint_ascent(interaction: Interaction, start: Plan, steps: tuple[Index, Index] | None = None) -> Plan:
-    """Improve the robot's controls and those of the humans who respond.
+@jax.jit  # traced once for the human and the robot
+def ascend(interaction: Interaction, start: Plan) -> Solution:
+    """Improve the robot's controls and those of the humans who respond, by the planner's solver.
 
-    * The planner's solver ``gradient`` (and ``newton``): the paper's joint gradient steps.
-    * ``convex_newton``, for horizons of seconds: the robot takes the steps of `ms_highway.numerics.convex_newton` on
-      its own reward, with the gradient above. The share of a step depends on the robot's reward once the humans have
-      responded, by their linear response ``J_i du_R`` and a step of their own.
+    * ``Ascent``: the paper's joint gradient steps.
+    * ``Newton``, for horizons of seconds: the robot takes the steps of
+      `ms_highway.numerics.convex_newton` on its own reward, with the gradient above. The share of a
+      step depends on the robot's reward once the humans have responded, by their linear response
+      ``J_i du_R`` and a step of their own.
 
     Args:
         interaction: the situation, and the humans who respond.
         start: scaled plan; humans who do not respond keep to it.
-        steps: their largest numbers, if nobody responds and if a human does; the planner's by default.
     """
-    game, state = interaction.game, interaction.state
-    limit = partial(within_limits, game, state)
-    alone, joint = steps or game.planner.steps
-    if game.planner.solver != "convex_newton":
-        return projected_ascent(game.planner, partial(_direction, interaction), start, limit, alone)
-    begin = limit(start)
-    others = with_scripted(game, state, move_all(game, state[1 : 1 + game.number], begin.humans))
-    robot = bounded(game, state[0], best_start(game, state[0], begin.robot, others))
-    most = joint if interaction.order is None else jnp.where(interaction.responding > 0, joint, alone)
-    first = begin._replace(robot=robot), others
-    return until_still(lambda now: _newton_step(interaction, *now), first, most, lambda now: now[0])[0]
+    game = interaction.game
+    state = interaction.state
+    solver = game.planner.solver
+    take_step = _gradient_step if isinstance(solver, Ascent) else _newton_step
+
+    # Newton steps begin within the limits, the robot's perhaps at a manoeuvre.
+    humans = state[1 : 1 + game.number]
+    if not isinstance(solver, Ascent) and not interaction.nobody_responds:
+        start = within_limits(game, state, start)
+    others = with_scripted(game, state, move_all(game, humans, start.humans))
+    if not isinstance(solver, Ascent):
+        begin = best_start(game, state[0], start.robot, others)
+        start = start._replace(robot=bounded(game, state[0], begin))
+
+    # What a step moves: the robot's controls and, if somebody may respond, the humans.
+    def step_alone(step: Index, robot: Controls) -> Controls:
+        plan, _ = take_step(interaction, step, Plan(robot, start.humans), others)
+        return plan.robot
+
+    def joint_step(step: Index, now: tuple[Plan, Trajectories]) -> tuple[Plan, Trajectories]:
+        return take_step(interaction, step, *now)
+
+    most = interaction.most_steps
+    if interaction.nobody_responds:
+        alone = solver.repeat(step_alone, start.robot, most, lambda robot: robot)
+        return Solution(Plan(alone.point, start.humans), alone.steps, alone.converged)
+    joint = solver.repeat(joint_step, (start, others), most, lambda now: now[0])
+    plan, _ = joint.point
+    return Solution(plan, joint.steps, joint.converged)
 
 
-def _direction(interaction: Interaction, plan: Plan) -> Plan:
-    """Return the direction of a joint gradient step."""
-    game, state = interaction.game, interaction.state
-    robot, pull_robot = jax.vjp(partial(move, game, state[0]), plan.robot)
-    humans, pull_humans = jax.vjp(partial(move_all, game, state[1 : 1 + game.number]), plan.humans)
-    others = with_scripted(game, state, humans)
+def plan_against(game: Game, state: State, humans: HumansControls, start: Plan) -> Solution:
+    """Optimise the robot's controls against fixed controls of the humans, from a start."""
+    return ascend(Interaction(game, state), Plan(start.robot, humans))
+
+
+def trajectories_around(
+    human: Index, robot: Trajectory, others: Trajectories
+) -> Trajectories:
+    """Return the trajectories of all others from a human's side, the robot's first.
+
+    Args:
+        human: its number.
+        robot: trajectory of the robot.
+        others: trajectories of all cars around the robot.
+    """
+    if isinstance(human, int):
+        rest = jnp.delete(others, human, axis=0)
+    else:
+        rest = others[jnp.asarray(others_of(len(others)))[human]]
+    return jnp.concatenate([robot[None], rest])
+
+
+def _gradient_step(
+    interaction: Interaction, step: Index, plan: Plan, others: Trajectories
+) -> tuple[Plan, Trajectories]:
+    """Take a gradient step of the robot and of the humans who respond."""
+    game = interaction.game
+    state = interaction.state
+    count = interaction.responding(step)
+    drive = partial(move, game, state[0])
+    robot = drive(plan.robot)
     along_robot, along_others = game.payoff.slopes(robot, others)
-    pulled = pull_humans(along_others[: game.number])[0]
 
-    def respond(human: Index, slopes: Plan) -> Plan:
-        own, car = swap_roles(game, human), state[1 + human]
-        slope, bends, mixed = own.payoff.second_order(others[human], interaction.around(human, robot, others))
+    def respond(
+        human: Index, now: tuple[Trajectory, HumansControls, Trajectories]
+    ) -> tuple[Trajectory, HumansControls, Trajectories]:
+        slope, humans, paths = now
+        own = swap_roles(game, human)
+        car = state[1 + human]
+        path = partial(move, own, car)
+
+        # The human's reward to second order in its controls.
+        around = trajectories_around(human, robot, others)
+        derivatives = own.payoff.second_order(others[human], around)
         cost = partial(discomfort, own, car)
-        expansion = second_order_expansion(partial(move, own, car), plan.humans[human], slope, bends, cost)
-        pushed = response(game.influence, expansion.hessian, pulled[human].ravel())
-        climbs = slopes.humans.at[human].set(expansion.gradient.reshape(-1, 2))
-        return Plan(slopes.robot + _mixed(expansion.jacobian @ pushed, mixed), climbs)
+        expansion = second_order_expansion(
+            path, plan.humans[human], derivatives.slope, derivatives.own, cost
+        )
 
-    along, humans_slopes = interaction.fold(respond, Plan(along_robot, jnp.zeros_like(plan.humans)))
-    eased = pull_robot(along)[0] - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
-    return Plan(eased, humans_slopes)
+        # What the robot earns through the human's response to its plan.
+        jacobian = expansion.jacobian.reshape(-1, plan.robot.size)
+        pulled = along_others[human].ravel() @ jacobian
+        pushed = response(game.influence, expansion.hessian, pulled)
+        slope = slope + _mixed(expansion.jacobian @ pushed, derivatives.partner)
+
+        # The human's own step.
+        size = interaction.human_step_size(human)
+        climbed = plan.humans[human] + size * expansion.gradient.reshape(-1, 2)
+        controls = bounded(own, car, climbed)
+        return slope, humans.at[human].set(controls), paths.at[human].set(path(controls))
+
+    start = (along_robot, plan.humans, others)
+    slope, humans, paths = interaction.fold(count, respond, start)
+
+    # The robot's step, along its reward and what it earns through the humans.
+    jacobian = trajectory_jacobian(drive, plan.robot).reshape(slope.size, -1)
+    uphill = (slope.ravel() @ jacobian).reshape(-1, 2)
+    gradient = uphill - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
+    climbed = plan.robot + interaction.robot_step_size * gradient
+    return Plan(bounded(game, state[0], climbed), humans), paths
 
 
 def _mixed(moved: Trajectory, bends: Bends) -> Trajectory:
@@ -137,21 +275,42 @@ class _Responses(NamedTuple):
     humans: HumansControls  # improved
 
 
-def _newton_step(interaction: Interaction, plan: Plan, others: Trajectories) -> tuple[Plan, Trajectories]:
-    """Take a step of the robot and of the humans who respond, from a plan and the others' trajectories under it."""
-    game, state = interaction.game, interaction.state
-    path, driver = move(game, state[0], plan.robot), driving(game, state[0], others)
-    along_robot, along_others = game.payoff.slopes(path, others)
-    robot = expand(driver, plan.robot, along_robot)
+def _newton_step(
+    interaction: Interaction, step: Index, plan: Plan, others: Trajectories
+) -> tuple[Plan, Trajectories]:
+    """Take a Newton step of the robot and of the humans who respond.
 
+    Args:
+        interaction: the situation, and the humans who respond.
+        step: its number.
+        plan: before the step.
+        others: trajectories of all others under it.
+    """
+    game = interaction.game
+    state = interaction.state
+    count = interaction.responding(step)
+    path = move(game, state[0], plan.robot)
+    driver = driving(game, state[0], others)
+    along_robot, along_others = game.payoff.slopes(path, others)
+    robot = expand(driver, plan.robot, path, along_robot)
+    if interaction.nobody_responds:  # so that the robot climbs its own reward
+        return Plan(improve(driver, plan.robot, robot), plan.humans), others
+
+    # Each human's step, and what the robot earns through its response.
     def respond(human: Index, responses: _Responses) -> _Responses:
-        own, around, now = swap_roles(game, human), interaction.around(human, path, others), plan.humans[human]
+        own = swap_roles(game, human)
+        around = trajectories_around(human, path, others)
+        now = plan.humans[human]
+        own_path = others[human]
         wanted = driving(own, state[1 + human], around)
-        local, mixed = expand(wanted, now), mixed_bends(own, others[human], around)
-        pushed = local.solve(along_others[human].ravel() @ local.jacobian.reshape(-1, now.size))
+        local = expand(wanted, now, own_path)
+        mixed = mixed_bends(own, own_path, around)
+        pulled = along_others[human].ravel() @ local.jacobian.reshape(-1, now.size)
+        pushed = local.solve(pulled)
         through = _mixed(local.jacobian @ pushed, mixed)
+        slope = through.ravel() @ robot.jacobian.reshape(through.size, -1)
         return _Responses(
-            responses.slope + through.ravel() @ robot.jacobian.reshape(through.size, -1),
+            responses.slope + slope,
             jax.tree.map(lambda all_of, one: all_of.at[human].set(one), responses.local, local),
             responses.mixed.at[human].set(mixed),
             responses.humans.at[human].set(improve(wanted, now, local)),
@@ -159,34 +318,50 @@ def _newton_step(interaction: Interaction, plan: Plan, others: Trajectories) -> 
 
     nothing = jax.tree.map(lambda part: jnp.zeros((game.number, *part.shape)), robot)
     unmixed = jnp.zeros((game.number, len(path), *path.shape))
-    responses = interaction.fold(respond, _Responses(robot.gradient, nothing, unmixed, plan.humans))
-    step = robot.step(responses.slope)
-    ahead = robot.jacobian @ step
+    none = _Responses(robot.gradient, nothing, unmixed, plan.humans)
+    responses = interaction.fold(count, respond, none)
+
+    # The robot's whole step, and each human's linear reaction to it.
+    whole_step = robot.step(responses.slope)
+    ahead = robot.jacobian @ whole_step
 
     def react(human: Index, reactions: HumansControls) -> HumansControls:
-        local, mixed = jax.tree.map(lambda each: each[human], (responses.local, responses.mixed))
-        change = _mixed(ahead, jnp.swapaxes(mixed, 0, 1))
+        local = jax.tree.map(lambda part: part[human], responses.local)
+        change = _mixed(ahead, jnp.swapaxes(responses.mixed[human], 0, 1))
         wanted = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1))
         return reactions.at[human].set(wanted.reshape(-1, 2))
 
-    reactions = interaction.fold(react, jnp.zeros_like(plan.humans))
+    reactions = interaction.fold(count, react, jnp.zeros_like(plan.humans))
 
-    def after(part: Scalar) -> tuple[Plan, Trajectories]:
-        def put(human: Index, sides: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
+    def paths_after(part: Scalar) -> tuple[HumansControls, Trajectories]:
+        """Return the humans' controls and trajectories after their steps and a part of the reactions."""
+
+        def put(
+            human: Index, now: tuple[HumansControls, Trajectories]
+        ) -> tuple[HumansControls, Trajectories]:
+            humans, paths = now
             car = state[1 + human]
             own = bounded(game, car, responses.humans[human] + part * reactions[human])
-            return sides[0].at[human].set(own), sides[1].at[human].set(move(game, car, own))
+            return humans.at[human].set(own), paths.at[human].set(move(game, car, own))
 
-        sides, paths = interaction.fold(put, (plan.humans, others))
-        return Plan(bounded(game, state[0], plan.robot + part * step.reshape(-1, 2)), sides), paths
+        return interaction.fold(count, put, (plan.humans, others))
 
-    (whole, reached), (none, held) = after(jnp.ones(())), after(jnp.zeros(()))
-    gone = whole.robot - none.robot
-    path, moved = jax.jvp(driver.path, (whole.robot,), (gone,))
-    along_robot, along_others = game.payoff.slopes(path, reached)
-    gain = jnp.sum(along_robot * moved) + jnp.sum(along_others * (reached - held))
-    gain -= jnp.sum(jax.grad(driver.cost)(whole.robot) * gone)
-    return after(share(responses.slope @ gone.ravel(), gain))
+    def robot_after(part: Scalar) -> Controls:
+        return bounded(game, state[0], plan.robot + part * whole_step.reshape(-1, 2))
+
+    # How much of the step to take, by the robot's gain along it at its end.
+    tried = robot_after(jnp.ones(()))
+    change = tried - plan.robot
+    _, full_paths = paths_after(jnp.ones(()))
+    path, moved = jax.jvp(driver.path, (tried,), (change,))
+    along_robot, along_others = game.payoff.slopes(path, full_paths)
+    gain = jnp.sum(along_robot * moved)
+    gain -= jnp.sum(jax.grad(driver.cost)(tried) * change)
+    _, still_paths = paths_after(jnp.zeros(()))
+    gain += jnp.sum(along_others * (full_paths - still_paths))
+    part = share(responses.slope @ change.ravel(), gain)
+    humans, paths = paths_after(part)
+    return Plan(robot_after(part), humans), paths
 
 
 def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:

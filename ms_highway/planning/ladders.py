@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import inf
 
 from ms_highway.numerics.solvers import MAX_ITERATIONS
-from ms_highway.planning.human_models import PACKAGE_TYPES, HumanModel, PredictedHuman
+from ms_highway.planning.human_models import PACKAGE_TYPES, HumanModel
 from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import check_own_name, keep_apart
 
@@ -54,10 +54,14 @@ def register(model: HumanModel, before: str | None = None) -> None:
     if not isinstance(model, HumanModel) or getattr(type(model), "name", None) != model.name:
         remedy = "make it a frozen dataclass derived from ms_highway.HumanModel, whose class has a name"
         raise ValueError(f"{model!r} is no model; {remedy}")
-    predicts = type(model).predict is not HumanModel.predict
-    if not predicts if isinstance(model, PredictedHuman) else type(model).plan is HumanModel.plan:
-        remedy = "derive it from ms_highway.PredictedHuman and define `predict`, or define `plan`"
-        raise ValueError(f"human model {model.name!r} neither predicts nor plans; {remedy}")
+    if hasattr(model, "plan"):
+        remedy = "define its own steps by `solver` and their start by `start`, or define `predict`"
+        raise ValueError(
+            f"human model {model.name!r} defines `plan`, which plans among several humans cannot obey; {remedy}"
+        )
+    if not model.responds and type(model).predict is HumanModel.predict:
+        remedy = "define `predict`, or set the class's ``responds`` to True"
+        raise ValueError(f"human model {model.name!r} neither predicts nor responds; {remedy}")
     try:
         hash(model)
     except TypeError as error:

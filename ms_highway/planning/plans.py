@@ -1,4 +1,4 @@
-"""Make plans: where they start from, against predicted humans, within limits."""
+"""Define plans and their solutions: where plans start from, what they maximise, and their limits."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -17,12 +17,19 @@ from ms_highway.game.game import (
     move,
     move_all,
     move_jacobian,
-    with_scripted,
 )
 from ms_highway.numerics.newton import Objective, best_of
-from ms_highway.numerics.solvers import optimize_controls
 from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
-from ms_highway.runtime.arrays import Car, Controls, HumansControls, State, Trajectories, for_rows
+from ms_highway.runtime.arrays import (
+    Car,
+    Controls,
+    Flag,
+    HumansControls,
+    Index,
+    State,
+    Trajectories,
+    for_rows,
+)
 
 RESTART_MARGIN = 5.0
 """Reward by which a manoeuvre has to be better than the last plan, so that small gains do not change plans."""
@@ -41,6 +48,20 @@ class Plan(NamedTuple):
     humans: HumansControls
 
 
+class Solution(NamedTuple):
+    """What a planner returns.
+
+    Attributes:
+        plan: scaled.
+        steps: number of steps of the ascent that led to it.
+        converged: whether the last of them hardly moved the plan.
+    """
+
+    plan: Plan
+    steps: Index
+    converged: Flag
+
+
 def one_step_later(plan: Plan) -> Plan:
     """Return the rest of a plan after its first step; its last controls are repeated."""
     xp = plan.robot.__array_namespace__()  # of NumPy or JAX
@@ -53,7 +74,7 @@ def cold_start(game: Game, state: State) -> Plan:
     All controls are zero, the paper's start; under a smooth reward, they keep the velocity.
     """
     cars = 1 + game.number
-    if game.planner.smooth:
+    if game.planner.solver.smooth:
         controls = constant_velocity(game, state[:cars])
     else:
         controls = np.zeros((cars, game.planner.horizon, 2), np.float32)
@@ -62,7 +83,7 @@ def cold_start(game: Game, state: State) -> Plan:
 
 def may_continue(models: Iterable[Any], game: Game) -> bool:
     """Return whether plans under these human models may start from the rest of the last plan."""
-    return game.planner.persistent or any(model.warm for model in models)
+    return game.planner.solver.continues or any(model.warm for model in models)
 
 
 def driving(game: Game, car: Car, others: Trajectories) -> Objective:
@@ -84,7 +105,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
 
     Otherwise return the last plan's controls, or NaN where nothing earns a finite reward. The steps of a solver do not
     leave a local optimum: so there is a manoeuvre per gap, and one per lane and acceleration, see
-    `ms_highway.planning.manoeuvres`. Only plans that are persistent and climb a smooth reward start from manoeuvres.
+    `ms_highway.planning.manoeuvres`. Only plans that continue and climb a smooth reward start from manoeuvres.
 
     Args:
         game: of the robot.
@@ -92,7 +113,8 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
         last: scaled controls of the last plan.
         others: trajectories of all others.
     """
-    if not (game.planner.persistent and game.planner.smooth):
+    solver = game.planner.solver
+    if not (solver.continues and solver.smooth):
         return last
     held = manoeuvres(game, car, game.planner.horizon, ACCELERATIONS)
     gaps = into_gaps(game, car, Motion(*jnp.moveaxis(others, 1, 0)))
@@ -102,15 +124,6 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
     paths = jnp.concatenate([objective.path(last)[None], jnp.stack(observe(states), axis=1)])
     earned = jax.vmap(objective.earned)(controls, paths)
     return best_of(controls, earned.at[0].add(RESTART_MARGIN))
-
-
-@jax.jit  # traced once for the human and the robot, naive and turn
-def plan_against(game: Game, state: State, humans: HumansControls, start: Plan | None) -> Plan:
-    """Optimise the robot's controls against fixed controls of the humans."""
-    expected = with_scripted(game, state, move_all(game, state[1 : 1 + len(humans)], humans))
-    last = (cold_start(game, state) if start is None else start).robot
-    begin = best_start(game, state[0], last, expected)
-    return Plan(optimize_controls(game.planner, driving(game, state[0], expected), begin), humans)
 
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:

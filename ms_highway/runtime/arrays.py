@@ -54,6 +54,13 @@ def for_rows(function: Callable[..., Any], *arrays: Any) -> Any:
     return jax.tree.map(lambda part: part[None], function(*jax.tree.map(lambda part: part[0], arrays)))
 
 
+def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
+    """Compute a function of 0, 1, ..., one by one, and stack the results; a single one needs no loop."""
+    if count == 1:
+        return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
+    return jax.lax.map(function, jnp.arange(count))
+
+
 def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any) -> Any:
     """Loop over the chosen rows, one round for each, so that the time is proportional to their number.
 
@@ -67,7 +74,7 @@ def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], star
     """
 
     def loop() -> Any:
-        order = jnp.argsort(~chosen, stable=True)
+        order = jnp.argsort(-chosen.astype(int), stable=True)
         return jax.lax.fori_loop(0, jnp.sum(chosen), lambda place, found: function(order[place], found), start)
 
     return jax.lax.cond(chosen.any(), loop, lambda: start)
