@@ -90,8 +90,7 @@ class InteractionEnv(GameEnv):
     * ``grip``: the total acceleration that tyres hold, across and along [m/s^2], such as
       `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without reversing; None sets no limit, as
       in the paper, but stands for ``GRIP`` in physical semantics. It does not apply where the agent drives.
-    * ``solver``: how plans under models that do not respond are improved: ``"gradient"``, the paper's; ``"newton"``; or
-      ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop
+    * ``solver``: how plans are improved: ``"gradient"``, the paper's steps; or ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop
       (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics, with room between bodies.
     * ``horizon``: number of planned controls, of robot and humans.
     * ``time_step``: duration of a step of plans and of the environment [s].

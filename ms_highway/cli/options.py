@@ -62,8 +62,8 @@ keys; the most useful ones are:
                           with one human); shipped (default among several humans and in -v1), for which budgets take
                           measured ones; measured on this machine, not in simulations; or by model:
                           costs=naive=0.1,turn=0.2,tom=0.5
-  solver=newton           how the robot improves its plans: gradient, the paper's steps (default); newton, under naive
-                          and turn; or convex_newton, for plans of seconds (default among several humans and in -v1)
+  solver=convex_newton    how plans are improved: gradient, the paper's steps (default); or convex_newton, for plans of
+                          seconds (default among several humans and in -v1)
   horizon=10              number of controls in a plan (default: 5; 10 or 20 in -v1), each of time_step=0.1 seconds;
                           the number and size of gradient steps suit the horizon unless iterations=20 and
                           step_size=0.03 set them

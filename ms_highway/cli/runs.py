@@ -71,7 +71,6 @@ def compare(options: argparse.Namespace) -> None:
       ms-highway compare merger --controllers tom switching schedule:tom={4,6,8},naive --lambdas 0.01:1:9 --out out
       ms-highway compare merger --set ladder=naive,tom --controllers switching:0.1 --out results/two_rungs
       ms-highway compare give_way --set semantics=released --set costs=measured --out results/measured
-      ms-highway compare stay_back --controllers naive turn --set solver=newton --seeds 100 --out results/newton
       ms-highway compare --seeds 300 --set control_limit=0.2,9 --out results/what_tyres_hold
       ms-highway compare dense_merge --controllers naive tom nearest:1 budget:20 --out results/dense_merge
       ms-highway compare merger --set yielding=never --controllers tom tom+belief --out results/never

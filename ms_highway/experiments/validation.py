@@ -107,7 +107,7 @@ _rewards = jit_quickly(reward)
 
 def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
     plans = CompiledPlans(game, (model,))
-    return np.array([plans.plan(state, [0])[0].robot[0] for state in states])
+    return np.array([plans.plan(state, [0])[0].plan.robot[0] for state in states])
 
 
 def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str, int]:

@@ -148,7 +148,7 @@ class HumanVehicle(PlanningVehicle):
 
     Attributes:
         weights: by name, of the reward when it drives alone; by default, learned from demonstrations.
-        solver: see `ms_highway.numerics.solvers.optimize_controls`; weights divided by a temperature need
+        solver: see `ms_highway.numerics.solvers`; weights divided by a temperature need
             ``newton``.
         planning: horizon, time step and gradient steps.
         enable_lane_change: accepted for stock environments, but ignored: only the reward decides where to go.

@@ -41,7 +41,7 @@ NAIVE = {"type": "fixed", "model": "naive"}
 WRONG = [
     ([], "the configuration is []; it must be a dictionary"),
     ({"semantic": "paper"}, "unknown key 'semantic' in config; did you mean 'semantics'"),
-    ({"solver": None}, "config['solver'] is None; choose one of 'gradient', 'newton', 'convex_newton'"),
+    ({"solver": None}, "config['solver'] is None; choose one of 'gradient', 'convex_newton'"),
     ({"humans": 2.5}, "config['humans'] is 2.5; it must be a whole number"),
     ({"humans": 21}, "config['humans'] is 21; merger has one human; leave it out"),
     ({"controller": 3}, "config['controller'] is 3; its 'type' must be one of switching, horizon"),
@@ -471,8 +471,8 @@ def test_learned_values_warn_only_where_they_were_not_learned():
     told = "not in merger-v1, horizon 15.*`ms-highway values learn merger-v1 --set horizon=15"
     with pytest.warns(UserWarning, match=f"the values of computation were learned in .*{told}"):
         make("merger-v1", "learned:1", horizon=15)
-    with pytest.warns(UserWarning, match="not in dense_merge, solver newton"):
-        make(SEVERAL, "budget:20", solver="newton")
+    with pytest.warns(UserWarning, match="not in dense_merge, solver gradient"):
+        make(SEVERAL, "budget:20", solver="gradient")
     make("merger-v1", "learned:1+belief", yielding="never")  # measured, see the guide
 
 

@@ -79,7 +79,7 @@ def test_a_control_divided_by_the_ends_of_the_ranges_is_the_action_that_repeats_
 
 
 def test_gradient_steps_suit_the_horizon_and_longer_ones_give_one_warning():
-    assert make("merger", horizon=10).unwrapped.game.planner.iterations == 58
+    assert make("merger", horizon=10).unwrapped.game.planner.solver.iterations == 58
     with pytest.warns(UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot") as warned:
         make("merger", horizon=10, step_size=0.03)
     assert [each.category for each in warned].count(UserWarning) == 1

@@ -63,8 +63,8 @@ def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_th
     place = STOP - 34.0
     others = ([place + ahead, SCENE.target_lane, 0.0, 20.0] for ahead in (8.0, 0.0, -8.0))
     state = np.float32([[place, 0.0, 0.0, 21.0], *others])
-    planned, _ = CompiledPlans(GAME, [Naive()]).plan(state, [0])
-    x, *_, speed = np.asarray(move(GAME, state[0], planned.robot))[:, HALF]
+    solution, _ = CompiledPlans(GAME, [Naive()]).plan(state, [0])
+    x, *_, speed = np.asarray(move(GAME, state[0], solution.plan.robot))[:, HALF]
     assert -3.0 < x + speed**2 / (2 * GRIP) - STOP < 2.0
 
 

@@ -9,7 +9,8 @@ from ms_highway.numerics.convex_newton import (
     MIN_PART,
     MIN_SHARE,
     STEP_TOLERANCE,
-    convex_newton_steps,
+    expand,
+    improve,
     share,
     until_still,
 )
@@ -30,6 +31,17 @@ def objective(reward, curvature, limit=10.0):
     )
 
 
+def climb(hill, start, steps):
+    """Return the controls after Newton steps of a car to which nobody responds."""
+    point, *_ = until_still(
+        lambda _, controls: improve(hill, controls, expand(hill, controls)),
+        hill.bounded(start),
+        steps,
+        lambda controls: controls,
+    )
+    return point
+
+
 @jax.jit
 @jax.vmap
 def climbed(steepness, waves, limit):
@@ -39,7 +51,7 @@ def climbed(steepness, waves, limit):
         return waves * jnp.sum(jnp.cos(3 * path)) - steepness * jnp.sum((path - 1.0) ** 2)
 
     hill, start = objective(reward, lambda path: jnp.full_like(path, 2 * steepness), limit), jnp.full((6, 2), 0.9)
-    controls = convex_newton_steps(hill, start, steps=40)
+    controls = climb(hill, start, steps=40)
     return controls, hill.earned(controls) - hill.earned(start)
 
 
@@ -66,11 +78,11 @@ def test_similar_starts_end_in_similar_plans_even_where_the_reward_has_walls():
         squared = (path - 0.4) ** 2
         return 2 + 300 * jnp.maximum(0.3 - squared, 0.0) * 4 * squared
 
-    improve = jax.jit(jax.vmap(lambda start: convex_newton_steps(objective(walls, bend), start, steps=6)))
+    improved = jax.jit(jax.vmap(lambda start: climb(objective(walls, bend), start, steps=6)))
 
     def changes(lowest, highest):
         starts = np.linspace(lowest, highest, 5001)[:, None, None] * np.ones((6, 2))
-        return abs(np.diff(improve(starts), axis=0)).max(axis=(1, 2))
+        return abs(np.diff(improved(starts), axis=0)).max(axis=(1, 2))
 
     with jax.enable_x64(True):
         all_over = changes(0.0, 0.5)
@@ -89,11 +101,16 @@ def test_the_share_of_a_step_is_that_of_a_parabola_and_short_towards_nan():
 
 def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_hardly_matters():
     def rest(start, most=50):
-        return until_still(lambda point: 0.3 * point, start, most, lambda point: point)
+        return until_still(lambda _, point: 0.3 * point, start, most, lambda point: point)
 
     starts = np.geomspace(0.5 * STEP_TOLERANCE, 1.0, 4001, dtype=np.float32)
-    ends = np.asarray(jax.jit(jax.vmap(rest))(starts))
+    ends, steps, converged = map(np.asarray, jax.jit(jax.vmap(rest))(starts))
     assert ends[0] == starts[0]  # not worth a step
     assert ends.max() < 2 * STEP_TOLERANCE / 0.7
     assert abs(np.diff(ends)).max() < 2 * MIN_PART * STEP_TOLERANCE
-    assert rest(1.0, most=2) == pytest.approx(0.09)
+    assert converged.all()
+    assert steps[0] == 1
+    assert np.all(np.diff(steps) >= 0)
+    end, steps, converged = rest(1.0, most=2)
+    assert end == pytest.approx(0.09)
+    assert (int(steps), bool(converged)) == (2, False)

@@ -9,7 +9,8 @@ from commands import python
 
 from ms_highway.envs import SCENARIOS
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, plan
-from ms_highway.planning.ladders import MODELS, ladder
+from ms_highway.planning.human_models import plan_alone
+from ms_highway.planning.ladders import ladder
 
 IN_A_PROCESS_OF_ITS_OWN = """
 import os
@@ -27,7 +28,7 @@ plan = function.lower(*arguments).compile()
 print(os.environ["XLA_FLAGS"])
 print('xla_cpu_small_call="true"' in plan.as_text())  # whether a loop is one kernel
 print(jax.device_count())
-print(*np.asarray(plan(*arguments).robot).ravel().tolist())
+print(*np.asarray(plan(*arguments).plan.robot).ravel().tolist())
 """
 
 
@@ -47,7 +48,7 @@ def test_low_latency_makes_the_steps_of_a_plan_one_kernel_that_plans_the_same(pl
     assert fused
     assert devices == 2
     game, state = played("stay_back")
-    expected = jax.jit(MODELS["naive"].plan)(game, state).robot
+    expected = jax.jit(plan_alone)(game, state).plan.robot
     np.testing.assert_allclose(controls.reshape(5, 2), expected, atol=1e-5)
 
 

@@ -10,6 +10,7 @@ from driving import Brakes
 
 import ms_highway
 from ms_highway.game.game import swap_players, total_reward
+from ms_highway.numerics.solvers import Ascent
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import TheoryOfMind
 from ms_highway.planning.ladders import MODELS
@@ -17,7 +18,7 @@ from ms_highway.runtime.compilation import jit_quickly
 
 
 def plan(model, game, state):
-    return CompiledPlans(game, [model]).plan(checked_state(state), [0])[0]
+    return CompiledPlans(game, [model]).plan(checked_state(state), [0])[0].plan
 
 
 def mirrored(game, state):
@@ -61,7 +62,7 @@ def test_theory_of_mind_steps_along_the_total_derivative(played):
     jacobian = np.linalg.solve(damped, mixed)
     expected = slope_robot + (jacobian.T @ np.ravel(slope_human)).reshape(5, 2)
     assert abs(expected - slope_robot).max() > 1e-3, "the influence should matter here"
-    once = replace(game, planner=replace(game.planner, iterations=1))
+    once = replace(game, planner=replace(game.planner, solver=Ascent(iterations=1)))
     np.testing.assert_allclose(plan(TheoryOfMind(), once, state).robot, 0.03 * expected, rtol=1e-2, atol=1e-4)
 
 

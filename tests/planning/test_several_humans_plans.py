@@ -1,7 +1,6 @@
 """Plans among several humans: assignments of models, far humans, their order, and numbers of steps."""
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -9,23 +8,16 @@ import pytest
 from driving import Brakes
 
 from ms_highway.game.game import move, move_all, pair, swap_roles
-from ms_highway.planning.compiled_plans import CompiledPlans, checked_state, most_steps
-from ms_highway.planning.human_models import TheoryOfMind
-from ms_highway.planning.joint import Interaction, mixed_bends
+from ms_highway.numerics.solvers import Ascent
+from ms_highway.planning.compiled_plans import CompiledPlans, assigned_responders, checked_state
+from ms_highway.planning.joint import mixed_bends, trajectories_around
 from ms_highway.planning.ladders import PACKAGE_MODELS, ladder
 from ms_highway.planning.plans import cold_start
 from ms_highway.runtime.compilation import jit_quickly
 
 
-@dataclass(frozen=True)
-class Answering(TheoryOfMind):
-    """Theory of mind by another name."""
-
-    name: ClassVar[str] = "answering"
-
-
-LADDER = (*ladder(PACKAGE_MODELS), Brakes(3.0), Answering())
-NAIVE, IDM, TURN, TOM, BRAKES, ANSWERING = range(len(LADDER))
+LADDER = (*ladder(PACKAGE_MODELS), Brakes(3.0))
+NAIVE, IDM, TURN, TOM, BRAKES = range(len(LADDER))
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +43,13 @@ def test_one_compilation_serves_all_assignments(three, plans):
     function = plans.call(state, [NAIVE] * 3)[0]
     plans.plan(state, [NAIVE] * 3)  # whose numbers are placed
     sizes = function._cache_size()
-    found = [plans.plan(state, np.random.default_rng(seed).integers(0, len(LADDER), 3))[0].robot for seed in range(5)]
+    found = [plans.plan(state, np.random.default_rng(seed).integers(0, len(LADDER), 3))[0].plan.robot for seed in range(5)]
     assert np.isfinite(found).all()
     assert abs(np.diff(found, axis=0)).max() > 1e-3
     bolder = CompiledPlans(replace(game, humans=replace(game.humans, weights=game.humans.weights * 1.1)), LADDER)
-    again, _ = bolder.plan(state, [TOM] * 3, plans.plan(state, [TOM] * 3)[0])
-    assert np.isfinite(again.robot).all()
+    first, _ = plans.plan(state, [TOM] * 3)
+    again, _ = bolder.plan(state, [TOM] * 3, first.plan)
+    assert np.isfinite(again.plan.robot).all()
     assert function is bolder.call(state, [TOM] * 3)[0]
     assert function._cache_size() == sizes
 
@@ -70,7 +63,7 @@ def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
     def with_and_without(human):
         start = cold_start(game, state)
         robot, humans = move(game, state[0], start.robot), move_all(game, state[1:4], start.humans)
-        own, around = swap_roles(game, human), Interaction(game, state).around(human, robot, humans)
+        own, around = swap_roles(game, human), trajectories_around(human, robot, humans)
         return own.payoff.second_order(humans[human], around).partner, mixed_bends(own, humans[human], around)
 
     wanted, bends = with_and_without(np.arange(3))
@@ -81,24 +74,18 @@ def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
 def test_each_human_is_predicted_in_the_game_of_the_robot_with_this_human_alone(three, plans):
     game, state = three
     rungs, scale = [TURN, IDM, BRAKES], game.planner.control_scale
-    found = plans.plan(state, rungs)[0].humans
+    found = plans.plan(state, rungs)[0].plan.humans
     for human, rung in enumerate(rungs[:2]):
         close(found[human], jit_quickly(LADDER[rung].predict)(*pair(game, state, human)) / scale)
     close(found[2, :, 1], (0.2 * state[3, 3] - 3.0) / scale[1])  # predicted in SI units
 
 
-def test_a_user_defined_model_can_respond_to_the_robots_plan(three, plans):
-    expected, found = (plans.plan(three[1], [rung, NAIVE, rung])[0] for rung in (TOM, ANSWERING))
-    close(found.robot, expected.robot)
-    close(found.humans, expected.humans)
-
-
 def test_a_human_that_is_far_away_changes_nothing_under_any_model(three, plans):
     away = three[1].copy()
     away[3, 0] -= 2000.0
-    expected, _ = plans.plan(away, [TOM, TURN, NAIVE])
+    expected = plans.plan(away, [TOM, TURN, NAIVE])[0].plan
     for rung in (IDM, TURN, TOM):
-        plan, _ = plans.plan(away, [TOM, TURN, rung])
+        plan = plans.plan(away, [TOM, TURN, rung])[0].plan
         close(plan.robot, expected.robot)
         close(plan.humans[:2], expected.humans[:2])
 
@@ -106,24 +93,25 @@ def test_a_human_that_is_far_away_changes_nothing_under_any_model(three, plans):
 def test_the_order_of_humans_changes_nothing(three, plans):
     game, state = three
     rungs, order = np.array([TOM, TURN, NAIVE]), np.array([2, 0, 1])
-    expected, _ = plans.plan(state, rungs)
+    expected = plans.plan(state, rungs)[0].plan
     reordered = CompiledPlans(replace(game, humans=replace(game.humans, weights=game.humans.weights[order])), LADDER)
-    plan, _ = reordered.plan(state[[0, *(1 + order)]], rungs[order])
+    plan = reordered.plan(state[[0, *(1 + order)]], rungs[order])[0].plan
     close(plan.robot, expected.robot)
     close(plan.humans, expected.humans[order])
 
 
 @pytest.mark.parametrize(
-    ("names", "rungs", "steps"),
+    ("names", "rungs", "steps", "robot_steps"),
     [
-        ("naive tom", [1, 1, 0], None),
-        ("naive tom@2 tom", [1, 0, 1], (8, 2)),
-        ("naive@2 naive@12 tom", [0, 1, 0], (12, 0)),  # nobody answers
+        ("naive tom", [1, 1, 0], [4, 4, 0], 4),
+        ("naive tom@2 tom", [1, 0, 2], [2, 0, 4], 4),
+        ("naive@2 naive@12 tom", [0, 1, 0], [0, 0, 0], 12),  # nobody responds
     ],
 )
-def test_plans_take_the_largest_numbers_of_steps_that_rungs_in_use_ask_for(three, names, rungs, steps):
-    found = most_steps(ladder(names.split()), three[0], np.array(rungs))
-    assert (found and tuple(map(int, found))) == steps
+def test_each_human_responds_in_the_steps_of_its_own_model(three, names, rungs, steps, robot_steps):
+    found = assigned_responders(ladder(names.split()), three[0], np.array(rungs))
+    assert found.steps.tolist() == steps
+    assert found.robot_steps == robot_steps
 
 
 def test_plans_start_from_zero_controls_or_up_a_smooth_reward_from_constant_velocity(three, plans):
@@ -133,5 +121,5 @@ def test_plans_start_from_zero_controls_or_up_a_smooth_reward_from_constant_velo
     assert {type(part) for part in start} == {np.ndarray}  # computed by NumPy, as its time is not counted
     *_, begin = plans.call(state, [TOM] * 3)
     np.testing.assert_array_equal(begin.humans, start.humans)
-    papers = replace(game, planner=replace(game.planner, smooth=False))
+    papers = replace(game, planner=replace(game.planner, solver=Ascent()))
     assert not any(controls.any() for controls in cold_start(papers, state))
