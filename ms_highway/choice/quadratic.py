@@ -25,7 +25,7 @@ from ms_highway.game.game import (
 )
 from ms_highway.game.reward import Reward
 from ms_highway.numerics.second_derivatives import response
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel, scaled_prediction
 from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Vector
 

@@ -152,7 +152,6 @@ def bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.peers import starts_of
     from ms_highway.envs.agents import is_agent
     from ms_highway.experiments.directory import write_table
-    from ms_highway.road.constants import MODELS
     from ms_highway.road.driver import SHIPPED_COSTS
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import driver_table
@@ -202,8 +201,8 @@ def bench_road(options: argparse.Namespace) -> None:
                 write_json(options.json, results)
             if options.log:
                 write_table(pd.DataFrame(rows), options.log)
-    costs = zip(MODELS, 1e3 * SHIPPED_COSTS.each, strict=True)
-    counted = ", ".join(f"{name} {milliseconds:.2g}" for name, milliseconds in costs)
+    costs = zip(SHIPPED_COSTS.names, SHIPPED_COSTS.each, strict=True)
+    counted = ", ".join(f"{name} {1e3 * seconds:.2g}" for name, seconds in costs)
     for scene, figures in results.items():
         heading = f"{scene}, traffic {traffic}: {len(seeds)} episodes; choices count {counted} ms a car"
         print_tables(driver_table(heading, figures))

@@ -225,7 +225,7 @@ def frontier(options: argparse.Namespace) -> None:
     asked, devices, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
-        if unknown := [model for model in batch.models if model not in batch.costs]:
+        if unknown := [model for model in batch.models if model not in batch.costs.seconds]:
             remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
     seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()

@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
 
 from ms_highway.game.dynamics import facing
 from ms_highway.game.features import check_own_features
@@ -17,7 +15,7 @@ from ms_highway.planning.joint import Interaction, joint_ascent
 from ms_highway.planning.ladders import human_model
 from ms_highway.planning.plans import Plan, cold_start, may_continue, within_limits
 from ms_highway.planning.way_out import Escape, keep_way_out
-from ms_highway.runtime.arrays import Array, Control, HumansControls, Index, Rungs, Scalar, State, for_each
+from ms_highway.runtime.arrays import Control, HumansControls, Index, Rungs, State, for_each
 from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
@@ -87,29 +85,6 @@ def most_steps(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> tupl
 
 
 REPEATS = 20  # of timed plans and decisions
-
-
-class Costs(NamedTuple):
-    """Planning time, additive in the humans: ``T = base + sum_i each[rung_i]`` [s].
-
-    Attributes:
-        base: of a plan in which the first rung predicts every human; 0 with one human.
-        each: time that a human adds under each rung; with one human, T(M) of the whole plan.
-    """
-
-    base: Scalar
-    each: Float[Array, "rungs"]
-
-    @classmethod
-    def of(cls, seconds: Sequence[float], humans: int) -> "Costs":
-        """Return the costs from the seconds of plans with one human on each rung and all others on the first."""
-        base = float(seconds[0]) if humans > 1 else 0.0
-        return cls(base, np.asarray(seconds) - base)
-
-    def total(self, rungs: Any) -> Any:
-        """Return T [...] of plans that predict humans by these rungs [..., humans]; of NumPy or JAX, like the rungs."""
-        xp = rungs.__array_namespace__()
-        return self.base + xp.sum(xp.asarray(self.each)[rungs], axis=-1)
 
 
 class CompiledPlans:
@@ -218,29 +193,3 @@ def checked_state(state: State) -> State:
         why = ", too large for single precision" if np.isfinite(value) else ""
         raise ValueError(f"the state of car {car} is not finite: {name} is {value}{why}")
     return single
-
-
-def measure_costs(game: Game, ladder: Sequence[HumanModel], state: State, quantile: float, way_out: bool) -> Costs:
-    """Measure T on this machine, by warm plans in this state with all humans on the same rung.
-
-    Args:
-        game: that is played.
-        ladder: human models.
-        state: all cars.
-        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for budgets.
-        way_out: whether the time includes the check of the way out.
-
-    Raises:
-        ValueError: if the state is not a finite array [cars, 4] of two cars or more.
-    """
-    refuse_after_fork()
-    plans, now = CompiledPlans(game, ladder), checked_state(state)
-    plans.warm_up(now, way_out)
-
-    def once(rung: int) -> float:
-        plan, seconds = plans.plan(now, [rung] * game.number)
-        return seconds + (plans.keep_way_out(now, plan.robot[0])[1] if way_out else 0.0)
-
-    whole = np.quantile([[once(rung) for _ in range(REPEATS)] for rung in range(len(ladder))], quantile, axis=1)
-    base = float(whole[0]) if game.number > 1 else 0.0
-    return Costs(base, np.maximum(whole - base, 0.0) / game.number)

@@ -20,7 +20,7 @@ from ms_highway.choice.budget import Budget
 from ms_highway.choice.rule import Decision, Memory, Rule, always
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
 from ms_highway.loop.controller import HUMAN_DRIVERS, draw_key
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import human_model
 from ms_highway.road.added import AddedRoadDriver, added_drivers
