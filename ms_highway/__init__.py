@@ -38,8 +38,6 @@ import lazy_loader  # noqa: E402
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
 from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
-from ms_highway.runtime.retired import NAMES, replacement  # noqa: E402
-
 if getattr(_find_spec("pygame"), "origin", None) is None:
     raise ImportError(
         "pygame is not whole: pygame and pygame-ce share a folder, and uninstalling one breaks the other; "
@@ -53,19 +51,7 @@ if not (_directory / "envs").is_dir():  # a checkout without symbolic links; env
     __path__.append(str(_directory.parent))
 
 __version__ = version("ms-highway")
-_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-
-
-def __getattr__(name: str) -> object:
-    """Load a public name when it is first used.
-
-    Raises:
-        AttributeError: for an unknown name, and for a retired one, which says what to use instead.
-    """
-    if gone := replacement(NAMES, name):
-        raise AttributeError(gone)
-    return _load(name)
-
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 _ENVIRONMENTS = {
     "stay-back-v0": "envs:StayBackEnv",
