@@ -5,7 +5,6 @@
 ``demonstration-v0``; and those of other packages. Imports `ms_highway.vehicle` and the packages below it.
 """
 
-import re
 import sys
 from typing import cast
 
@@ -29,7 +28,7 @@ from ms_highway.game.scenarios import (
 )
 from ms_highway.planning.ladders import ladder
 from ms_highway.runtime.definitions import note_definition
-from ms_highway.runtime.names import check_name
+from ms_highway.runtime.names import SCENARIO_CLASSES, VERSIONED, check_name, versioned
 
 __all__ = [
     "DEMONSTRATION_ID",
@@ -115,19 +114,7 @@ class CrossingCrowdV1Env(InteractionEnv):
 
 
 ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
-    environment.scenario.name: environment
-    for environment in (
-        StayBackEnv,
-        MergerEnv,
-        GiveWayEnv,
-        DenseMergeEnv,
-        CrossingCrowdEnv,
-        StayBackV1Env,
-        MergerV1Env,
-        GiveWayV1Env,
-        DenseMergeV1Env,
-        CrossingCrowdV1Env,
-    )
+    name: globals()[environment] for name, environment in SCENARIO_CLASSES.items()
 }
 """The environments by the names of their scenarios."""
 
@@ -137,9 +124,6 @@ SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environme
 PACKAGE_SCENARIOS = tuple(SCENARIOS)
 PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
-
-VERSIONED = re.compile(r".*-v\d+")
-"""Names of scenarios that end in a version; the other scenarios are at version 0."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 """The Gymnasium id of the `DemonstrationEnv`; its prefix lets spawned workers find it."""
@@ -158,18 +142,13 @@ def scenario_name(name: str) -> str:
     raise ValueError(f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
 
 
-def _versioned(scenario: str) -> str:
-    """Return the last part of a scenario's id: ``merger-v0`` for ``merger``."""
-    return scenario if VERSIONED.fullmatch(scenario) else f"{scenario.replace('_', '-')}-v0"
-
-
 def environment_id(scenario: str) -> str:
     """Return the Gymnasium id of a scenario; the module prefix lets spawned workers find it.
 
     Raises:
         ValueError: for an unknown scenario.
     """
-    return f"ms_highway:ms-highway/{_versioned(scenario_name(scenario))}"
+    return f"ms_highway:ms-highway/{versioned(scenario_name(scenario))}"
 
 
 def add_scenario(environment: type[InteractionEnv]) -> str:
@@ -210,6 +189,6 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     module, word = environment.__module__, environment.__qualname__
     importable = getattr(sys.modules.get(module), word, None) is environment
     entry_point = f"{module}:{word}" if importable else cast(EnvCreator, environment)
-    vector = f"ms_highway.envs.vector:{_versioned(name)}"
+    vector = f"ms_highway.envs.vector:{versioned(name)}"
     gymnasium.register(bare_id, entry_point=entry_point, vector_entry_point=vector)
     return environment_id(name)

@@ -1,6 +1,5 @@
 """Define the environment of all scenarios: a road, humans, a robot, and what drives them."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
 from typing import Any, ClassVar
 
@@ -27,7 +26,7 @@ from ms_highway.game.starts import Random, draw_episode
 from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, ControlStep, FunctionDriver, draw_key, is_vehicle
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import PLANS
-from ms_highway.planning.compiled_plans import measure_costs
+from ms_highway.planning.costs import UNKNOWN, measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
@@ -90,8 +89,9 @@ class InteractionEnv(GameEnv):
     * ``grip``: the total acceleration that tyres hold, across and along [m/s^2], such as
       `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without reversing; None sets no limit, as
       in the paper, but stands for ``GRIP`` in physical semantics. It does not apply where the agent drives.
-    * ``solver``: how plans are improved: ``"gradient"``, the paper's steps; or ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop
-      (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics, with room between bodies.
+    * ``solver``: how plans are improved: ``"gradient"``, the paper's steps; or ``"convex_newton"``, for horizons of
+      seconds, on a smooth reward with room to stop (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics,
+      with room between bodies.
     * ``horizon``: number of planned controls, of robot and humans.
     * ``time_step``: duration of a step of plans and of the environment [s].
     * ``iterations``: number of gradient steps of a plan; None for what suits the horizon.
@@ -111,7 +111,10 @@ class InteractionEnv(GameEnv):
     Attributes:
         game: that the robot believes in; robot and humans play a game that is assigned from the next reset on.
         weights: of every human's own reward.
-        seconds: T(M) by model, by which rules choose; empty until it is measured [s].
+        costs: T(M), by which rules choose; of no model until it is measured.
+        counted: T(M), which counts for the plans of episodes; the same, except that with
+            ``"shipped"`` costs budgets choose by measured times.
+        seconds: T(M) of ``costs`` by model [s].
         history: the record of every step, None where the robot does not plan, and its reward.
     """
 
@@ -163,7 +166,7 @@ class InteractionEnv(GameEnv):
         if config["action"]["type"] == "HumanModelAction" and not controller.predicts:
             raise ValueError(f"{place}, with which no model is chosen; leave it out, or the action HumanModelAction")
         if config["action"]["type"] == "Autopilot":
-            start = settings.start(settings.seconds, 1, np.random.default_rng())
+            start = settings.start(1, np.random.default_rng())
             try:
                 controller.check(start)
             except ValueError as error:
@@ -173,8 +176,9 @@ class InteractionEnv(GameEnv):
 
     def _read(self) -> None:
         super()._read()
-        self.game, self._counted = self.settings.game(self.scenario), self.settings.seconds
-        self.seconds = {} if self.settings.measures else self._counted
+        self.game = self.settings.game(self.scenario)
+        self.counted = self.settings.counted
+        self.costs = UNKNOWN if self.settings.measures else self.counted
 
     def _reset(self) -> None:
         """Build the road, place the cars, and give them drivers."""
@@ -240,25 +244,22 @@ class InteractionEnv(GameEnv):
         if isinstance(self.action_type, HumanModelAction):
             self._terms[COMPUTATION] = 0.0
             order = Order(np.zeros((1, 1), int), settings.models)
-        start = settings.start(self.seconds, self.episode_steps, self.np_random)
+        start = settings.start(self.episode_steps, self.np_random, self.costs)
         driver = settings.controller.driver(game, start, settings.way_out, order)
         self.robot.drive_with(driver, self.road.vehicles[1:])
 
     def measure(self) -> None:
         """Measure T(M) of the ladder with the cars where they are: the median, or the 99 % quantile for budgets."""
-        settings, models = self.settings, self.settings.models
+        settings = self.settings
         quantile = 0.5 if settings.controller.budget is None else 0.99
-        costs = measure_costs(self.game, models, self.car_states, quantile=quantile, way_out=settings.way_out)
-        seconds = (costs.base + np.asarray(costs.each)).tolist()
-        self.seconds = dict(zip((model.name for model in models), seconds, strict=True))
-        self._counted = self._counted or self.seconds
+        self.costs = measure_costs(self.game, settings.models, self.car_states, quantile, settings.way_out)
+        if settings.costs == "measured":
+            self.counted = self.costs
 
-    def counted_seconds(self, names: Sequence[str]) -> float | None:
-        """Return T of a plan that predicts the humans by these models [s]; None where it is not known."""
-        if not self._counted.keys() >= {*names}:
-            return None
-        base = self._counted[self.settings.models[0].name] if len(names) > 1 else 0.0
-        return float(base + sum(self._counted[name] - base for name in names))
+    @property
+    def seconds(self) -> dict[str, float]:
+        """See the attributes of the class."""
+        return self.costs.seconds
 
     @property
     def robot(self) -> RobotVehicle:
@@ -282,7 +283,7 @@ class InteractionEnv(GameEnv):
 
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
-        if not self.seconds and isinstance(self.action_type, Autopilot):
+        if not self.costs.names and isinstance(self.action_type, Autopilot):
             self.measure()  # not at the reset: JAX must not start before the first step, so that processes can fork
             if self.robot.controller is not None and self.settings.controller.chooses:
                 self._drive_robot(self.robot.controller.game)
@@ -290,7 +291,8 @@ class InteractionEnv(GameEnv):
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
-            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * self.counted_seconds(step.thought))
+            counted = self.counted.of_models(step.thought)
+            self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * counted)
         self.history.append((step, self._reward(action)))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
@@ -311,7 +313,7 @@ class InteractionEnv(GameEnv):
         info["models"] = step.models if step else ("",) * settings.humans
         info["timing"] = Timing(*(float(getattr(step, each.name, 0.0)) for each in fields(Timing)))
         if controller.predicts:
-            info["counted_seconds"] = self.counted_seconds(step.thought) if step else 0.0
+            info["counted_seconds"] = self.counted.of_models(step.thought) if step else 0.0
         if controller.belief:
             info["belief"] = read_only(step.belief if step else first_belief(settings.humans))
 

@@ -18,7 +18,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.scenario import Semantics
 from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, FunctionDriver, draw_key, function_names
 from ms_highway.loop.driver import Driver, drivable
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import human_model, is_model, model_names
 

@@ -27,7 +27,6 @@ from ms_highway.envs.controllers import (
 from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, RememberingDriver, check_driver, function_names
 from ms_highway.planning.human_models import PACKAGE_TYPES
 from ms_highway.planning.ladders import human_model, is_model, model_names
-from ms_highway.runtime import retired
 from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import PACKAGE_NAMES, check_own_name, keep_apart
 
@@ -296,8 +295,7 @@ def controller_settings(config: Any) -> Any:
         config = controller_config(config)
     kind = config.get("type") if isinstance(config, Mapping) else None
     if kind not in list(CONTROLLERS):
-        gone = retired.replacement(retired.CONTROLLERS, str(kind))
-        raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
+        raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
     return read(CONTROLLERS[kind], PLACE, config)
 
 
@@ -327,9 +325,8 @@ def controller_config(text: str) -> Config:
     elif is_agent(name):
         kind, rest = "agent", name
     if kind not in CONTROLLERS:
-        gone = retired.replacement(retired.CONTROLLERS, kind)
         known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
-        raise ValueError(gone or f"unknown controller {text!r}; {known}; --import the module that adds your own")
+        raise ValueError(f"unknown controller {text!r}; {known}; --import the module that adds your own")
     config = CONTROLLERS[kind].parse(rest) | ({"belief": True} if name != text else {})
     try:
         return json.decode(json.encode(read(CONTROLLERS[kind], PLACE, config, strict=False)))

@@ -1,6 +1,6 @@
 """Read the configuration of an `ms_highway.envs.base.InteractionEnv`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from json import dumps as to_json
 from shlex import quote
 from typing import Annotated, Any, Literal, TypeAlias, get_args
@@ -21,7 +21,7 @@ from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics
 from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS
 from ms_highway.numerics.solvers import MAX_ITERATIONS, PlanningSettings, SolverName, gradient_steps, longest_step
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
 
@@ -101,7 +101,7 @@ class Settings(Struct, frozen=True):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
             refuse_unknown("config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)})
-        unknown = {model.name for model in self.models} - self.seconds.keys()
+        unknown = {model.name for model in self.models} - {*self.counted.names}
         if unknown and self.costs != "measured":
             why = f"without seconds for {', '.join(sorted(unknown))}; say 'measured' or give them"
             raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
@@ -182,30 +182,42 @@ class Settings(Struct, frozen=True):
         return ladder(self.ladder)
 
     @property
-    def seconds(self) -> dict[str, float]:
-        """T(M) by name [s] of the models of ladder and order, as far as it is known; empty where it is measured."""
-        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS[shipped_kind(self.semantics, self.humans)]}
+    def counted(self) -> Costs:
+        """T(M) of the models of ladder and order, as far as it is known; see `costs_of`."""
+        order = map(human_model, self.controller.names())
+        return self.costs_of((*self.models, *order))
+
+    def costs_of(self, models: Iterable[HumanModel]) -> Costs:
+        """Return T(M) of models, the ladder's first, and of those whose seconds are given.
+
+        Models are left out where T is unknown: all of them if it is to be measured.
+        """
+        kind = shipped_kind(self.semantics, self.humans)
+        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS[kind]}
         given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
-        known = dict(given)
-        for model in (*map(human_model, self.controller.names()), *self.models):
+
+        known: dict[str, float] = {}
+        for model in models:
             steps = JOINT_STEPS if model.responds else STEPS
             if self.solver != "convex_newton":
                 steps = gradient_steps(self.planning)[0]
             seconds = model.seconds(given, steps)
             if seconds is not None:
                 known[model.name] = seconds
-        return known
+        return Costs.of({**known, **given}, self.humans)
 
-    def start(self, seconds: Mapping[str, float], steps: int, random: np.random.Generator) -> Start:
+    def start(self, steps: int, random: np.random.Generator, costs: Costs | None = None) -> Start:
         """Return what a rule is built from.
 
         Args:
-            seconds: T(M) by name, as far as it is known.
             steps: number of steps of the episode.
             random: source of the draws.
+            costs: by which the rule chooses; by default, `counted`.
         """
-        costs = Costs.of([seconds.get(model.name, np.nan) for model in self.models], self.humans)
-        return Start(self.models, costs, self.semantics, self.humans, steps, random)
+        costs = self.counted if costs is None else costs
+        ladder = self.models
+        known = costs.select(model.name for model in ladder)
+        return Start(ladder, known, self.semantics, self.humans, steps, random)
 
     @property
     def measures(self) -> bool:

@@ -20,7 +20,6 @@ from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import Given, Now, begin_episodes, checked_records, step_episodes
 from ms_highway.loop.controller import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
-from ms_highway.planning.compiled_plans import Costs
 from ms_highway.planning.human_models import Naive, warn_of_limits
 from ms_highway.planning.ladders import cheapest_first, human_model
 from ms_highway.runtime.arrays import Index, State
@@ -30,7 +29,7 @@ from ms_highway.runtime.process import refuse_after_fork
 
 STEP = (
     *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
-    *("_is_truncated", "episode_steps", "car_states", "success", "measure", "counted_seconds"),
+    *("_is_truncated", "episode_steps", "car_states", "success", "measure"),
 )
 """Methods and properties of an environment that a simulation does not call, so that no subclass may change them."""
 
@@ -81,7 +80,7 @@ def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSett
     rungs = np.full((steps, environment.settings.humans), DECIDES, np.int32)
     if isinstance(settings, OrderSettings):
         names = [model.name for model in loop.models]
-        table = settings.table(environment.settings.start({}, steps, random))  # type: ignore[arg-type]
+        table = settings.table(environment.settings.start(steps, random))  # type: ignore[arg-type]
         rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(steps), len(table) - 1)]
     price = np.nan_to_num(np.float32(settings.price))  # an order has none
     return Episodes(start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers)
@@ -149,8 +148,8 @@ class FunctionalEnv:
             place = f"config['observation'] is {env.config['observation']}"
             raise ValueError(f"{place}; what is simulated is CarStates or SceneStates")
         self.loop = shared_loop(env, [controller])
-        seconds = [settings.seconds.get(model.name, np.nan) for model in self.loop.models]
-        self.costs, self._price = Costs.of(seconds, settings.humans), float(env.config["action"].get("lambda", 0.0))
+        self.costs = settings.counted.select(model.name for model in self.loop.models)
+        self._price = float(env.config["action"].get("lambda", 0.0))
         random = np.random.default_rng(0)
         game = self.loop.game
         start, _ = env.draw_episode(random)
@@ -159,7 +158,7 @@ class FunctionalEnv:
             self.loop = replace(self.loop, belief=controller.belief)
             warn_of_limits(self.loop.models, game, start)
         if controller.chooses and type(kind) is Autopilot:
-            rule = compilable(controller.rule(settings.start(settings.seconds, self.steps, random)))
+            rule = compilable(controller.rule(settings.start(self.steps, random)))
             self.loop = replace(self.loop, rule=rule)
 
     def draw(self, random: Random) -> Episodes:

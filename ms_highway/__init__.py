@@ -38,7 +38,8 @@ import lazy_loader  # noqa: E402
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
 from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
-from ms_highway.runtime.retired import NAMES, replacement  # noqa: E402
+from ms_highway.runtime.names import SCENARIO_CLASSES as _SCENARIO_CLASSES  # noqa: E402
+from ms_highway.runtime.names import versioned as _versioned  # noqa: E402
 
 if getattr(_find_spec("pygame"), "origin", None) is None:
     raise ImportError(
@@ -53,39 +54,19 @@ if not (_directory / "envs").is_dir():  # a checkout without symbolic links; env
     __path__.append(str(_directory.parent))
 
 __version__ = version("ms-highway")
-_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-
-def __getattr__(name: str) -> object:
-    """Load a public name when it is first used.
-
-    Raises:
-        AttributeError: for an unknown name, and for a retired one, which says what to use instead.
-    """
-    if gone := replacement(NAMES, name):
-        raise AttributeError(gone)
-    return _load(name)
-
-
+# By string, also for workers that are spawned.
 _ENVIRONMENTS = {
-    "stay-back-v0": "envs:StayBackEnv",
-    "merger-v0": "envs:MergerEnv",
-    "give-way-v0": "envs:GiveWayEnv",
-    "stay-back-v1": "envs:StayBackV1Env",
-    "merger-v1": "envs:MergerV1Env",
-    "give-way-v1": "envs:GiveWayV1Env",
-    "dense-merge-v0": "envs:DenseMergeEnv",
-    "dense-merge-v1": "envs:DenseMergeV1Env",
-    "crossing-crowd-v0": "envs:CrossingCrowdEnv",
-    "crossing-crowd-v1": "envs:CrossingCrowdV1Env",
-    "demonstration-v0": "envs:DemonstrationEnv",
-    "recorded-v0": "recorded:RecordedEnv",
+    _versioned(_name): (f"envs:{_class}", f"ms_highway.envs.vector:{_versioned(_name)}")
+    for _name, _class in _SCENARIO_CLASSES.items()
 }
+_ENVIRONMENTS["demonstration-v0"] = ("envs:DemonstrationEnv", None)
+_ENVIRONMENTS["recorded-v0"] = ("recorded:RecordedEnv", None)
 
-for _name, _environment in _ENVIRONMENTS.items():  # by string, also for workers that are spawned
+for _name, (_class, _vector) in _ENVIRONMENTS.items():
     if f"ms-highway/{_name}" not in _registry:
-        _vector = None if _name in ("demonstration-v0", "recorded-v0") else f"ms_highway.envs.vector:{_name}"
-        _register_environment(f"ms-highway/{_name}", f"ms_highway.{_environment}", vector_entry_point=_vector)
+        _register_environment(f"ms-highway/{_name}", f"ms_highway.{_class}", vector_entry_point=_vector)
 
 # Version 0 is the paper's physics, not an older version of the same: Gymnasium's advice to upgrade is wrong there.
 _warnings.filterwarnings("ignore", ".*ms-highway/[a-z-]*-v0 is out of date", DeprecationWarning)

@@ -47,8 +47,8 @@ from .irl.forecast import Forecast as Forecast
 from .irl.forecast import predict as predict
 from .loop.driver import Driver as Driver
 from .loop.driver import fixed as fixed
-from .planning.compiled_plans import Costs as Costs
 from .planning.compiled_plans import plan as plan
+from .planning.costs import Costs as Costs
 from .planning.human_models import HumanModel as HumanModel
 from .planning.human_models import IntelligentDriver as IntelligentDriver
 from .planning.human_models import Naive as Naive

@@ -15,7 +15,7 @@ from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import DECIDES, PLANS, Episodes
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
 
@@ -23,7 +23,7 @@ SCENES = {1: "merger", 2: "dense_merge"}
 """Scenarios by number of humans."""
 
 LADDER = ladder(("naive", "turn", "tom"))
-COSTS = Costs.of([*PUBLISHED_COSTS.values()], 1)
+COSTS = Costs.of(PUBLISHED_COSTS, 1)
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from ms_highway.game.dynamics import keep_velocity, recover_control
 from ms_highway.game.game import Game, constant_velocity, each_human, pair, swap_players
 from ms_highway.numerics.solvers import Ascent, PlanningSettings, gradient_steps, longest_step
 from ms_highway.planning.human_models import following_control
-from ms_highway.planning.ladders import PACKAGE_MODELS
 from ms_highway.planning.joint import plan_against
+from ms_highway.planning.ladders import PACKAGE_MODELS
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Array, Belief, Control, Controls, Index, SameArray, State
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from ms_highway.choice.quadratic import Quadratic
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule
 from ms_highway.game.game import Game
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
 

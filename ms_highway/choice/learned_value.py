@@ -27,7 +27,7 @@ from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rul
 from ms_highway.choice.situation import describe, description_names, nearness
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import Semantics
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Scalar, Structure, read, read_only
 from ms_highway.runtime.files import read_arrays, reading, replacing

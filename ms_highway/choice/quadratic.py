@@ -24,7 +24,7 @@ from ms_highway.game.game import (
 )
 from ms_highway.game.reward import Reward
 from ms_highway.numerics.second_derivatives import response
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel, scaled_prediction
 from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Vector
 
@@ -182,9 +182,7 @@ class Quadratic(Rule):
 
             def gain_down() -> Scalar:
                 below = jnp.maximum(rung - 1, 0)
-                models = [
-                    partial(scaled_prediction, model, game, state) for model in ladder[:-1] or ladder
-                ]
+                models = [partial(scaled_prediction, model, game, state) for model in ladder[:-1] or ladder]
                 return gain(jax.lax.switch(below, models)[: len(robot)], False, below)
 
             up = jax.lax.cond(climbs, lambda: gain(human, ladder[-1].responds, len(ladder) - 1), lambda: none)

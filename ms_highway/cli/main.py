@@ -1,6 +1,5 @@
 """The command ``ms-highway``."""
 
-import re
 import shlex
 import sys
 import warnings
@@ -15,7 +14,6 @@ from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
 from ms_highway.cli.show import frontier, learn, report, validate, video
 from ms_highway.runtime.process import INTERRUPTED, STOPPED
-from ms_highway.runtime.retired import OPTIONS, replacement
 from ms_highway.runtime.sources import import_modules
 
 ALL = compare, sweep, frontier, video, report, bench, bench_road, validate, learn, record, fit, evaluate
@@ -67,7 +65,7 @@ def parse(given: Sequence[str]) -> Any:
     """Return the options of a command line, its command in ``command`` and the whole line in ``command_line``.
 
     Raises:
-        ValueError: for what cannot be parsed; it names the replacement of a retired option.
+        ValueError: for what cannot be parsed.
         SystemExit: after help texts.
     """
     parser = Parser(prog="ms-highway", description=wrapped_text(ABOUT))
@@ -81,13 +79,6 @@ def parse(given: Sequence[str]) -> Any:
     for place, pair in enumerate(map(" ".join, pairwise(given))):
         if pair in COMMANDS:
             words[place : place + 2] = [pair]
-    try:
-        options = parser.parse_args(words)
-    except ValueError:
-        line = " ".join(given).replace("=", " ")
-        gone = [name for name in OPTIONS if re.match(name.replace(" --", ".* --"), line)]
-        if gone:
-            raise ValueError(replacement(OPTIONS, *gone)) from None
-        raise
+    options = parser.parse_args(words)
     options.command_line = shlex.join(["ms-highway", *given])
     return options

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ms_highway.cli.console import MOST, Option, number, option, output
+from ms_highway.runtime.names import SCENARIO_CLASSES
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
@@ -21,20 +22,6 @@ MAX_LAMBDAS = 10_000
 
 MAX_SEEDS = 2**63 - 1 - MOST
 """Largest first seed: Parquet's integers hold it and `MOST` seeds from it on."""
-
-SCENARIO_NAMES = (
-    "stay_back",
-    "merger",
-    "give_way",
-    "dense_merge",
-    "crossing_crowd",
-    "stay-back-v1",
-    "merger-v1",
-    "give-way-v1",
-    "dense-merge-v1",
-    "crossing-crowd-v1",
-)
-"""Keys of `ms_highway.envs.ENVIRONMENTS`, repeated so that help needs no JAX."""
 
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
@@ -79,7 +66,7 @@ keys; the most useful ones are:
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
 
-SCENARIOS = option("scenarios", f"{', '.join(SCENARIO_NAMES)} (default: the paper's)", nargs="*", metavar="SCENARIO")
+SCENARIOS = option("scenarios", f"{', '.join(SCENARIO_CLASSES)} (default: the paper's)", nargs="*", metavar="SCENARIO")
 KEY = {"default": [], "dest": "keys", "action": "append", "metavar": "KEY=VALUE"}
 SET = Option("--set", {"help": "see below", **KEY}, KEYS)
 DEVICES = number("--devices", None, "how many devices to use (default: all, or one per core)")

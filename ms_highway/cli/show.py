@@ -23,13 +23,13 @@ from ms_highway.cli.options import (
     DEVICES,
     LEARNED,
     MAX_SEEDS,
-    SCENARIO_NAMES,
     SCENARIOS,
     SET,
     compared,
     comparison,
     configuration,
 )
+from ms_highway.runtime.names import SCENARIO_CLASSES
 
 FILM = 'film the best fixed model and a controller that chooses online (default); needs the extra "video"'
 OWN = (
@@ -98,7 +98,7 @@ def report(options: argparse.Namespace) -> None:
 @command(
     "video",
     "film an episode",
-    option("scenario", ", ".join(SCENARIO_NAMES), metavar="SCENARIO"),
+    option("scenario", ", ".join(SCENARIO_CLASSES), metavar="SCENARIO"),
     option("--controller", CONTROLLERS, LEARNED, metavar="CONTROLLER"),
     option("--against", "a second controller, filmed from the same start", metavar="CONTROLLER"),
     number("--seed", 0, "of the episode", 0, MAX_SEEDS),
@@ -225,7 +225,7 @@ def frontier(options: argparse.Namespace) -> None:
     asked, devices, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
-        if unknown := [model for model in batch.models if model not in batch.costs]:
+        if unknown := [model for model in batch.models if model not in batch.costs.seconds]:
             remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
             raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
     seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()

@@ -37,7 +37,7 @@ from ms_highway.experiments.comparison import (
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.compilation import Devices
 
@@ -56,14 +56,14 @@ class Batch:
         comparison: what is compared.
         environment: environment that is simulated; it draws the starts.
         controllers: settings of the controllers by short name.
-        costs: T(M) by model [s], as far as it is known.
+        costs: of `models`, in their order.
         loop: what all episodes have in common; its rule is an order on the ladder, to be replaced.
     """
 
     comparison: Comparison
     environment: InteractionEnv
     controllers: Mapping[str, ControllerSettings]
-    costs: Mapping[str, float]
+    costs: Costs
     loop: Loop
 
     @property
@@ -122,7 +122,7 @@ class Batch:
         """
         settings, rule = self.settings(controller), self.loop.rule
         if settings.chooses:
-            start = self.environment.settings.start(self.costs, self.steps, np.random.default_rng())
+            start = self.environment.settings.start(self.steps, np.random.default_rng(), self.costs)
             rule = compilable(settings.rule(start))
         return replace(self.loop, rule=rule, belief=settings.belief)
 
@@ -137,7 +137,6 @@ class Batch:
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
         """Return a row per step, with the comparison's columns except measured times."""
         names, seeds = zip(*keys, strict=True)
-        costs = Costs.of([self.costs.get(name, np.nan) for name in self.models], self.humans)
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
         states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
@@ -150,7 +149,7 @@ class Batch:
             "model": np.array(known)[ranks[records.rungs].max(axis=2)],
             "reward": np.asarray(records.reward, float),
             "collision": records.collision,
-            COUNTED: costs.total(records.planned),
+            COUNTED: self.costs.total(records.planned),
             "status": np.array(STATUSES)[records.status],
             **by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states),
             **{f"humans_{name}": np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)},
@@ -200,9 +199,10 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         reason = f"{scenario} is configured with terminate_on_collision True, which a simulation does not do"
         raise ValueError(f"{reason}; use `compare`")
     environment = ENVIRONMENTS[scenario](dict(configs[0]))
-    costs = {name: seconds for one in settings for name, seconds in one.seconds.items()}
     controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
     loop = shared_loop(environment, controllers.values())
+    known = environment.settings.costs_of(loop.models)
+    costs = known.select(model.name for model in loop.models)
     batch = Batch(comparison, environment, controllers, costs, loop)
     for name in names:
         batch.loop_of(name)

@@ -23,7 +23,7 @@ from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
 from ms_highway.experiments.rollouts import SEVERAL, Driving, Learning, Random, Rollouts
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.ladders import cheapest_first, human_model, ladder
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import Devices
@@ -64,7 +64,7 @@ def prepare(
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
-    costs = {name: seconds for batch in batches for name, seconds in batch.costs.items()}
+    costs = {name: seconds for batch in batches for name, seconds in batch.costs.seconds.items()}
     several = batches[0].humans > 1
     if any((batch.humans > 1) != several for batch in batches):
         raise ValueError("some scenarios have one human, others several; learn a file for each kind")
@@ -139,7 +139,8 @@ def learn(
         for place, batch in enumerate(batches):
             file = kept / f"{number}-{place}.npz"
             if not file.exists():
-                costs = Costs.of([learning.costs[name] for name in batch.rungs], batch.humans)
+                seconds = {name: learning.costs[name] for name in batch.rungs}
+                costs = Costs.of(seconds, batch.humans)
                 rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
                 driving = Driving(batch, learning, rule, number > 1, devices)
                 found = driving.roll_out(_stream(learning, number, SCENARIO, place), learning.states[number > 1])

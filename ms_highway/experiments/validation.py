@@ -19,7 +19,8 @@ from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import Scenario, build_game
 from ms_highway.game.scenarios import GIVE_WAY, MERGER, STAY_BACK
-from ms_highway.planning.compiled_plans import CompiledPlans, Costs
+from ms_highway.planning.compiled_plans import CompiledPlans
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.ladders import MODELS, PAPER_MODELS, ladder
 from ms_highway.planning.plans import Plan
@@ -113,7 +114,7 @@ def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
 def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str, int]:
     """Count the choices that agree with the logged ones; each is made after the logged step before it."""
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
-    costs = Costs.of([PUBLISHED_COSTS[name] for name in names], 1)
+    costs = Costs.of({name: PUBLISHED_COSTS[name] for name in names}, 1)
     switching = Switching(costs, price, ladder(names), trust_tolerance=RELEASED_TRUST_TOLERANCE)
     logged = np.argmax(episodes["models"][..., None] == episodes["ladder"], axis=-1).astype(np.int32)
     happened = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]

@@ -306,9 +306,7 @@ def _humans(reward: Reward, number: int) -> Reward:
     return replace(reward, weights=np.tile(reward.weights, (number, 1)))
 
 
-def _solver(
-    name: SolverName, planning: PlanningSettings, continues: bool, ease: float
-) -> Solver:
+def _solver(name: SolverName, planning: PlanningSettings, continues: bool, ease: float) -> Solver:
     """Return the solver of a name; only `Newton` has an ease."""
     if name == "convex_newton":
         return Newton(ease, continues=continues)

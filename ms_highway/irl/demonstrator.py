@@ -5,6 +5,7 @@ segment is the sum of the reward over its steps, less the discomfort of its cont
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -15,8 +16,9 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.recording import Controls, States
-from ms_highway.numerics.newton import Objective, Optimum, find_optimum
-from ms_highway.runtime.arrays import Scalar, Trajectory
+from ms_highway.numerics.newton import Objective
+from ms_highway.numerics.second_derivatives import damped_inverse
+from ms_highway.runtime.arrays import Flag, Index, Matrix, Scalar, Trajectory
 
 DRIVER_WEIGHTS = {
     **{name: weight for name, weight in COMMON_WEIGHTS.items() if name != "collision"},
@@ -29,6 +31,39 @@ and with comfort, without which some controls would have no effect on the reward
 FLOOR = 0.05  # least size of the eigenvalues of Hessians: half of the curvature of comfort
 DRAWS = 20  # proposals from which one control is resampled
 UNLIKELY = -1e30  # log density of the optimum itself: it is drawn only if no proposal is possible
+
+MAX_STEPS = 50  # of the search for an optimum
+SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of its steps; the last one stays
+TOLERANCE = 1e-3  # reward per scaled control, the gradient at which an optimum counts as found
+NOISE = 1e-6  # of a reward, relative, in float32
+
+
+class Optimum(NamedTuple):
+    """A local optimum over n = 2 * steps controls.
+
+    Attributes:
+        controls: scaled.
+        gradient: of the reward there.
+        hessian: of the reward there, in the ravelled controls.
+    """
+
+    controls: Controls
+    gradient: Controls
+    hessian: Matrix
+
+
+class Search(NamedTuple):
+    """A search for an optimum.
+
+    Attributes:
+        steps: number of Newton steps taken.
+        controls: where to expand the reward next.
+        last: where it was expanded last.
+    """
+
+    steps: Index
+    controls: Controls
+    last: Optimum
 
 
 def seen_from(car: States, routes: States) -> tuple[States, Motion]:
@@ -62,8 +97,38 @@ def segment_return(game: Game, car: States, others: Motion) -> Objective:
 
 @jax.jit
 def optimal(game: Game, car: States, others: Motion) -> Optimum:
-    """Find the local optimum of R_H that is uphill from keeping the velocity; takes what `segment_return` takes."""
-    return find_optimum(segment_return(game, car, others), constant_velocity(game, car), FLOOR)
+    """Find the local optimum of R_H that is uphill from keeping the velocity; takes what `segment_return` takes.
+
+    Takes Newton steps, each with its own Hessian, until no component of the gradient exceeds 1e-3, no step earns more,
+    or 50 steps are taken. Where float32 cannot tell which controls earn more, it takes whole steps.
+    """
+    objective = segment_return(game, car, others)
+
+    def climbing(search: Search) -> Flag:
+        moved = (search.steps == 0) | (search.controls != search.last.controls).any()
+        steep = jnp.abs(search.last.gradient).max() > TOLERANCE
+        return moved & (search.steps < MAX_STEPS) & steep
+
+    def improve(search: Search) -> Search:
+        controls = search.controls
+
+        # A Newton step uphill.
+        expansion = objective.expand(controls)
+        gradient = expansion.gradient.reshape(controls.shape)
+        metric = damped_inverse(expansion.hessian, FLOOR)
+        step = (metric @ gradient.ravel()).reshape(controls.shape)
+
+        # The share of it that earns most, or all of it where differences are rounding.
+        candidates, rewards = objective.search_line(controls, step, SHARES)
+        gains = rewards - rewards[-1]
+        noise = NOISE * (1 + jnp.abs(rewards[-1]))
+        settling = (gains.max() <= noise) & (gains[0] >= -noise)
+        chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
+        return Search(search.steps + 1, chosen, Optimum(controls, gradient, expansion.hessian))
+
+    start = objective.bounded(constant_velocity(game, car))
+    unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
+    return jax.lax.while_loop(climbing, improve, Search(0, start, unknown)).last
 
 
 @jax.jit

@@ -35,7 +35,6 @@ from ms_highway.planning.learned_driving import (
     shown_traits,
 )
 from ms_highway.planning.manoeuvres import idm_acceleration
-from ms_highway.runtime import retired
 from ms_highway.runtime.arrays import Scalar, Structure, pytree, read
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 
@@ -100,8 +99,7 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
         ValueError: for an unknown name, no drivers, or drivers without this peer.
     """
     if name not in PREDICTORS:
-        gone = retired.replacement(retired.PREDICTORS, name)
-        raise ValueError(gone or f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
+        raise ValueError(f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
     if learned is None or name not in ("model", *learned.peers):
         remedy = "learn it from real recordings with `ms-highway irl fit`, or use us101, which comes with the package"
         raise ValueError(f"this reward has nothing learned seconds ahead for the predictor {name}; {remedy}")

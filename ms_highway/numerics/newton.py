@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -12,7 +12,7 @@ from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Float
 
-from ms_highway.numerics.second_derivatives import Expansion, along_fields, damped_inverse, second_order_expansion
+from ms_highway.numerics.second_derivatives import Expansion, along_fields, second_order_expansion
 from ms_highway.runtime.arrays import Controls, Flag, ManyControls, Matrix, Numbers, Scalar, Trajectory, Vector
 
 
@@ -69,63 +69,6 @@ def best_of(candidates: Numbers, earned: Float[Any, "candidates"]) -> Numbers:
     known = jnp.isfinite(earned)
     best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
     return jnp.where(known.any(), best, jnp.nan)
-
-
-MAX_STEPS = 50  # of the search for an optimum
-FINE_SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of its steps
-TOLERANCE = 1e-3  # reward per scaled control, the gradient at which an optimum counts as found
-NOISE = 1e-6  # of a reward, relative, in float32
-
-
-class Optimum(NamedTuple):
-    """A local optimum over n = 2 * steps controls.
-
-    Attributes:
-        controls: scaled.
-        gradient: of the reward there.
-        hessian: of the reward there, in the ravelled controls.
-    """
-
-    controls: Controls
-    gradient: Controls
-    hessian: Matrix
-
-
-Search: TypeAlias = tuple[int, Controls, Optimum]
-"""Number of steps taken, the controls to expand at next, and the gradient and Hessian at the last controls."""
-
-
-def find_optimum(objective: Objective, start: Controls, floor: float) -> Optimum:
-    """Find the local optimum that is uphill from the start.
-
-    Takes Newton steps, each with its own Hessian, until no component of the gradient exceeds 1e-3, no step earns more,
-    or 50 steps are taken. Where float32 cannot tell which controls earn more, it takes whole steps.
-
-    Args:
-        objective: to maximise; the reward of each step of a path must not depend on other steps.
-        start: the first controls, scaled.
-        floor: the Hessian's eigenvalues l become ``-max(|l|, floor)``.
-    """
-
-    def climbing(search: Search) -> Flag:
-        count, controls, last = search
-        moved = (count == 0) | (controls != last.controls).any()
-        return moved & (count < MAX_STEPS) & (jnp.abs(last.gradient).max() > TOLERANCE)
-
-    def improve(search: Search) -> Search:
-        count, controls, _ = search
-        expansion = objective.expand(controls)
-        gradient, metric = expansion.gradient.reshape(controls.shape), damped_inverse(expansion.hessian, floor)
-        step = (metric @ gradient.ravel()).reshape(controls.shape)
-        candidates, rewards = objective.search_line(controls, step, FINE_SHARES)
-        gains, noise = rewards - rewards[-1], NOISE * (1 + jnp.abs(rewards[-1]))
-        settling = (gains.max() <= noise) & (gains[0] >= -noise)
-        chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
-        return count + 1, chosen, Optimum(controls, gradient, expansion.hessian)
-
-    start = objective.bounded(start)
-    unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
-    return jax.lax.while_loop(climbing, improve, (0, start, unknown))[-1]
 
 
 DAMPED_SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from ms_highway.game.dynamics import facing
 from ms_highway.game.features import check_own_features
@@ -21,7 +20,7 @@ from ms_highway.planning.human_models import (
     scaled_prediction,
     warn_of_limits,
 )
-from ms_highway.planning.joint import Interaction, Responders, ascend
+from ms_highway.planning.joint import AssignedResponders, Interaction, KnownResponders, ascend
 from ms_highway.planning.ladders import human_model
 from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.planning.way_out import Escape, keep_way_out
@@ -32,7 +31,6 @@ from ms_highway.runtime.arrays import (
     HumansControls,
     Index,
     Rungs,
-    Scalar,
     State,
     for_each,
     for_numbers,
@@ -80,10 +78,10 @@ def plan_for(
     if len(models) == 1:
         (model,) = models
         humans = begin.humans if model.responds else expected
-        known = tuple(range(game.number)) if model.responds else ()
+        known = KnownResponders(tuple(range(game.number)) if model.responds else ())
         planner = replace(game.planner, solver=own_solver(model, game))
         own = replace(game, planner=planner)
-        return ascend(Interaction(own, state, Responders(known)), Plan(begin.robot, humans))
+        return ascend(Interaction(own, state, known), Plan(begin.robot, humans))
     responders = assigned_responders(models, game, rungs)
     responds = responders.steps > 0
     humans = jnp.where(responds[:, None, None], begin.humans, expected)
@@ -147,9 +145,7 @@ def _started(
     return Plan(robot, humans)
 
 
-def assigned_responders(
-    models: tuple[HumanModel, ...], game: Game, rungs: Rungs
-) -> Responders:
+def assigned_responders(models: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> AssignedResponders:
     """Return who responds under an assignment of models, and in which steps.
 
     Each human takes the steps of its own model. The robot takes those of the model in use with the
@@ -166,14 +162,15 @@ def assigned_responders(
     longest = steps.max()
     robot_steps = jnp.where(longest > 0, longest, jnp.max(steps_alone))
     if all(solver is game.planner.solver for solver in solvers):
-        return Responders(None, order, steps, robot_steps)
+        return AssignedResponders(order, steps, robot_steps)
     if not isinstance(game.planner.solver, Ascent):
-        return Responders(None, order, steps, robot_steps)
+        return AssignedResponders(order, steps, robot_steps)
 
     # Gradient steps are as long as each human's own model says, the robot's as those it follows.
-    sizes = jnp.stack([jnp.asarray(solver.step_size, jnp.float32) for solver in solvers])[rungs]
+    own_sizes = [solver.step_size for solver in solvers if isinstance(solver, Ascent)]
+    sizes = jnp.stack([jnp.asarray(size, jnp.float32) for size in own_sizes])[rungs]
     leading = jnp.argmax(jnp.where(longest > 0, steps, steps_alone))
-    return Responders(None, order, steps, robot_steps, sizes, sizes[leading])
+    return AssignedResponders(order, steps, robot_steps, sizes, sizes[leading])
 
 
 def _of_rungs(values: Sequence[int], rungs: Rungs) -> Int[Array, "humans"] | int:
@@ -184,29 +181,6 @@ def _of_rungs(values: Sequence[int], rungs: Rungs) -> Int[Array, "humans"] | int
 
 
 REPEATS = 20  # of timed plans and decisions
-
-
-class Costs(NamedTuple):
-    """Planning time, additive in the humans: ``T = base + sum_i each[rung_i]`` [s].
-
-    Attributes:
-        base: of a plan in which the first rung predicts every human; 0 with one human.
-        each: time that a human adds under each rung; with one human, T(M) of the whole plan.
-    """
-
-    base: Scalar
-    each: Float[Array, "rungs"]
-
-    @classmethod
-    def of(cls, seconds: Sequence[float], humans: int) -> "Costs":
-        """Return the costs from the seconds of plans with one human on each rung and all others on the first."""
-        base = float(seconds[0]) if humans > 1 else 0.0
-        return cls(base, np.asarray(seconds) - base)
-
-    def total(self, rungs: Any) -> Any:
-        """Return T [...] of plans that predict humans by these rungs [..., humans]; of NumPy or JAX, like the rungs."""
-        xp = rungs.__array_namespace__()
-        return self.base + xp.sum(xp.asarray(self.each)[rungs], axis=-1)
 
 
 class CompiledPlans:
@@ -223,9 +197,7 @@ class CompiledPlans:
         self.game, self.ladder = game, tuple(ladder)
         self._placed = Placed(single(game))
 
-    def plan(
-        self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
-    ) -> tuple[Solution, float]:
+    def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Solution, float]:
         """Return the solution in a `checked_state`, as NumPy arrays, and the seconds that it took.
 
         Args:
@@ -319,32 +291,3 @@ def checked_state(state: State) -> State:
         why = ", too large for single precision" if np.isfinite(value) else ""
         raise ValueError(f"the state of car {car} is not finite: {name} is {value}{why}")
     return single
-
-
-def measure_costs(game: Game, ladder: Sequence[HumanModel], state: State, quantile: float, way_out: bool) -> Costs:
-    """Measure T on this machine, by warm plans in this state with all humans on the same rung.
-
-    Args:
-        game: that is played.
-        ladder: human models.
-        state: all cars.
-        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for budgets.
-        way_out: whether the time includes the check of the way out.
-
-    Raises:
-        ValueError: if the state is not a finite array [cars, 4] of two cars or more.
-    """
-    refuse_after_fork()
-    plans, now = CompiledPlans(game, ladder), checked_state(state)
-    plans.warm_up(now, way_out)
-
-    def once(rung: int) -> float:
-        solution, seconds = plans.plan(now, [rung] * game.number)
-        if not way_out:
-            return seconds
-        _, checking = plans.keep_way_out(now, solution.plan.robot[0])
-        return seconds + checking
-
-    whole = np.quantile([[once(rung) for _ in range(REPEATS)] for rung in range(len(ladder))], quantile, axis=1)
-    base = float(whole[0]) if game.number > 1 else 0.0
-    return Costs(base, np.maximum(whole - base, 0.0) / game.number)

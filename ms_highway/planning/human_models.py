@@ -24,7 +24,7 @@ from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, bounded, constant_velocity, pair, swap_players
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.numerics.solvers import Solver, longest_step
-from ms_highway.planning.joint import Interaction, Responders, ascend, plan_against
+from ms_highway.planning.joint import Interaction, KnownResponders, ascend, plan_against
 from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration
 from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.runtime.arrays import Car, Control, Controls, State, naming_writes, read_only
@@ -114,7 +114,7 @@ class HumanModel:
         if not self.responds:
             raise NotImplementedError(f"human model {self.name!r} defines no `predict`")
         begin = cold_start(game, state) if start is None else start
-        solution = ascend(Interaction(game, state, Responders(known=(0,))), begin)
+        solution = ascend(Interaction(game, state, KnownResponders((0,))), begin)
         return solution.plan.humans[0] * game.planner.control_scale
 
 
@@ -182,7 +182,10 @@ class Turn(PredictedHuman):
 
 @dataclass(frozen=True)
 class TheoryOfMind(HumanModel):
-    """The human responds optimally to the robot's plan, and the robot anticipates it, see `ms_highway.planning.joint`."""
+    """The human responds optimally to the robot's plan, and the robot anticipates that.
+
+    See `ms_highway.planning.joint`.
+    """
 
     name: ClassVar[str] = "tom"
     responds: ClassVar[bool] = True

@@ -11,7 +11,7 @@ and from the derivatives of its reward in both trajectories.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 import jax
 from jax import numpy as jnp
@@ -34,7 +34,7 @@ from ms_highway.numerics.second_derivatives import (
     second_order_expansion,
     trajectory_jacobian,
 )
-from ms_highway.numerics.solvers import Ascent
+from ms_highway.numerics.solvers import Ascent, Solver
 from ms_highway.planning.plans import Plan, Solution, best_start, driving, within_limits
 from ms_highway.runtime.arrays import (
     Controls,
@@ -54,29 +54,89 @@ Carry = TypeVar("Carry")
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Responders:
-    """The humans who respond to the robot's plan, and the steps of the ascent.
+class KnownResponders:
+    """Humans of whom it is known before the call that they respond, in every step.
 
     Attributes:
-        known: their numbers, if these are known before the call; then all respond in every step, and
-            the steps are those of the planner's solver (static).
-        order: numbers of all humans otherwise, those who respond in most steps first.
-        steps: number of the first steps in which each human responds, by its own number.
-        robot_steps: number of the robot's steps at most.
-        step_sizes: length of each human's gradient steps, by its own number.
-        robot_step_size: length of the robot's.
+        order: their numbers (static).
     """
 
-    known: tuple[int, ...] | None = field(default=None, metadata={"static": True})
-    order: Rungs | None = None
-    steps: Rungs | None = None
-    robot_steps: Index | None = None
+    order: tuple[int, ...] = field(metadata={"static": True})
+
+    @property
+    def nobody(self) -> bool:
+        """Whether no human responds."""
+        return not self.order
+
+    def most_steps(self, solver: Solver) -> Index:
+        """Return the number of steps of the ascent at most."""
+        return solver.most_steps(responds=not self.nobody)
+
+    def robot_step_size(self, solver: Ascent) -> Scalar:
+        """Return the length of the robot's gradient steps."""
+        return solver.step_size
+
+    def step_size(self, solver: Ascent, human: Index) -> Scalar:
+        """Return the length of a human's gradient steps."""
+        return solver.step_size
+
+    def fold(self, step: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+        """Apply a function to the number of every human who responds in a step, one by one.
+
+        Args:
+            step: its number.
+            function: takes the number of a human and the result so far.
+            carry: first result.
+        """
+        if len(self.order) < 2:  # which needs no loop
+            return function(self.order[0], carry) if self.order else carry
+        return _fold(jnp.array(self.order), len(self.order), function, carry)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AssignedResponders:
+    """The humans who respond under an assignment of models that JAX traces.
+
+    Attributes:
+        order: numbers of all humans, those who respond in most steps first.
+        steps: number of the first steps in which each human responds, by its own number.
+        robot_steps: number of the robot's steps at most.
+        step_sizes: length of each human's gradient steps, by its own number; None for the planner's.
+        robot_size: length of the robot's; None for the planner's.
+    """
+
+    order: Rungs
+    steps: Rungs
+    robot_steps: Index
     step_sizes: PerHuman | None = None
-    robot_step_size: Scalar | None = None
+    robot_size: Scalar | None = None
+    nobody: ClassVar[bool] = False
+
+    def most_steps(self, solver: Solver) -> Index:
+        """See `KnownResponders.most_steps`."""
+        return self.robot_steps
+
+    def robot_step_size(self, solver: Ascent) -> Scalar:
+        """See `KnownResponders.robot_step_size`."""
+        return solver.step_size if self.robot_size is None else self.robot_size
+
+    def step_size(self, solver: Ascent, human: Index) -> Scalar:
+        """See `KnownResponders.step_size`."""
+        return solver.step_size if self.step_sizes is None else self.step_sizes[human]
+
+    def fold(self, step: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+        """See `KnownResponders.fold`."""
+        return _fold(self.order, jnp.sum(self.steps > step), function, carry)
 
 
-NOBODY = Responders(known=())
-"""Responders of a plan to which no human responds."""
+def _fold(order: Rungs, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+    """Apply a function to the first ``count`` numbers of an order, one by one."""
+
+    def respond(place: Index, carry: Carry) -> Carry:
+        return function(order[place], carry)
+
+    return jax.lax.fori_loop(0, count, respond, carry)
 
 
 @jax.tree_util.register_dataclass
@@ -92,56 +152,7 @@ class Interaction:
 
     game: Game
     state: State
-    responders: Responders = NOBODY
-
-    @property
-    def nobody_responds(self) -> bool:
-        """Whether it is known before the call that no human responds."""
-        return self.responders.known == ()
-
-    @property
-    def most_steps(self) -> Index:
-        """Number of steps of the ascent at most."""
-        if self.responders.known is None:
-            return self.responders.robot_steps
-        return self.game.planner.solver.most_steps(responds=bool(self.responders.known))
-
-    def fold(
-        self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
-    ) -> Carry:
-        """Apply a function to the number of every human who responds, one by one.
-
-        Args:
-            count: number of humans who respond, of `responding`.
-            function: takes the number of a human and the result so far.
-            carry: first result.
-        """
-        known = self.responders.known
-        if known is not None and len(known) < 2:
-            return function(known[0], carry) if known else carry
-        order = self.responders.order if known is None else jnp.array(known)
-
-        def respond(place: Index, carry: Carry) -> Carry:
-            return function(order[place], carry)
-
-        return jax.lax.fori_loop(0, count, respond, carry)
-
-    def responding(self, step: Index) -> Index:
-        """Return the number of the humans who respond in a step."""
-        if self.responders.known is None:
-            return jnp.sum(self.responders.steps > step)
-        return len(self.responders.known)
-
-    def human_step_size(self, human: Index) -> Scalar:
-        """Return the length of a human's gradient steps."""
-        sizes = self.responders.step_sizes
-        return self.game.planner.solver.step_size if sizes is None else sizes[human]
-
-    @property
-    def robot_step_size(self) -> Scalar:
-        """Length of the robot's gradient steps."""
-        size = self.responders.robot_step_size
-        return self.game.planner.solver.step_size if size is None else size
+    responders: KnownResponders | AssignedResponders
 
 
 @jax.jit  # traced once for the human and the robot
@@ -161,11 +172,12 @@ def ascend(interaction: Interaction, start: Plan) -> Solution:
     game = interaction.game
     state = interaction.state
     solver = game.planner.solver
+    responders = interaction.responders
     take_step = _gradient_step if isinstance(solver, Ascent) else _newton_step
 
     # Newton steps begin within the limits, the robot's perhaps at a manoeuvre.
     humans = state[1 : 1 + game.number]
-    if not isinstance(solver, Ascent) and not interaction.nobody_responds:
+    if not isinstance(solver, Ascent) and not responders.nobody:
         start = within_limits(game, state, start)
     others = with_scripted(game, state, move_all(game, humans, start.humans))
     if not isinstance(solver, Ascent):
@@ -180,8 +192,8 @@ def ascend(interaction: Interaction, start: Plan) -> Solution:
     def joint_step(step: Index, now: tuple[Plan, Trajectories]) -> tuple[Plan, Trajectories]:
         return take_step(interaction, step, *now)
 
-    most = interaction.most_steps
-    if interaction.nobody_responds:
+    most = responders.most_steps(solver)
+    if responders.nobody:
         alone = solver.repeat(step_alone, start.robot, most, lambda robot: robot)
         return Solution(Plan(alone.point, start.humans), alone.steps, alone.converged)
     joint = solver.repeat(joint_step, (start, others), most, lambda now: now[0])
@@ -191,12 +203,11 @@ def ascend(interaction: Interaction, start: Plan) -> Solution:
 
 def plan_against(game: Game, state: State, humans: HumansControls, start: Plan) -> Solution:
     """Optimise the robot's controls against fixed controls of the humans, from a start."""
-    return ascend(Interaction(game, state), Plan(start.robot, humans))
+    nobody = KnownResponders(())
+    return ascend(Interaction(game, state, nobody), Plan(start.robot, humans))
 
 
-def trajectories_around(
-    human: Index, robot: Trajectory, others: Trajectories
-) -> Trajectories:
+def trajectories_around(human: Index, robot: Trajectory, others: Trajectories) -> Trajectories:
     """Return the trajectories of all others from a human's side, the robot's first.
 
     Args:
@@ -217,7 +228,9 @@ def _gradient_step(
     """Take a gradient step of the robot and of the humans who respond."""
     game = interaction.game
     state = interaction.state
-    count = interaction.responding(step)
+    responders = interaction.responders
+    solver = game.planner.solver
+    assert isinstance(solver, Ascent)
     drive = partial(move, game, state[0])
     robot = drive(plan.robot)
     along_robot, along_others = game.payoff.slopes(robot, others)
@@ -234,9 +247,7 @@ def _gradient_step(
         around = trajectories_around(human, robot, others)
         derivatives = own.payoff.second_order(others[human], around)
         cost = partial(discomfort, own, car)
-        expansion = second_order_expansion(
-            path, plan.humans[human], derivatives.slope, derivatives.own, cost
-        )
+        expansion = second_order_expansion(path, plan.humans[human], derivatives.slope, derivatives.own, cost)
 
         # What the robot earns through the human's response to its plan.
         jacobian = expansion.jacobian.reshape(-1, plan.robot.size)
@@ -245,19 +256,19 @@ def _gradient_step(
         slope = slope + _mixed(expansion.jacobian @ pushed, derivatives.partner)
 
         # The human's own step.
-        size = interaction.human_step_size(human)
+        size = responders.step_size(solver, human)
         climbed = plan.humans[human] + size * expansion.gradient.reshape(-1, 2)
         controls = bounded(own, car, climbed)
         return slope, humans.at[human].set(controls), paths.at[human].set(path(controls))
 
     start = (along_robot, plan.humans, others)
-    slope, humans, paths = interaction.fold(count, respond, start)
+    slope, humans, paths = interaction.responders.fold(step, respond, start)
 
     # The robot's step, along its reward and what it earns through the humans.
     jacobian = trajectory_jacobian(drive, plan.robot).reshape(slope.size, -1)
     uphill = (slope.ravel() @ jacobian).reshape(-1, 2)
     gradient = uphill - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
-    climbed = plan.robot + interaction.robot_step_size * gradient
+    climbed = plan.robot + responders.robot_step_size(solver) * gradient
     return Plan(bounded(game, state[0], climbed), humans), paths
 
 
@@ -275,9 +286,7 @@ class _Responses(NamedTuple):
     humans: HumansControls  # improved
 
 
-def _newton_step(
-    interaction: Interaction, step: Index, plan: Plan, others: Trajectories
-) -> tuple[Plan, Trajectories]:
+def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Trajectories) -> tuple[Plan, Trajectories]:
     """Take a Newton step of the robot and of the humans who respond.
 
     Args:
@@ -288,12 +297,11 @@ def _newton_step(
     """
     game = interaction.game
     state = interaction.state
-    count = interaction.responding(step)
     path = move(game, state[0], plan.robot)
     driver = driving(game, state[0], others)
     along_robot, along_others = game.payoff.slopes(path, others)
     robot = expand(driver, plan.robot, path, along_robot)
-    if interaction.nobody_responds:  # so that the robot climbs its own reward
+    if interaction.responders.nobody:  # so that the robot climbs its own reward
         return Plan(improve(driver, plan.robot, robot), plan.humans), others
 
     # Each human's step, and what the robot earns through its response.
@@ -319,7 +327,7 @@ def _newton_step(
     nothing = jax.tree.map(lambda part: jnp.zeros((game.number, *part.shape)), robot)
     unmixed = jnp.zeros((game.number, len(path), *path.shape))
     none = _Responses(robot.gradient, nothing, unmixed, plan.humans)
-    responses = interaction.fold(count, respond, none)
+    responses = interaction.responders.fold(step, respond, none)
 
     # The robot's whole step, and each human's linear reaction to it.
     whole_step = robot.step(responses.slope)
@@ -331,20 +339,18 @@ def _newton_step(
         wanted = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1))
         return reactions.at[human].set(wanted.reshape(-1, 2))
 
-    reactions = interaction.fold(count, react, jnp.zeros_like(plan.humans))
+    reactions = interaction.responders.fold(step, react, jnp.zeros_like(plan.humans))
 
     def paths_after(part: Scalar) -> tuple[HumansControls, Trajectories]:
         """Return the humans' controls and trajectories after their steps and a part of the reactions."""
 
-        def put(
-            human: Index, now: tuple[HumansControls, Trajectories]
-        ) -> tuple[HumansControls, Trajectories]:
+        def put(human: Index, now: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
             humans, paths = now
             car = state[1 + human]
             own = bounded(game, car, responses.humans[human] + part * reactions[human])
             return humans.at[human].set(own), paths.at[human].set(move(game, car, own))
 
-        return interaction.fold(count, put, (plan.humans, others))
+        return interaction.responders.fold(step, put, (plan.humans, others))
 
     def robot_after(part: Scalar) -> Controls:
         return bounded(game, state[0], plan.robot + part * whole_step.reshape(-1, 2))

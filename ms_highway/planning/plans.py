@@ -15,7 +15,6 @@ from ms_highway.game.game import (
     constant_velocity,
     discomfort,
     move,
-    move_all,
     move_jacobian,
 )
 from ms_highway.numerics.newton import Objective, best_of

@@ -12,7 +12,7 @@ from ms_highway.choice.rule import Rule, decide, first_memory
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.step import LATE, PLANNED, STATUSES, fallback_status
 from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.manoeuvres import MAX_BRAKING
 from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.road.plan import RoadPlan, no_plan, propose_road, respond_road
@@ -21,7 +21,7 @@ from ms_highway.runtime.arrays import Controls, Rungs
 from ms_highway.runtime.compilation import jit_quickly, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
-SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]))
+SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]), MODELS)
 """Planning time if all cars are naive, and the time that each car adds under each model, measured on one core [s]."""
 
 BRAKING_SHARE = 0.95  # share of the grip above which the deceleration of a broken plan counts as braking

@@ -6,7 +6,6 @@ R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in it. The 
 of an outcome. `ms_highway.choice.rule.Order` needs none.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
@@ -20,14 +19,13 @@ from ms_highway.choice.budget import Budget
 from ms_highway.choice.rule import Decision, Memory, Rule, always
 from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
 from ms_highway.loop.controller import HUMAN_DRIVERS, draw_key
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import human_model
 from ms_highway.road.added import AddedRoadDriver, added_drivers
 from ms_highway.road.constants import MODELS, RoadPlanning
 from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
 from ms_highway.road.robot import GRIP_MARGIN
-from ms_highway.runtime import retired
 from ms_highway.runtime.arrays import PerHuman, Scalar
 
 
@@ -102,11 +100,7 @@ class RoadSettings(Struct, frozen=True):
         Raises:
             ValueError: for anything unknown or impossible; it names the key, the value and the remedy.
         """
-        config = {} if config is None else config
-        words = [word for word in re.findall(r"[\w:-]+", repr(config)) if word not in added_drivers()]
-        if gone := retired.replacement(retired.DRIVERS, *words):
-            raise ValueError(gone)
-        return read(cls, "config", config)
+        return read(cls, "config", {} if config is None else config)
 
     def __post_init__(self) -> None:
         refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), MODELS)

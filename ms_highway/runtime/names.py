@@ -1,7 +1,25 @@
-"""Keep names apart: in configurations and commands, a name of a user's means one thing, whatever was added first."""
+"""List names of the package, and keep names apart: a name of a user's means one thing, whatever was added first."""
 
+import re
 from collections.abc import Callable, Iterable
 from itertools import chain
+
+SCENARIO_CLASSES = {
+    "stay_back": "StayBackEnv",
+    "merger": "MergerEnv",
+    "give_way": "GiveWayEnv",
+    "dense_merge": "DenseMergeEnv",
+    "crossing_crowd": "CrossingCrowdEnv",
+    "stay-back-v1": "StayBackV1Env",
+    "merger-v1": "MergerV1Env",
+    "give-way-v1": "GiveWayV1Env",
+    "dense-merge-v1": "DenseMergeV1Env",
+    "crossing-crowd-v1": "CrossingCrowdV1Env",
+}
+"""Classes of `ms_highway.envs` by the names of their scenarios, for ids and help texts, which load no JAX."""
+
+VERSIONED = re.compile(r".*-v\d+")
+"""Names of scenarios that end in a version; the other scenarios are at version 0."""
 
 PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
     "a human model": ("naive", "idm", "turn", "tom", "best"),
@@ -16,6 +34,11 @@ PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
 """Names of the package, by kind. They are repeated here because a user may add a name before its module is loaded."""
 
 _ADDED: dict[str, Callable[[], Iterable[str]]] = {}
+
+
+def versioned(scenario: str) -> str:
+    """Return the last part of a scenario's id: ``merger-v0`` for ``merger``."""
+    return scenario if VERSIONED.fullmatch(scenario) else f"{scenario.replace('_', '-')}-v0"
 
 
 def keep_apart(what: str, names: Callable[[], Iterable[str]]) -> None:

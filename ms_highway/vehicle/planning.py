@@ -22,7 +22,7 @@ from ms_highway.geometry.road_map import LIMIT
 from ms_highway.loop.controller import Controller, ControlStep
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.step import braking_control
-from ms_highway.numerics.solvers import PAPER_PLANNING, PlanningSettings, Solver
+from ms_highway.numerics.solvers import PAPER_PLANNING, PlanningSettings, SolverName
 from ms_highway.planning.learned_driving import FREE_GAP, held_acceleration
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds
@@ -156,7 +156,7 @@ class HumanVehicle(PlanningVehicle):
 
     COLOR = (60, 130, 220)
     weights: ClassVar[Mapping[str, float]] = shipped("demonstrations").weights
-    solver: ClassVar[Solver] = "gradient"
+    solver: ClassVar[SolverName] = "gradient"
     planning: ClassVar[PlanningSettings] = PAPER_PLANNING
 
     def __init__(

@@ -35,7 +35,7 @@ SCENE = Scene(  # what planners know of the road; metres, y to the right
 )
 GAME = driving_game(SCENE, 20.0, {**COMMON_WEIGHTS, "target_lane": 150})  # what robot and partner drive for
 LADDER = ladder(["naive", "turn", "tom"])
-COSTS = Costs.of([PUBLISHED_COSTS[model.name] for model in LADDER], 1)  # T(M) [s], with one human
+COSTS = Costs.of(PUBLISHED_COSTS, 1)  # T(M) [s], with one human
 
 
 class WorkZoneEnv(AbstractEnv):

@@ -85,6 +85,6 @@ def test_a_damaged_file_is_refused_with_the_damage_and_the_command_that_writes_a
 
 def test_shipped_values_among_several_humans_are_those_that_know_the_ladder():
     settings = ENVIRONMENTS["dense-merge-v1"]().settings
-    start = settings.start({}, 1, np.random.default_rng())
+    start = settings.start(1, np.random.default_rng())
     for names in (("naive", "tom"), ("naive", "turn", "tom")):
         assert settings.controller.learned(start._replace(ladder=ladder(names))).ladder == names

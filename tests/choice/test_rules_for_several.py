@@ -12,7 +12,7 @@ from ms_highway.choice.budget import Budget
 from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Nearest, Rule, decide
 from ms_highway.loop.step import begin
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.runtime.compilation import jit_quickly
 
 NAIVE, TURN, TOM = range(3)

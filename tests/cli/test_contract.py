@@ -12,6 +12,7 @@ from ms_highway.cli.main import COMMANDS, main, parse
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.demonstration import DENSITIES
 from ms_highway.planning.ladders import PAPER_MODELS
+from ms_highway.runtime.names import SCENARIO_CLASSES
 
 HELP = """
 import sys
@@ -69,7 +70,8 @@ def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monke
 
 
 def test_help_texts_name_what_the_package_has():
-    assert tuple(ENVIRONMENTS) == options.SCENARIO_NAMES
+    named = {environment.scenario.name: environment.__name__ for environment in ENVIRONMENTS.values()}
+    assert named == SCENARIO_CLASSES
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
     assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)
     known = {key for environment in ENVIRONMENTS.values() for key in environment.default_config()}

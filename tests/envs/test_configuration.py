@@ -339,7 +339,7 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
             return env.step(state, 0)
         if loop == "batch":
             env = MergerV1Env(config)
-            start = env.settings.start(env.settings.seconds, 2, np.random.default_rng())
+            start = env.settings.start(2, np.random.default_rng())
             playing = replace(shared_loop(env, [env.settings.controller]), rule=env.settings.controller.rule(start))
             drawn = draw_start(env, playing, env.settings.controller, np.random.default_rng(0))
             return simulate(playing, stack_episodes([drawn]))

@@ -15,7 +15,7 @@ from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.loop.controller import FunctionDriver
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import Naive
 from ms_highway.planning.ladders import MODELS, ladder
 from ms_highway.planning.plans import Plan

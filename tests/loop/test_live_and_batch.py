@@ -21,7 +21,7 @@ from ms_highway.loop.controller import FunctionDriver, always_yields, never_yiel
 from ms_highway.loop.driver import Driver
 from ms_highway.loop.records import PLANS, Loop
 from ms_highway.loop.step import STATUSES
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
 
@@ -55,7 +55,7 @@ class OneOf(Rule):
 
 def rules(humans):
     """All rules that choose models, by name."""
-    costs = Costs.of(COSTS.each, humans)
+    costs = Costs.of(COSTS.seconds, humans)
     values = load_values("shipped", "several" if humans > 1 else "pair")
     one_step = OneStepGains(Switching(costs, 0.0, LADDER))
     return {

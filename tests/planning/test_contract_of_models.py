@@ -120,7 +120,7 @@ def test_a_plan_says_its_steps_and_whether_they_converged(played):
 
 def test_a_plan_of_its_own_and_a_solver_of_another_type_are_refused(played):
     own = dataclass(frozen=True)(type("Own", (TheoryOfMind,), {"name": "own", "plan": lambda *_: None}))
-    with pytest.raises(ValueError, match="'own' defines `plan`, .* cannot obey; define .*`solver`"):
+    with pytest.raises(ValueError, match=r"'own' defines `plan`, .* cannot obey; define .*`solver`"):
         ms_highway.register(own())
     assert "own" not in MODELS
     other = type("Other", (TheoryOfMind,), {"name": "other", "solver": lambda *_: Newton()})

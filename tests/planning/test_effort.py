@@ -88,7 +88,7 @@ def test_steps_do_not_overshoot_at_longer_horizons(played):
 def test_costs_are_those_given_or_proportional_to_the_steps():
     def costs(given, *names, **config):
         config = {"controller": {"type": "switching", "lambda": 1.0}, "ladder": [*names], "costs": given, **config}
-        return read_own(Settings, MergerEnv.checked_config(config)).seconds
+        return read_own(Settings, MergerEnv.checked_config(config)).counted.seconds
 
     published = costs("published", "naive", "tom@8", "tom@8+warm", "tom+warm")
     assert published["tom@8"] == published["tom@8+warm"] == pytest.approx(0.37 * 8 / 20)

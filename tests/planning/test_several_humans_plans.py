@@ -15,7 +15,6 @@ from ms_highway.planning.ladders import PACKAGE_MODELS, ladder
 from ms_highway.planning.plans import cold_start
 from ms_highway.runtime.compilation import jit_quickly
 
-
 LADDER = (*ladder(PACKAGE_MODELS), Brakes(3.0))
 NAIVE, IDM, TURN, TOM, BRAKES = range(len(LADDER))
 
@@ -43,7 +42,8 @@ def test_one_compilation_serves_all_assignments(three, plans):
     function = plans.call(state, [NAIVE] * 3)[0]
     plans.plan(state, [NAIVE] * 3)  # whose numbers are placed
     sizes = function._cache_size()
-    found = [plans.plan(state, np.random.default_rng(seed).integers(0, len(LADDER), 3))[0].plan.robot for seed in range(5)]
+    drawn = [np.random.default_rng(seed).integers(0, len(LADDER), 3) for seed in range(5)]
+    found = [plans.plan(state, rungs)[0].plan.robot for rungs in drawn]
     assert np.isfinite(found).all()
     assert abs(np.diff(found, axis=0)).max() > 1e-3
     bolder = CompiledPlans(replace(game, humans=replace(game.humans, weights=game.humans.weights * 1.1)), LADDER)

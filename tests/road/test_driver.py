@@ -8,7 +8,7 @@ from roads import PLANNING, WEIGHTS, scene_of
 
 from ms_highway.choice.rule import first_memory
 from ms_highway.perception.scene import TRAFFIC
-from ms_highway.planning.compiled_plans import Costs
+from ms_highway.planning.costs import Costs
 from ms_highway.road.constants import MODELS, RoadWeights
 from ms_highway.road.driver import decided, proposed_for
 from ms_highway.road.plan import no_plan

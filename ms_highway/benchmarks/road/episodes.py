@@ -23,7 +23,6 @@ from ms_highway.road import drive
 from ms_highway.road.graphics import show
 from ms_highway.road.settings import DRIVERS, RoadSettings
 from ms_highway.road.stock import success
-from ms_highway.runtime import retired
 from ms_highway.runtime.files import file_name
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
@@ -67,11 +66,8 @@ def check_driver(name: str) -> None:
         ModuleNotFoundError: for an agent, without stable-baselines3.
         ValueError: for an unknown driver; it names the known ones.
     """
-    gone = retired.replacement(retired.DRIVERS, *name.split("+"))
     if is_agent(name):
         policy_of(name)
-    elif gone:
-        raise ValueError(gone)
     elif name not in OTHERS:
         try:
             RoadSettings.read(driver_config(name))

@@ -1,0 +1,123 @@
+"""Say what planning time costs: T(M) of every human model, and of plans that predict humans by them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from ms_highway.game.game import Game
+from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
+from ms_highway.planning.human_models import HumanModel
+from ms_highway.runtime.arrays import Array, Scalar, State
+from ms_highway.runtime.process import refuse_after_fork
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Costs:
+    """Planning time, additive in the humans: ``T = base + sum_i each[rung_i]`` [s].
+
+    It is a pytree: JAX does not compile again if only the numbers change.
+
+    Attributes:
+        base: of a plan in which the first rung predicts every human; 0 with one human.
+        each: time that a human adds under each rung, NaN where it is unknown; with one
+            human, T(M) of the whole plan.
+        names: of the models of the rungs (static); without names, only the numbers of
+            rungs are known.
+    """
+
+    base: Scalar
+    each: Float[Array, "rungs"]
+    names: tuple[str, ...] = field(default=(), metadata={"static": True})
+
+    @classmethod
+    def of(cls, seconds: Mapping[str, float], humans: int) -> "Costs":
+        """Return the costs of models by name; the first one is the first rung.
+
+        Args:
+            seconds: T(M) by name, of plans with one human predicted by the model, and
+                all others by the first rung.
+            humans: number of humans.
+        """
+        names = tuple(seconds)
+        whole = np.array([seconds[name] for name in names], dtype=float)
+        base = float(whole[0]) if humans > 1 and names else 0.0
+        return cls(base, whole - base, names)
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """T(M) by name of the models of which it is known [s], as `of` takes it."""
+        whole = (self.base + np.asarray(self.each)).tolist()
+        named = dict(zip(self.names, whole, strict=True))
+        return {name: seconds for name, seconds in named.items() if not np.isnan(seconds)}
+
+    def select(self, names: Iterable[str]) -> "Costs":
+        """Return the costs of these models in this order, NaN where they are unknown."""
+        wanted = tuple(names)
+        known = dict(zip(self.names, np.asarray(self.each).tolist(), strict=True))
+        each = np.array([known.get(name, np.nan) for name in wanted])
+        return Costs(self.base, each, wanted)
+
+    def of_models(self, names: Sequence[str]) -> float | None:
+        """Return T of a plan that predicts the humans by these models; None if unknown."""
+        each = self.select(names).each.tolist()
+        total = float(self.base + sum(each))
+        return None if np.isnan(total) else total
+
+    def total(self, rungs: Any) -> Any:
+        """Return T [...] of plans that predict humans by these rungs [..., humans].
+
+        The result is an array of NumPy or JAX, like the rungs; NaN where T is unknown.
+        """
+        xp = rungs.__array_namespace__()
+        return self.base + xp.sum(xp.asarray(self.each)[rungs], axis=-1)
+
+
+UNKNOWN = Costs(0.0, np.zeros(0), ())
+"""Costs before anything is measured."""
+
+
+def measure_costs(
+    game: Game,
+    ladder: Sequence[HumanModel],
+    state: State,
+    quantile: float,
+    way_out: bool,
+) -> Costs:
+    """Measure T on this machine, by warm plans in this state with all humans on the same rung.
+
+    Args:
+        game: that is played.
+        ladder: human models.
+        state: all cars.
+        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for budgets.
+        way_out: whether the time includes the check of the way out.
+
+    Raises:
+        ValueError: if the state is not a finite array [cars, 4] of two cars or more.
+    """
+    refuse_after_fork()
+    plans = CompiledPlans(game, ladder)
+    now = checked_state(state)
+    plans.warm_up(now, way_out)
+
+    def once(rung: int) -> float:
+        solution, seconds = plans.plan(now, [rung] * game.number)
+        if not way_out:
+            return seconds
+        _, searching = plans.keep_way_out(now, solution.plan.robot[0])
+        return seconds + searching
+
+    # Seconds of whole plans, with all humans on each rung.
+    rungs = range(len(ladder))
+    times = [[once(rung) for _ in range(REPEATS)] for rung in rungs]
+    whole = np.quantile(times, quantile, axis=1)
+
+    # What a human adds under each rung.
+    base = float(whole[0]) if game.number > 1 else 0.0
+    each = np.maximum(whole - base, 0.0) / game.number
+    return Costs(base, each, tuple(model.name for model in ladder))
