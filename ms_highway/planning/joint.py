@@ -80,17 +80,21 @@ class KnownResponders:
         """Return the length of a human's gradient steps."""
         return solver.step_size
 
-    def fold(self, step: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+    def count(self, step: Index) -> Index:
+        """Return the number of humans who respond in a step."""
+        return len(self.order)
+
+    def fold(self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
         """Apply a function to the number of every human who responds in a step, one by one.
 
         Args:
-            step: its number.
+            count: number of humans who respond in the step, of `count`.
             function: takes the number of a human and the result so far.
             carry: first result.
         """
         if len(self.order) < 2:  # which needs no loop
             return function(self.order[0], carry) if self.order else carry
-        return _fold(jnp.array(self.order), len(self.order), function, carry)
+        return _fold(jnp.array(self.order), count, function, carry)
 
 
 @jax.tree_util.register_dataclass
@@ -125,9 +129,13 @@ class AssignedResponders:
         """See `KnownResponders.step_size`."""
         return solver.step_size if self.step_sizes is None else self.step_sizes[human]
 
-    def fold(self, step: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+    def count(self, step: Index) -> Index:
+        """See `KnownResponders.count`."""
+        return jnp.sum(self.steps > step)
+
+    def fold(self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
         """See `KnownResponders.fold`."""
-        return _fold(self.order, jnp.sum(self.steps > step), function, carry)
+        return _fold(self.order, count, function, carry)
 
 
 def _fold(order: Rungs, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
@@ -229,6 +237,7 @@ def _gradient_step(
     game = interaction.game
     state = interaction.state
     responders = interaction.responders
+    count = responders.count(step)
     solver = game.planner.solver
     assert isinstance(solver, Ascent)
     drive = partial(move, game, state[0])
@@ -262,7 +271,7 @@ def _gradient_step(
         return slope, humans.at[human].set(controls), paths.at[human].set(path(controls))
 
     start = (along_robot, plan.humans, others)
-    slope, humans, paths = interaction.responders.fold(step, respond, start)
+    slope, humans, paths = responders.fold(count, respond, start)
 
     # The robot's step, along its reward and what it earns through the humans.
     jacobian = trajectory_jacobian(drive, plan.robot).reshape(slope.size, -1)
@@ -301,10 +310,13 @@ def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Traj
     driver = driving(game, state[0], others)
     along_robot, along_others = game.payoff.slopes(path, others)
     robot = expand(driver, plan.robot, path, along_robot)
-    if interaction.responders.nobody:  # so that the robot climbs its own reward
+    responders = interaction.responders
+    if responders.nobody:  # so that the robot climbs its own reward
         return Plan(improve(driver, plan.robot, robot), plan.humans), others
 
     # Each human's step, and what the robot earns through its response.
+    count = responders.count(step)
+
     def respond(human: Index, responses: _Responses) -> _Responses:
         own = swap_roles(game, human)
         around = trajectories_around(human, path, others)
@@ -327,7 +339,7 @@ def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Traj
     nothing = jax.tree.map(lambda part: jnp.zeros((game.number, *part.shape)), robot)
     unmixed = jnp.zeros((game.number, len(path), *path.shape))
     none = _Responses(robot.gradient, nothing, unmixed, plan.humans)
-    responses = interaction.responders.fold(step, respond, none)
+    responses = responders.fold(count, respond, none)
 
     # The robot's whole step, and each human's linear reaction to it.
     whole_step = robot.step(responses.slope)
@@ -339,7 +351,7 @@ def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Traj
         wanted = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1))
         return reactions.at[human].set(wanted.reshape(-1, 2))
 
-    reactions = interaction.responders.fold(step, react, jnp.zeros_like(plan.humans))
+    reactions = responders.fold(count, react, jnp.zeros_like(plan.humans))
 
     def paths_after(part: Scalar) -> tuple[HumansControls, Trajectories]:
         """Return the humans' controls and trajectories after their steps and a part of the reactions."""
@@ -350,7 +362,7 @@ def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Traj
             own = bounded(game, car, responses.humans[human] + part * reactions[human])
             return humans.at[human].set(own), paths.at[human].set(move(game, car, own))
 
-        return interaction.responders.fold(step, put, (plan.humans, others))
+        return responders.fold(count, put, (plan.humans, others))
 
     def robot_after(part: Scalar) -> Controls:
         return bounded(game, state[0], plan.robot + part * whole_step.reshape(-1, 2))

@@ -1,7 +1,7 @@
 r"""Add a human model of your own: theory of mind in 8 gradient steps instead of 20, at 40 % of the cost.
 
-A model is a rung of the ladder: a frozen dataclass with a name, ``responds``, ``predict`` and ``plan`` (see
-`ms_highway.HumanModel`). Run it, or make it known to any command::
+A model is a rung of the ladder: a frozen dataclass with a name that predicts the human, or ``responds`` in the steps of
+its own `solver` (see `ms_highway.HumanModel`), alone and among several humans. Run it, or make it known to any command::
 
     python notebooks/examples/brief.py
     ms-highway --import notebooks.examples.brief compare merger give_way --set ladder=naive,brief \
@@ -31,9 +31,9 @@ class BriefTheoryOfMind(TheoryOfMind):
 
     name: ClassVar[str] = "brief"
 
-    def plan(self, game, state, start=None):
-        planner = replace(game.planner, iterations=8, step_size=2 * game.planner.step_size)
-        return super().plan(replace(game, planner=planner), state, start)
+    def solver(self, game):
+        usual = game.planner.solver  # an Ascent, which takes gradient steps
+        return replace(usual, iterations=8, step_size=2 * usual.step_size)
 
 
 register(BriefTheoryOfMind(), before="tom")  # the next more expensive rung

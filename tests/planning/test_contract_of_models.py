@@ -16,7 +16,7 @@ from ms_highway.planning.human_models import TheoryOfMind
 from ms_highway.planning.ladders import MODELS, ladder
 from ms_highway.planning.plans import Plan
 
-FAR = 2000.0  # m, at which nobody matters
+FAR = 300.0  # m, at which nobody matters
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ def played_by(played, scenario, **options):
 @pytest.fixture(scope="module", params=["merger", "dense_merge"])
 def scene(request, played):
     """A game of three humans by gradient or by Newton steps, and a start."""
-    return played_by(played, request.param)
+    limit = (0.2, 50.0) if request.param == "merger" else (0.2, 8.0)
+    return played_by(played, request.param, control_limit=limit)
 
 
 @pytest.fixture(scope="module")
@@ -110,12 +111,13 @@ def test_no_two_models_that_differ_alone_are_equal_among_several_humans(scene, a
 
 def test_a_plan_says_its_steps_and_whether_they_converged(played):
     game, state = played_by(played, "dense_merge")
-    names = ["naive@1", "tom@2", "tom@40"]
+    names = ["naive@1", "naive@40", "tom@2"]
     plans = CompiledPlans(game, ladder(names))
     found = [plans.plan(checked_state(state), [rung] * 3)[0] for rung in range(len(names))]
-    assert [int(solution.steps) for solution in found[:2]] == [1, 2]
-    assert [bool(solution.converged) for solution in found] == [False, False, True]
-    assert 2 < found[2].steps < 40
+    assert [bool(solution.converged) for solution in found] == [False, True, False]
+    one, many, two = (int(solution.steps) for solution in found)
+    assert (one, two) == (1, 2)
+    assert 2 < many < 40
 
 
 def test_a_plan_of_its_own_and_a_solver_of_another_type_are_refused(played):
