@@ -162,7 +162,9 @@ class Quadratic(Rule):
     def _gains(self, game: Game, outcome: Outcome, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
         """Estimate the gains of going up and down for one human; return `NOT_ESTIMATED` for unneeded ones."""
         ladder, costs, none = self.ladder, jnp.asarray(self.costs.each), jnp.float32(NOT_ESTIMATED)
-        state, plan, observed = jnp.asarray(outcome.before), outcome.plan, game.observed_payoff
+        state = jnp.asarray(outcome.before)
+        plan = outcome.plan
+        observed = game.observed_payoff
 
         def estimate() -> tuple[Scalar, Scalar]:
             robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
@@ -194,7 +196,8 @@ class Quadratic(Rule):
 @jax.jit
 def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
     """Expand the rewards of both players in the controls of both, in one batch; each is seen from its own car."""
-    payoff, n = game.observed_payoff, len(robot)
+    payoff = game.observed_payoff
+    n = len(robot)
 
     def earned(controls: Float[jax.Array, "both"], driver: Reward, state: State) -> Scalar:
         own, partner = controls.reshape(2, -1, 2)

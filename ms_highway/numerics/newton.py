@@ -42,11 +42,6 @@ class Objective(NamedTuple):
         """Return what controls earn on their path; the path is computed unless it is given."""
         return self.reward(self.path(controls) if path is None else path) - self.cost(controls)
 
-    def gradient(self, controls: Controls) -> Controls:
-        """Return the derivative of `earned`."""
-        path, pull_back = jax.vjp(self.path, controls)
-        return pull_back(self.slope(path))[0] - jax.grad(self.cost)(controls)
-
     def gain(self, controls: Controls, step: Controls) -> Scalar:
         """Return the derivative of `earned` along a step that ends at these controls."""
         path, moved = jax.jvp(self.path, (controls,), (step,))

@@ -74,7 +74,7 @@ class Ascent:
         return replace(self, iterations=number, step_size=length)
 
     def of_human(self) -> "Ascent":
-        """Return the solver of a human, who plans anew in every step."""
+        """Return the solver for humans, without continuing the last plan."""
         return replace(self, continues=False)
 
     def repeat(
@@ -109,7 +109,7 @@ class Ascent:
 class Newton:
     """Take a few Newton steps up a smooth reward, for plans of seconds.
 
-    Plans change steadily with what is seen, see `ms_highway.numerics.convex_newton`.
+    Similar states give similar plans, see `ms_highway.numerics.convex_newton`.
 
     Attributes:
         ease: cost of plans, beside their reward, per squared scaled control that changes the
@@ -136,7 +136,7 @@ class Newton:
         return replace(self, steps=number, joint_steps=number)
 
     def of_human(self) -> "Newton":
-        """Return the solver of a human, who plans anew in every step, without the robot's ease."""
+        """Return the solver for humans, without ease and without continuing the last plan."""
         return replace(self, continues=False, ease=0.0)
 
     def repeat(

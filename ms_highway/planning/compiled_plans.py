@@ -1,7 +1,6 @@
 """Plan with a human model for each human, by functions that are compiled once, called with few arguments, and timed."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache, partial
 
 import jax
@@ -19,6 +18,7 @@ from ms_highway.planning.human_models import (
     own_solver,
     scaled_prediction,
     warn_of_limits,
+    within,
 )
 from ms_highway.planning.joint import AssignedResponders, Interaction, KnownResponders, ascend
 from ms_highway.planning.ladders import human_model
@@ -48,10 +48,11 @@ def plan_for(
 ) -> Solution:
     """Plan with a model for each human; all controls keep to `ms_highway.game.game.bounded`.
 
-    With a single model, it is known before the call who responds, so that only this is compiled.
-    With several, one program plans under all assignments: for each model that predicts, a loop takes
-    one round for every human on it, and in each step of the ascent, a loop takes one round for every
-    human who responds in it. So the time of a plan is a sum over the humans.
+    A single model is known before the call, so that the program holds only what it needs.
+
+    With several models, one program plans under all assignments. For each model that predicts, a loop
+    takes one round for every human on it. In each step of the ascent, a loop takes one round for every
+    responding human. So the time of a plan is a sum over the humans.
 
     Args:
         models: human models.
@@ -60,27 +61,24 @@ def plan_for(
         rungs: of every human, its model's place.
         start: scaled plan to improve, such as `ms_highway.planning.plans.cold_start`.
     """
-    begin = Plan(jnp.asarray(start.robot), jnp.asarray(start.humans))
-
-    # Humans who do not respond drive as predicted.
+    last = Plan(jnp.asarray(start.robot), jnp.asarray(start.humans))
+    begin = last
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
-    for rung, model in enumerate(models):
-        if not model.responds and type(model) is not Naive:
-            chosen = None if len(models) == 1 else rungs == rung
-            expected = _predicted(model, chosen, game, state, begin, expected)
 
-    # Humans who respond begin where their model says.
+    # A model starts the plans of responding humans, or it predicts the controls of the others.
     for rung, model in enumerate(models):
-        if model.responds and type(model).start is not HumanModel.start:
-            chosen = None if len(models) == 1 else rungs == rung
-            begin = _started(model, chosen, game, state, begin)
+        chosen = None if len(models) == 1 else rungs == rung
+        if model.responds:
+            if type(model).start is not HumanModel.start:
+                begin = _started(model, chosen, game, state, begin)
+        elif type(model) is not Naive:
+            expected = _predicted(model, chosen, game, state, last, expected)
 
     if len(models) == 1:
         (model,) = models
         humans = begin.humans if model.responds else expected
         known = KnownResponders(tuple(range(game.number)) if model.responds else ())
-        planner = replace(game.planner, solver=own_solver(model, game))
-        own = replace(game, planner=planner)
+        own = within(model, game)
         return ascend(Interaction(own, state, known), Plan(begin.robot, humans))
     responders = assigned_responders(models, game, rungs)
     responds = responders.steps > 0
@@ -125,9 +123,9 @@ def _started(
     state: State,
     start: Plan,
 ) -> Plan:
-    """Return the start of the plan with that of a model for the humans who are chosen, see `_predicted`.
+    """Replace the start of a plan by a model's own start, for the chosen humans and the robot.
 
-    The robot begins as the model says for the first of these humans.
+    The robot takes the model's start for the first chosen human. The arguments are those of `_predicted`.
     """
 
     def begin(human: Index) -> Plan:
@@ -146,7 +144,7 @@ def _started(
 
 
 def assigned_responders(models: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> AssignedResponders:
-    """Return who responds under an assignment of models, and in which steps.
+    """Return the responding humans under an assignment of models, and the steps of all cars.
 
     Each human takes the steps of its own model. The robot takes those of the model in use with the
     most steps; where somebody responds, of the models that respond.
@@ -156,18 +154,16 @@ def assigned_responders(models: tuple[HumanModel, ...], game: Game, rungs: Rungs
     joint_steps = _of_rungs([solver.most_steps(responds=True) for solver in solvers], rungs)
     steps_alone = _of_rungs([solver.most_steps(responds=False) for solver in solvers], rungs)
 
-    # Humans who respond in most steps come first; the robot goes on for as long as one of them.
+    # Humans with more steps come first. The robot takes as many steps as the first of them.
     steps = jnp.where(responds, joint_steps, 0).astype(jnp.int32)
     order = jnp.argsort(-steps, stable=True)
     longest = steps.max()
     robot_steps = jnp.where(longest > 0, longest, jnp.max(steps_alone))
-    if all(solver is game.planner.solver for solver in solvers):
-        return AssignedResponders(order, steps, robot_steps)
-    if not isinstance(game.planner.solver, Ascent):
+    own_sizes = [solver.step_size for solver in solvers if isinstance(solver, Ascent)]
+    if not own_sizes or all(solver is game.planner.solver for solver in solvers):
         return AssignedResponders(order, steps, robot_steps)
 
-    # Gradient steps are as long as each human's own model says, the robot's as those it follows.
-    own_sizes = [solver.step_size for solver in solvers if isinstance(solver, Ascent)]
+    # Each human's gradient steps have the length of its model, the robot's that of the leading model.
     sizes = jnp.stack([jnp.asarray(size, jnp.float32) for size in own_sizes])[rungs]
     leading = jnp.argmax(jnp.where(longest > 0, steps, steps_alone))
     return AssignedResponders(order, steps, robot_steps, sizes, sizes[leading])

@@ -50,7 +50,7 @@ class Costs:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """T(M) by name of the models of which it is known [s], as `of` takes it."""
+        """Known values of T(M) by name [s], in the form that `of` takes."""
         whole = (self.base + np.asarray(self.each)).tolist()
         named = dict(zip(self.names, whole, strict=True))
         return {name: seconds for name, seconds in named.items() if not np.isnan(seconds)}

@@ -213,7 +213,7 @@ def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan |
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
     """
-    controls = model.predict(_within(model, game), state, start)
+    controls = model.predict(within(model, game), state, start)
     if is_of_package(model):
         return controls / game.planner.control_scale
     return _scaled_within_limits(game, state[1], _checked(model, game, controls))
@@ -233,7 +233,7 @@ def own_solver(model: HumanModel, game: Game) -> Solver:
     return solver
 
 
-def _within(model: HumanModel, game: Game) -> Game:
+def within(model: HumanModel, game: Game) -> Game:
     """Return the game with the solver of a model."""
     return replace(game, planner=replace(game.planner, solver=own_solver(model, game)))
 
@@ -265,7 +265,7 @@ def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> No
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue
-        own, cars = pair(read_only(_within(model, game)), jnp.asarray(state), 0)
+        own, cars = pair(read_only(within(model, game)), jnp.asarray(state), 0)
         with naming_writes(f"the human model {model.name!r}"):
             predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
         kept = np.asarray(_scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale)

@@ -1,7 +1,7 @@
 """Improve the robot's plan jointly with the responses of any number of humans, or of none.
 
-A human who responds to the robot's plan (theory of mind) improves its own controls in every step of
-the ascent; all others drive as predicted. So the derivative of the humans' controls in the robot's
+Under theory of mind, a human responds to the robot's plan: every step of the ascent also improves
+the human's controls. All others drive as predicted. So the derivative of the humans' controls in the robot's
 is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``. The robot climbs along
 ``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each responding human along ``dR_i/du_i``. J is never formed
 (adjoint method): ``J_i^T dR_R/du_i`` follows from one linear response of the human to ``dR_R/du_i``
@@ -55,7 +55,7 @@ Carry = TypeVar("Carry")
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class KnownResponders:
-    """Humans of whom it is known before the call that they respond, in every step.
+    """Humans that respond in every step, known before the call.
 
     Attributes:
         order: their numbers (static).
@@ -81,7 +81,7 @@ class KnownResponders:
         return solver.step_size
 
     def count(self, step: Index) -> Index:
-        """Return the number of humans who respond in a step."""
+        """Return the number of responding humans in a step."""
         return len(self.order)
 
     def fold(self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:

@@ -63,7 +63,8 @@ def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
     def with_and_without(human):
         start = cold_start(game, state)
         robot, humans = move(game, state[0], start.robot), move_all(game, state[1:4], start.humans)
-        own, around = swap_roles(game, human), trajectories_around(human, robot, humans)
+        own = swap_roles(game, human)
+        around = trajectories_around(human, robot, humans)
         return own.payoff.second_order(humans[human], around).partner, mixed_bends(own, humans[human], around)
 
     wanted, bends = with_and_without(np.arange(3))
