@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from roads import PLANNING, WEIGHTS, scene_of
 
+from ms_highway.choice.budget import deciding_in
 from ms_highway.choice.rule import first_memory
 from ms_highway.perception.scene import TRAFFIC
 from ms_highway.planning.compiled_plans import Costs
@@ -30,8 +31,8 @@ def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_pre
 
 def chosen(driver, costs, gains, spent=0.0):
     """Numbers of the models that a driver's rule chooses."""
-    rule = RoadSettings.read({"driver": driver}).rule(costs).deciding_in(lambda: spent)
-    rungs = decided(rule, None, first_memory(rule, TRAFFIC), gains.astype(np.float32)).memory.rungs
+    rule = deciding_in(RoadSettings.read({"driver": driver}).rule(costs), lambda: spent)
+    rungs = decided(rule, first_memory(rule, TRAFFIC), gains.astype(np.float32)).memory.rungs
     return np.array([MODELS.index(rule.ladder[rung].name) for rung in rungs])
 
 
