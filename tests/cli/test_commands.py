@@ -49,7 +49,8 @@ def test_a_wrong_command_is_refused_in_one_line_and_writes_nothing(command, mess
 def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(tmp_path, monkeypatch):
     monkeypatch.chdir(Path(__file__).parents[2])
     monkeypatch.setattr(sys, "path", list(sys.path))
-    asked = "merger --set costs=coasting=0.09,tom=0.37 --set ladder=coasting,tom --controllers coasting near:6 closeness:0.1"
+    models = "--set costs=coasting=0.09,tom=0.37 --set ladder=coasting,tom"
+    asked = f"merger {models} --controllers coasting near:6 closeness:0.1"
     try:
         run(f"--import notebooks.examples.rule sweep {asked} --seeds 2 --out {tmp_path}")
     finally:
