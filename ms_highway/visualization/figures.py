@@ -290,8 +290,8 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
 
     Above, the estimated gains of the models over the first one, before the price of their time, in the step at which
     they are drawn. Algorithm 1 estimates the gain of the last step. Learned values of computation estimate the gain of
-    all that follows, less a margin for doubt. The scale is linear up to 0.01 and logarithmic beyond. Below, the reward per step, on a
-    background of the models in use.
+    all that follows, less a margin for doubt. The scale is linear up to 0.01 and logarithmic beyond. Below, the reward
+    per step, on a background of the models in use.
 
     Args:
         episodes: of controllers that choose online, see `ms_highway.experiments.comparison.one_episode`.

@@ -1,10 +1,10 @@
 r"""Let a rule of your own choose between human models of your own, with one human and with two, live and in a batch.
 
 There are two kinds of rules. A chooser picks the models, such as ``near:6``. An estimator says what models gain, which
-is then weighed against their time at a lambda, such as ``closeness:0.1``. All are known to a command as well::
+is then weighed against their time at a lambda, such as ``closeness:2``. All are known to a command as well::
 
     ms-highway --import notebooks.examples.rule compare merger --set ladder=coasting,tom \
-      --set costs=coasting=0.09,tom=0.37 --controllers near:6 closeness:0.1 tom --out results/near
+      --set costs=coasting=0.09,tom=0.37 --controllers near:6 closeness:2 tom --out results/near
 """
 
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Near(ms_highway.Chooser, tag="near"):  # in short near:6
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Closeness(ms_highway.Estimator, tag="closeness"):  # in short closeness:0.1
+class Closeness(ms_highway.Estimator, tag="closeness"):  # in short closeness:2
     reach: float = 10.0  # m, at which a better prediction gains 1 / e of what it gains at contact
 
     def estimate(self, memory, evidence):
@@ -58,7 +58,7 @@ ms_highway.add_rule(Closeness)
 if __name__ == "__main__":
     models = {"ladder": ["coasting", "tom"], "costs": {"coasting": 0.09, "tom": 0.37}}
     for scenario, config in (("merger", models), ("dense_merge", models | {"humans": 2})):
-        for rule in ("near:6", "closeness:0.1"):
+        for rule in ("near:6", "closeness:2"):
             live = pd.DataFrame(episode(make_environment(scenario, rule, **config), 0))
             batch = simulated(Comparison({scenario: [rule]}, seeds=20, config=config))
             for steps in (live, batch):
