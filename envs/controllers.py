@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from functools import partial
 from math import nan
-from typing import Annotated, Any, NamedTuple, Self, TypeAlias, get_type_hints
+from typing import Annotated, Any, NamedTuple, NoReturn, Self, TypeAlias, get_type_hints
 
 import numpy as np
 from msgspec import Meta, convert, json
@@ -18,6 +18,7 @@ from msgspec import Meta, convert, json
 from ms_highway.choice.budget import Knapsack
 from ms_highway.choice.learned_value import SHIPPED_VALUES, LearnedValue, Values
 from ms_highway.choice.rule import (
+    DERIVE,
     FROM_START,
     Chooser,
     Estimator,
@@ -190,6 +191,14 @@ class ControllerSettings:
     chooser: Chooser[Any]
     estimator: Estimator[Any] | None = None
     belief: bool = False
+
+    def __init_subclass__(cls, **_: Any) -> NoReturn:
+        """Refuse settings of rules that are classes of their own, as before version 3.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(f"the rule {cls.__name__} derives from ControllerSettings; {DERIVE}")
 
     def __post_init__(self) -> None:
         if self.belief and isinstance(self.chooser, Outside):

@@ -9,7 +9,7 @@ from ms_highway.choice.budget import Budget
 from ms_highway.choice.choosers import Nearest, Price, PriceTogether
 from ms_highway.choice.learned_value import LearnedValue
 from ms_highway.choice.quadratic import Quadratic
-from ms_highway.choice.rule import Chooser, Estimator, Part, Priced
+from ms_highway.choice.rule import DERIVE, Chooser, Estimator, Part, Priced
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.controllers import (
@@ -99,14 +99,23 @@ def _pair_of(part: type[Part], estimator: type[Estimator[Any]] | None) -> Pair:
     Raises:
         ValueError: if the class is neither.
     """
-    is_class = isinstance(part, type)
-    if is_class and issubclass(part, Chooser) and part.choose is not Chooser.choose:
-        return Pair(part, estimator)
-    if is_class and issubclass(part, Estimator) and part.estimate is not Estimator.estimate:
+    if estimator is not None and not _estimates(estimator):
+        raise ValueError(f"{_named(estimator)} is no estimator; derive it from ms_highway.Estimator")
+    if _estimates(part) and estimator is None:
         return Pair(Price, part)
-    name = part.__name__ if is_class else repr(part)
-    remedy = "derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define `estimate`"
-    raise ValueError(f"{name} makes no rule; {remedy}")
+    if isinstance(part, type) and issubclass(part, Chooser) and part.choose is not Chooser.choose:
+        return Pair(part, estimator)
+    raise ValueError(f"{_named(part)} makes no rule; {DERIVE}")
+
+
+def _estimates(part: Any) -> bool:
+    """Return whether something is the class of an estimator."""
+    return isinstance(part, type) and issubclass(part, Estimator) and part.estimate is not Estimator.estimate
+
+
+def _named(part: Any) -> str:
+    """Return the name of a class; anything else as it is written."""
+    return part.__name__ if isinstance(part, type) else repr(part)
 
 
 def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:

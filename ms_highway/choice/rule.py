@@ -67,6 +67,9 @@ NO_GAINS = int(np.iinfo(np.int32).min)
 """Rung that stands for gains that are no numbers. JAX cannot raise an error where it traces
 a decision, so that `refuse_rungs` raises it afterwards."""
 
+DERIVE = "derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define `estimate`"
+"""What to derive a rule of one's own from."""
+
 FROM_START: dict[str, bool] = {"from_start": True}
 """Metadata of a part's field that is no key of configurations, as only the start of an
 episode knows it, see `Part.at_start`."""
@@ -272,8 +275,7 @@ class Rule(Generic[Evidence]):
         Raises:
             ValueError: always.
         """
-        remedy = "derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator"
-        raise ValueError(f"the rule {cls.__name__} derives from Rule; {remedy} and define `estimate`")
+        raise ValueError(f"the rule {cls.__name__} derives from Rule; {DERIVE}")
 
     @property
     def estimates(self) -> bool:

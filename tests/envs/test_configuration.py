@@ -270,8 +270,11 @@ def test_a_class_that_makes_no_rule_is_refused_with_what_to_derive_it_from():
     for kind in (ms_highway.ControllerSettings, ms_highway.Chooser, ms_highway.Estimator, ZipperEnv):
         with pytest.raises(ValueError, match=f"{kind.__name__} makes no rule{remedy}"):
             add_rule(kind)
-    with pytest.raises(ValueError, match=f"the rule Old derives from Rule{remedy}"):
-        type("Old", (ms_highway.Rule,), {})
+    for base, options in ((ms_highway.Rule, {}), (ms_highway.ControllerSettings, {"frozen": True, "tag": "old"})):
+        with pytest.raises(ValueError, match=f"the rule Old derives from {base.__name__}{remedy}"):
+            type("Old", (base,), {}, **options)
+    with pytest.raises(ValueError, match=r"Plain is no estimator; derive it from ms_highway\.Estimator"):
+        add_rule(Plain, Plain)
 
 
 @jax.tree_util.register_dataclass
