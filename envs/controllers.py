@@ -71,7 +71,7 @@ class ModelOrder(Chooser[object]):
         return np.array(self.names())[:, None]
 
     def rule(self, start: Start) -> Rule[Any]:
-        """Return the rule of an episode, an `Order`."""
+        """Return the rule of an episode, see `ms_highway.choice.rule.in_order`."""
         table = self.table(start)
         names = list(dict.fromkeys(table.ravel().tolist()))
         return in_order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
