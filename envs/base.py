@@ -9,8 +9,8 @@ from highway_env.road.road import Road
 from jaxtyping import Int
 
 from ms_highway.choice.belief import first_belief
-from ms_highway.choice.rule import NOT_ESTIMATED, Order
-from ms_highway.envs.configuration import Changes, Config, read_own
+from ms_highway.choice.rule import NOT_ESTIMATED, in_order
+from ms_highway.envs.configuration import Changes, Config, as_dictionary, read_own
 from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
 from ms_highway.envs.graphics import InteractionViewer
@@ -30,6 +30,10 @@ from ms_highway.planning.costs import UNKNOWN, measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
+BELIEFS_GONE = (
+    "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several humans the reward that "
+    "theirs are drawn around"
+)
 UNTIL_FIRST: Config = {"model": "", "status": "", "choice_failed": False}
 """What ``info`` says of the robot's last step, with the values before the first step."""
 
@@ -56,7 +60,7 @@ class InteractionEnv(GameEnv):
       "milliseconds": 20}`` chooses what gains most within this time; ``{"type": "nearest", "count": 2}`` predicts the
       nearest humans by the top of the ladder. ``{"type": "fixed", "model": "tom"}`` always takes the same model;
       ``{"type": "schedule", "models": ["tom", "tom", "naive"]}`` takes a model per step and keeps the last one;
-      ``"period"`` repeats them; ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}`` draws them when the
+      ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}`` draws them when the
       episode starts. A short name stands for each, such as ``"tom"`` or ``"learned:1"``, see
       `ms_highway.envs.registry.controller_config`. With ``"belief": True``, any of them infers from each human's
       behaviour which model predicts that human (`ms_highway.choice.belief`), and counts on no response that the
@@ -76,8 +80,6 @@ class InteractionEnv(GameEnv):
       or else learned. Aims of the scenario, such as a human's target lane, stay unless weights name them. A learned
       reward has no weight of ``collision``, and that of the highway none of leaving the road.
     * ``humans``: number of humans, from 2 to 20 in scenarios with streams.
-    * ``beliefs``: which rewards the robot assumes of several humans: ``"learned"``, for all the reward that theirs are
-      drawn around; or ``"true"``, for each its own. A controller's ``"belief"`` is about models, not rewards.
     * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"``, keep their
       velocity and never yield; ``"always"``, make room for the robot (`ms_highway.loop.controller`); or
       ``"mixed"``, one of the last two, drawn for each human when the episode starts.
@@ -138,7 +140,6 @@ class InteractionEnv(GameEnv):
             "semantics": scenario.semantics,
             "human_reward": None,
             "humans": scenario.humans,
-            "beliefs": "learned",
             "yielding": "usual",
             "human_driver": None,
             "way_out": scenario.way_out,
@@ -157,6 +158,8 @@ class InteractionEnv(GameEnv):
     @classmethod
     def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
         """See `GameEnv.checked_config`; also spell out ladder and controller, and check that they fit each other."""
+        if "beliefs" in as_dictionary("the configuration", changes or {}):
+            raise ValueError(BELIEFS_GONE)
         config = super().checked_config(changes, config)
         if isinstance(config["controller"], str):
             config["controller"] = controller_config(config["controller"])
@@ -236,14 +239,14 @@ class InteractionEnv(GameEnv):
                 driver = FunctionDriver(own, name, added, draw_key(added, self.np_random))
             human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
-            self._drive_robot(truth if self.settings.beliefs == "true" else self.game)
+            self._drive_robot(self.game)
 
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs before they are measured."""
         settings, order = self.settings, None
         if isinstance(self.action_type, HumanModelAction):
             self._terms[COMPUTATION] = 0.0
-            order = Order(np.zeros((1, 1), int), settings.models)
+            order = in_order(np.zeros((1, 1), int), settings.models)
         start = settings.start(self.episode_steps, self.np_random, self.costs)
         driver = settings.controller.driver(game, start, settings.way_out, order)
         self.robot.drive_with(driver, self.road.vehicles[1:])

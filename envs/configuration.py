@@ -21,18 +21,14 @@ from highway_env.envs.common.observation import (
 from msgspec import Meta, Struct, ValidationError, convert, to_builtins
 from msgspec.structs import fields
 
+from ms_highway.runtime.limits import LARGEST, Number
+
 Config: TypeAlias = dict[str, Any]
 Changes: TypeAlias = Mapping[str, Any]
 Types: TypeAlias = Mapping[str, Mapping[str, Config]]
 Kind = TypeVar("Kind", bound=Struct)
 
-LARGEST = float(np.finfo(np.float32).max)
-"""The largest number that single precision holds."""
-
-Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description=f"it must be a number of at most {LARGEST:.2g}")]
-Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a positive number")]
 Price = Annotated[float, Meta(ge=0, le=LARGEST, description="give the price of a second of planning, such as 1.0")]
-NotNegative = Annotated[float, Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}")]
 
 
 class Ends(Struct, array_like=True, forbid_unknown_fields=True):

@@ -16,7 +16,6 @@ from ms_highway.envs.configuration import (
     TYPES,
     Changes,
     Config,
-    Positive,
     Types,
     as_dictionary,
     as_json,
@@ -39,6 +38,7 @@ from ms_highway.envs.spaces import (
 )
 from ms_highway.envs.viewer import Viewer, check_window, enable_pictures
 from ms_highway.game.scenario import TIME_STEP
+from ms_highway.runtime.limits import Positive
 
 OWN_TYPES = {
     kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks, SceneStates, TupleObservation)

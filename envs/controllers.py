@@ -1,31 +1,46 @@
-"""Define the settings of controllers, and those of orders, whose models are known when the episode starts.
+"""Read controllers from their configuration: rules, orders of models, and who drives without predictions.
 
-`ms_highway.envs.registry` defines the controllers that choose online, and finds all by type and short name.
+The configuration of a rule is the rule: the fields of its chooser and its estimator are
+the keys of ``config["controller"]``, see `ms_highway.choice.rule.Part`.
+`ms_highway.envs.registry` finds the controllers by type and short name.
 """
 
 import re
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
+from functools import partial
 from math import nan
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple, NoReturn, Self, TypeAlias, get_type_hints
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, convert, json
 
-from ms_highway.choice.learned_value import Values
-from ms_highway.choice.rule import Order
+from ms_highway.choice.budget import Knapsack
+from ms_highway.choice.learned_value import SHIPPED_VALUES, LearnedValue, Values
+from ms_highway.choice.rule import (
+    DERIVE,
+    FROM_START,
+    Chooser,
+    Estimator,
+    GameEvidence,
+    Part,
+    Priced,
+    Rule,
+    Start,
+    in_order,
+)
 from ms_highway.envs.agents import agent_file
-from ms_highway.envs.configuration import Config, NotNegative
+from ms_highway.envs.configuration import Config, as_dictionary, as_json, check, refuse_unknown
 from ms_highway.game.game import Game
-from ms_highway.game.scenario import Semantics
 from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, FunctionDriver, draw_key, function_names
 from ms_highway.loop.driver import Driver, drivable
-from ms_highway.planning.costs import Costs
-from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import human_model, is_model, model_names
+from ms_highway.runtime.limits import NotNegative
 
 KEYBOARD = "keyboard"  # name of the human driver that reads the keyboard
 PLACE = "config['controller']"
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
-REPEATED = re.compile("(.+)=([0-9]{1,5})")  # a model and its number of steps in a short name
+PER_HUMAN = "models per human are gone since 3.0.0; name one model for a step, or choose them by an agent's actions"
 
 Models = Annotated[tuple[str, ...], Meta(min_length=1, description="give a list of human models")]
 Shares = Annotated[
@@ -34,219 +49,61 @@ Shares = Annotated[
 ]
 
 
-class Start(NamedTuple):
-    """What a rule is built from when an episode starts.
-
-    Attributes:
-        ladder: human models to choose from, cheapest first.
-        costs: of plans with them, NaN where unknown.
-        semantics: of the scenario.
-        humans: number of humans.
-        steps: number of steps of the episode.
-        random: source of the draws.
-    """
-
-    ladder: tuple[HumanModel, ...]
-    costs: Costs
-    semantics: Semantics
-    humans: int
-    steps: int
-    random: np.random.Generator
+# Choosers of orders, whose models are known when the episode starts
 
 
-class ControllerSettings(Struct, frozen=True, kw_only=True, tag_field="type", omit_defaults=True):
-    """Base of the settings of controllers, read from their configuration.
-
-    Attributes:
-        belief: whether the controller infers which model predicts each human, see `ms_highway.choice.belief`.
-        chooses: whether a rule chooses from the ladder.
-        predicts: whether the robot plans with predictions of human models.
-        price: lambda, NaN where no rule chooses at one.
-    """
-
-    chooses: ClassVar[bool] = True
-    predicts: ClassVar[bool] = True
-    price = nan
-    belief: bool = False
-
-    @classmethod
-    def parse(cls, text: str) -> Config:
-        """Read the part of a short name behind its type: the first field, and the ``values`` after a colon."""
-        first = [name for name in cls.__struct_encode_fields__ if name != "belief"][:1]
-        given = dict(zip([*first, "values"], text.split(":", 1), strict=False))
-        return {name: value for name, value in given.items() if value}
-
-    @property
-    def budget(self) -> float | None:
-        """Time of a cycle [s], None without one."""
-        return None
-
-    def learned(self, start: Start) -> Values | None:
-        """Return the learned values that choose from the ladder; None without any."""
-        return None
-
-    def files(self) -> tuple[str, ...]:
-        """Return the paths of the files that the controller is read from, beside its settings."""
-        return ()
-
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the human models of an order."""
-        return ()
-
-    def rule(self, start: Start) -> Any:
-        """Return the `ms_highway.choice.rule.Rule` of an episode."""
-        raise NotImplementedError
-
-    def check(self, start: Start) -> None:
-        """Check that the controller can drive the robot.
-
-        Raises:
-            ValueError: for an agent, and for a rule that does not fit the ladder, the costs or a belief.
-        """
-        if self.predicts:
-            drivable(self.rule(start), self.belief)
-
-    def driver(self, game: Game, start: Start, way_out: bool, order: Order | None = None) -> Controller:
-        """Return what drives the robot in an episode.
-
-        Args:
-            game: that the robot believes in.
-            start: what the rule is built from.
-            way_out: whether the robot keeps a way out, see `ms_highway.planning.way_out`.
-            order: used instead of the rule where an agent chooses the models.
-        """
-        rule = self.rule(start) if order is None else order
-        return Driver(game, rule, budget=self.budget, way_out=way_out, belief=self.belief)
-
-
-class OrderSettings(ControllerSettings, frozen=True):
-    """Base of the settings of orders, whose models are known when the episode starts."""
-
-    chooses: ClassVar[bool] = False
+class ModelOrder(Chooser[object]):
+    """Base of choosers that name the models of an episode; they are the rule's ladder."""
 
     def __post_init__(self) -> None:
         for name in self.names():
+            if "/" in name:
+                raise ValueError(f"{PLACE} names {name!r}; {PER_HUMAN}")
             if not is_model(name):
                 raise ValueError(f"{PLACE} names {name!r}; the human models are {model_names()}")
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the human models."""
+        raise NotImplementedError
 
     def table(self, start: Start) -> np.ndarray:
         """Return the names of the humans' models in every step, [steps, humans] or, the same for all, [steps, 1]."""
         return np.array(self.names())[:, None]
 
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
+    def rule(self, start: Start) -> Rule[Any]:
+        """Return the rule of an episode, see `ms_highway.choice.rule.in_order`."""
         table = self.table(start)
         names = list(dict.fromkeys(table.ravel().tolist()))
-        return Order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
+        return in_order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
 
 
-class NamedSettings(ControllerSettings, frozen=True):
-    """Base of the settings of a user's drivers and agents, which are known by name and predict no human."""
-
-    chooses: ClassVar[bool] = False
-    predicts: ClassVar[bool] = False
-    name: str
-
-    def __post_init__(self) -> None:
-        if self.belief:
-            raise ValueError(f"{PLACE}['belief'] is True, and {self.name!r} predicts no human; leave the belief out")
-
-
-class DriverSettings(NamedSettings, frozen=True, tag="driver"):
-    """A function of the state drives, see `ms_highway.add_driver`."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.name not in function_names():
-            remedy = f"add it with ms_highway.add_driver: there are {', '.join(function_names())}"
-            raise ValueError(f"{PLACE} names the driver {self.name!r}; {remedy}")
-
-    def driver(self, game: Game, start: Start, way_out: bool, order: Order | None = None) -> Controller:
-        """See `ControllerSettings.driver`."""
-        driver = HUMAN_DRIVERS[self.name]
-        return FunctionDriver(game, self.name, driver, draw_key(driver, start.random))
-
-
-class AgentSettings(NamedSettings, frozen=True, tag="agent"):
-    """An agent acts from outside the environment, see `ms_highway.envs.agents`."""
-
-    @classmethod
-    def parse(cls, text: str) -> Config:
-        """See `ControllerSettings.parse`."""
-        return {"name": text}
-
-    def files(self) -> tuple[str, ...]:
-        """See `ControllerSettings.files`."""
-        file = agent_file(self.name)
-        return () if file is None else (file,)
-
-    def check(self, start: Start) -> None:
-        """See `ControllerSettings.check`."""
-        remedy = "call it yourself, or make the environment with ms_highway.experiments.runner.make_environment"
-        raise ValueError(f"an agent acts from outside; {remedy}")
-
-
-class FixedSettings(OrderSettings, frozen=True, tag="fixed"):
+@dataclass(frozen=True)
+class Fixed(ModelOrder):
     """Always the same model."""
 
     model: str
 
     def names(self) -> tuple[str, ...]:
-        """See `ControllerSettings.names`."""
+        """See `ModelOrder.names`."""
         return (self.model,)
 
 
-class ScheduleSettings(OrderSettings, frozen=True, tag="schedule"):
-    """Take a given model in each step, and keep the last one; ``tom/naive`` gives each human its own model."""
+@dataclass(frozen=True)
+class Schedule(ModelOrder):
+    """Take a given model in each step, and keep the last one."""
 
     models: Models
 
-    @classmethod
-    def parse(cls, text: str) -> Config:
-        """See `ControllerSettings.parse`; ``tom=6,naive`` is tom for six steps and naive for one."""
-        models: list[str] = []
-        for part in text.split(","):
-            repeated = REPEATED.fullmatch(part)
-            models += [repeated[1]] * int(repeated[2]) if repeated else [part]
-        return {"models": models}
-
     def names(self) -> tuple[str, ...]:
-        """See `ControllerSettings.names`."""
-        return tuple(name for step in self.models for name in step.split("/"))
-
-    def table(self, start: Start) -> np.ndarray:
-        """See `OrderSettings.table`.
-
-        Raises:
-            ValueError: if a step names several models, but not one for each human.
-        """
-        rows = [step.split("/") for step in self.models]
-        if wrong := {len(row) for row in rows} - {1, start.humans}:
-            remedy = "name one for all of them in a step, or one for each"
-            raise ValueError(f"{PLACE}['models'] has {min(wrong)} models for {start.humans} humans; {remedy}")
-        return np.array([row * (start.humans // len(row)) for row in rows])
+        """See `ModelOrder.names`."""
+        return self.models
 
 
-class PeriodSettings(ScheduleSettings, frozen=True, tag="period"):
-    """A model per step, repeated to the end of the episode."""
-
-    def table(self, start: Start) -> np.ndarray:
-        """See `OrderSettings.table`."""
-        return np.resize(super().table(start), (start.steps, start.humans))
-
-
-class RandomSettings(OrderSettings, frozen=True, tag="random"):
+@dataclass(frozen=True)
+class RandomModels(ModelOrder):
     """A model for every human and step, drawn when the episode starts with given shares."""
 
     shares: Shares
-
-    @classmethod
-    def parse(cls, text: str) -> Config:
-        """See `ControllerSettings.parse`; the text is like ``naive=0.7,tom=0.3``."""
-        shares = {name: share for name, _, share in (part.partition("=") for part in text.split(","))}
-        if len(shares) <= text.count(","):
-            raise ValueError(f"the shares {text!r} name a model twice; name each once")
-        return {"shares": shares}
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -255,10 +112,264 @@ class RandomSettings(OrderSettings, frozen=True, tag="random"):
             raise ValueError(f"{PLACE}['shares'] sum to {total:g}; change one, so that they sum to 1")
 
     def names(self) -> tuple[str, ...]:
-        """See `ControllerSettings.names`."""
+        """See `ModelOrder.names`."""
         return tuple(name for name, share in self.shares.items() if share > 0)
 
     def table(self, start: Start) -> np.ndarray:
-        """See `OrderSettings.table`."""
+        """See `ModelOrder.table`."""
         shares = np.array([self.shares[name] for name in self.names()])
         return start.random.choice(self.names(), size=(start.steps, start.humans), p=shares / shares.sum())
+
+
+REPEATED = re.compile("(.+)=([0-9]{1,5})")  # a model and its number of steps in a short name
+
+
+def schedule_of(text: str) -> Config:
+    """Read the part of a short name behind its type; ``tom=6,naive`` is tom for six steps and naive for one."""
+    models: list[str] = []
+    for part in text.split(","):
+        repeated = REPEATED.fullmatch(part)
+        models += [repeated[1]] * int(repeated[2]) if repeated else [part]
+    return {"models": models}
+
+
+def shares_of(text: str) -> Config:
+    """Read the part of a short name behind its type, such as ``naive=0.7,tom=0.3``.
+
+    Raises:
+        ValueError: if it names a model twice.
+    """
+    shares = {name: share for name, _, share in (part.partition("=") for part in text.split(","))}
+    if len(shares) <= text.count(","):
+        raise ValueError(f"the shares {text!r} name a model twice; name each once")
+    return {"shares": shares}
+
+
+# Who drives without predictions
+
+
+class Outside(Chooser[object]):
+    """Base of what stands for a user's drivers and agents, which are known by name: they choose no models."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class DrivenByFunction(Outside):
+    """A function of the state drives, see `ms_highway.add_driver`."""
+
+    name: str
+
+    def __post_init__(self) -> None:
+        if self.name not in function_names():
+            remedy = f"add it with ms_highway.add_driver: there are {', '.join(function_names())}"
+            raise ValueError(f"{PLACE} names the driver {self.name!r}; {remedy}")
+
+
+@dataclass(frozen=True)
+class DrivenByAgent(Outside):
+    """An agent acts from outside the environment, see `ms_highway.envs.agents`."""
+
+    name: str
+
+
+# Controllers
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What ``config["controller"]`` is read into.
+
+    Attributes:
+        type: of the controller.
+        chooser: what chooses the models.
+        estimator: what estimates their gains; None if the chooser needs no gains.
+        belief: whether the controller infers which model predicts each human, see `ms_highway.choice.belief`.
+    """
+
+    type: str
+    chooser: Chooser[Any]
+    estimator: Estimator[Any] | None = None
+    belief: bool = False
+
+    def __init_subclass__(cls, **_: Any) -> NoReturn:
+        """Refuse settings of rules that are classes of their own, as before version 3.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(f"the rule {cls.__name__} derives from ControllerSettings; {DERIVE}")
+
+    def __post_init__(self) -> None:
+        if self.belief and isinstance(self.chooser, Outside):
+            name = self.chooser.name
+            raise ValueError(f"{PLACE}['belief'] is True, and {name!r} predicts no human; leave the belief out")
+
+    @property
+    def chooses(self) -> bool:
+        """Whether a rule chooses from the ladder."""
+        return not isinstance(self.chooser, (ModelOrder, Outside))
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the robot plans with predictions of human models."""
+        return not isinstance(self.chooser, Outside)
+
+    @property
+    def price(self) -> float:
+        """Lambda, NaN where no rule chooses at one."""
+        return self.chooser.price if isinstance(self.chooser, Priced) else nan
+
+    @property
+    def budget(self) -> float | None:
+        """Time of a cycle [s], None without one."""
+        return self.chooser.seconds if isinstance(self.chooser, Knapsack) else None
+
+    def without_price(self) -> Self:
+        """Return the settings at a lambda of 0, which are the same for controllers that differ only in lambda."""
+        if not isinstance(self.chooser, Priced):
+            return self
+        return replace(self, chooser=replace(self.chooser, price=0.0))  # type: ignore[type-var]
+
+    def learned(self, start: Start) -> Values | None:
+        """Return the learned values that estimate gains; None without any."""
+        return self.estimator.learned(start) if isinstance(self.estimator, LearnedValue) else None
+
+    def files(self) -> tuple[str, ...]:
+        """Return the paths of the files that the controller is read from, beside its settings."""
+        file = agent_file(self.chooser.name) if isinstance(self.chooser, DrivenByAgent) else None
+        if isinstance(self.estimator, LearnedValue) and self.estimator.values != SHIPPED_VALUES:
+            file = self.estimator.values
+        return (file,) if file else ()
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the human models of an order."""
+        return self.chooser.names() if isinstance(self.chooser, ModelOrder) else ()
+
+    def rule(self, start: Start) -> Rule[GameEvidence]:
+        """Return the rule of an episode."""
+        if isinstance(self.chooser, ModelOrder):
+            return self.chooser.rule(start)
+        chooser = self.chooser.at_start(start)
+        estimator = None if self.estimator is None else self.estimator.at_start(start)
+        return Rule(start.ladder, start.costs, chooser, estimator)
+
+    def check(self, start: Start) -> None:
+        """Check that the controller can drive the robot.
+
+        Raises:
+            ValueError: for an agent, and for a rule that does not fit the ladder, the costs or a belief.
+        """
+        if isinstance(self.chooser, DrivenByAgent):
+            remedy = "call it yourself, or make the environment with ms_highway.experiments.runner.make_environment"
+            raise ValueError(f"an agent acts from outside; {remedy}")
+        if self.predicts:
+            drivable(self.rule(start), self.belief)
+
+    def driver(self, game: Game, start: Start, way_out: bool, order: Rule[Any] | None = None) -> Controller:
+        """Return what drives the robot in an episode.
+
+        Args:
+            game: that the robot believes in.
+            start: what is known of the episode.
+            way_out: whether the robot keeps a way out, see `ms_highway.planning.way_out`.
+            order: used instead of the rule where an agent chooses the models.
+        """
+        if isinstance(self.chooser, DrivenByFunction):
+            name = self.chooser.name
+            driver = HUMAN_DRIVERS[name]
+            return FunctionDriver(game, name, driver, draw_key(driver, start.random))
+        rule = self.rule(start) if order is None else order
+        return Driver(game, rule, budget=self.budget, way_out=way_out, belief=self.belief)
+
+    def config(self) -> Config:
+        """Return the configuration that it was read from, without defaults, as JSON has it."""
+        given: Config = {"type": self.type}
+        if self.belief:
+            given["belief"] = True
+        for part in (self.chooser, self.estimator):
+            if part is not None:
+                own = {key: (getattr(part, each.name), each.default) for key, each in keys_of(type(part)).items()}
+                given |= {key: value for key, (value, default) in own.items() if value != default}
+        return json.decode(json.encode(as_json(given)))
+
+
+# Reading them
+
+PartMaker: TypeAlias = Callable[..., Part]
+"""Class of a part, or a partial with numbers that are no keys."""
+
+
+class Pair(NamedTuple):
+    """What a type of controllers consists of.
+
+    Attributes:
+        chooser: class of the chooser.
+        estimator: class of the estimator; None if the chooser needs no gains.
+    """
+
+    chooser: PartMaker
+    estimator: PartMaker | None = None
+
+    @property
+    def chooser_class(self) -> type[Part]:
+        """The class of the chooser, without its numbers."""
+        return class_of(self.chooser)
+
+    def keys(self) -> dict[str, Field]:
+        """Return the fields of both parts that are keys of the configuration, the chooser's first."""
+        keys = keys_of(self.chooser_class)
+        return keys if self.estimator is None else keys | keys_of(class_of(self.estimator))
+
+    def read(self, kind: str, config: Any, strict: bool = True) -> ControllerSettings:
+        """Read the configuration of a controller of this type.
+
+        Args:
+            kind: the type.
+            config: values by key; NumPy's numbers and arrays count as Python's.
+            strict: whether a number must not be given as a text.
+
+        Raises:
+            ValueError: for anything unknown, missing or impossible.
+        """
+        values = as_dictionary(PLACE, config)
+        keys = self.keys()
+        refuse_unknown(PLACE, values, [*keys, "type", "belief"])
+        check(f"{PLACE}['belief']", values.get("belief", False), bool, strict)
+        belief = convert(values.get("belief", False), bool, strict=strict)
+        chooser = made(self.chooser, values, strict)
+        estimator = None if self.estimator is None else made(self.estimator, values, strict)
+        return ControllerSettings(kind, chooser, estimator, belief)  # type: ignore[arg-type]
+
+
+def class_of(part: PartMaker) -> type[Part]:
+    """Return the class of a part."""
+    return part.func if isinstance(part, partial) else part  # type: ignore[return-value]
+
+
+def keys_of(part: type[Part]) -> dict[str, Field]:
+    """Return the fields of a part that are keys of the configuration; a field ``price`` is the key ``lambda``."""
+    own: tuple[Field, ...] = fields(part) if is_dataclass(part) else ()
+    return {
+        "lambda" if each.name == "price" else each.name: each
+        for each in own
+        if FROM_START.items().isdisjoint(each.metadata.items())
+    }
+
+
+def made(part: PartMaker, values: Mapping[str, Any], strict: bool) -> Part:
+    """Make a part from the values of a configuration.
+
+    Raises:
+        ValueError: for a missing or an impossible value.
+    """
+    kind = class_of(part)
+    annotations = get_type_hints(kind, include_extras=True)
+    given: dict[str, Any] = {}
+    for key, each in keys_of(kind).items():
+        required = each.default is MISSING and each.default_factory is MISSING
+        if required or key in values:
+            annotation = annotations[each.name]
+            check(f"{PLACE}[{key!r}]", values.get(key), annotation, strict)
+            given[each.name] = convert(values.get(key), annotation, strict=strict)
+    return part(**given)

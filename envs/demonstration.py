@@ -8,7 +8,7 @@ import numpy as np
 from highway_env.road.road import Road
 from msgspec import Struct
 
-from ms_highway.envs.configuration import RANGES, Config, Positive
+from ms_highway.envs.configuration import RANGES, Config
 from ms_highway.envs.game_env import GameEnv, straight_road
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import (
@@ -20,6 +20,7 @@ from ms_highway.game.scenario import (
 )
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Car, Control, State, Times, Vector
+from ms_highway.runtime.limits import Positive
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, states_of
 
 DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}

@@ -208,10 +208,9 @@ class InteractionViewer(Viewer):
 
 
 def _reason(step: ControlStep) -> str:
-    """Return the reason for this model: the estimated gains, net of the price of planning."""
-    gains = step.highest_gains()
+    """Return the reason for this model: the estimated gains over the first one, before the price of planning."""
     if step.choice_failed:
         return f"choice failed: {step.model} to be safe"
-    told = ", ".join(f"{name} {gain:+.3f}" for name, gain in gains.items())
-    verb = "switched" if step.model in gains else "stays"
-    return f"{verb}: net gain of {told}" if gains else "no switch considered"
+    first = step.ladder[0]
+    gains = [f"{name} {gain:+.3f}" for name, gain in step.highest_gains().items() if name != first]
+    return f"gain over {first}: {', '.join(gains)}" if gains else "no other model considered"

@@ -1,28 +1,28 @@
 """Define the controllers that choose models online; find all by type and short name; add rules of one's own."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from functools import partial
 from os import PathLike
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
-from msgspec import Meta, field, json
-
-from ms_highway.choice.budget import Budget, OneStepGains
-from ms_highway.choice.learned_value import SHIPPED_VALUES, Values, load_values
-from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, TRUST_TOLERANCE, Quadratic
-from ms_highway.choice.rule import NEVER, Nearest, shipped_kind
+from ms_highway.choice.budget import Budget
+from ms_highway.choice.choosers import Nearest, Price, PriceTogether
+from ms_highway.choice.learned_value import LearnedValue
+from ms_highway.choice.quadratic import Quadratic
+from ms_highway.choice.rule import DERIVE, Chooser, Estimator, Part, Priced
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
-from ms_highway.envs.configuration import Config, NotNegative, Positive, read, refuse_unknown
+from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.controllers import (
     PLACE,
-    AgentSettings,
     ControllerSettings,
-    DriverSettings,
-    FixedSettings,
-    PeriodSettings,
-    RandomSettings,
-    ScheduleSettings,
-    Start,
+    DrivenByAgent,
+    DrivenByFunction,
+    Fixed,
+    Pair,
+    RandomModels,
+    Schedule,
+    schedule_of,
+    shares_of,
 )
 from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, RememberingDriver, check_driver, function_names
 from ms_highway.planning.human_models import PACKAGE_TYPES
@@ -31,167 +31,90 @@ from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import PACKAGE_NAMES, check_own_name, keep_apart
 
 BELIEF = "+belief"
-EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, period:tom=1,naive=3, random:naive=0.7,tom=0.3"
-ONE_STEP = "one_step"  # stands for gains that Algorithm 1 estimates
+EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, random:naive=0.7,tom=0.3"
 
-Cooldown = Annotated[int, Meta(ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}")]
-File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
+RETIRED = {
+    "period": "write the steps as schedule:MODEL=STEPS,..., or draw them as random:MODEL=SHARE,...",
+    "one_step": "leave it out, to have the gains of learned values",
+}
+"""What to use instead of a type of controllers, and of ``values`` of a budget, that are gone since 3.0.0."""
 
+SHORT_NAMES: dict[str, Callable[[str], Config]] = {
+    "agent": lambda text: {"name": text},  # the path of a file may have colons
+    "schedule": schedule_of,
+    "random": shares_of,
+}
+"""How the text behind a type is read, if it is not the first key and ``values``."""
 
-class SwitchingSettings(ControllerSettings, frozen=True, tag="switching"):
-    """Algorithm 1 chooses from the ladder, at a price per second of planning; see `Quadratic` for its numbers."""
-
-    price: NotNegative = field(name="lambda")
-    cooldown: Cooldown = Quadratic.cooldown
-    trust_radius: Positive = Quadratic.trust_radius
-    horizon_steps: ClassVar[int | None] = 1
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        tolerance = RELEASED_TRUST_TOLERANCE if start.semantics == "released" else TRUST_TOLERANCE
-        numbers = self.trust_radius, tolerance, self.cooldown, self.horizon_steps
-        return Quadratic(start.costs, self.price, start.ladder, *numbers)
-
-
-class HorizonSettings(SwitchingSettings, frozen=True, tag="horizon"):
-    """Algorithm 1 chooses with gains that are estimated over the whole horizon."""
-
-    horizon_steps = None
-
-
-class LearnedSettings(ControllerSettings, frozen=True, tag="learned"):
-    """A learned value of computation chooses, at a price per second of planning.
-
-    Attributes:
-        values: ``"shipped"`` or a file of `ms_highway.choice.learned_value`; ``""`` and None mean ``"shipped"``.
-    """
-
-    price: NotNegative = field(name="lambda")
-    values: File = None
-
-    def __post_init__(self) -> None:
-        load_values(self.values or SHIPPED_VALUES)
-
-    def files(self) -> tuple[str, ...]:
-        """See `ControllerSettings.files`."""
-        return _files_of(self.values)
-
-    def learned(self, start: Start) -> Values:
-        """See `ControllerSettings.learned`."""
-        return _learned(self.values, start)
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        return self.learned(start).rule(start.ladder, start.costs, self.price)
-
-
-def _files_of(values: str | None) -> tuple[str, ...]:
-    """Return the file of learned values, if it is not one of the package's."""
-    return (values,) if values and values not in (SHIPPED_VALUES, ONE_STEP) else ()
-
-
-def _learned(values: str | None, start: Start) -> Values:
-    """Return the values of a file, or the shipped values for a number of humans and semantics.
-
-    Among several humans, those of physical semantics know fewer models; longer ladders take those of the paper's.
-    """
-    found = load_values(values or SHIPPED_VALUES, shipped_kind(start.semantics, start.humans))
-    if not values and start.humans > 1 and not {model.name for model in start.ladder} <= {*found.ladder}:
-        return load_values(SHIPPED_VALUES, "several")
-    return found
-
-
-class BudgetSettings(ControllerSettings, frozen=True, tag="budget"):
-    """The models that together gain most within the time of a cycle.
-
-    Attributes:
-        milliseconds: time of a cycle, which is a decision and a plan.
-        values: where the gains come from: ``"one_step"`` for Algorithm 1, or the same as in `LearnedSettings`.
-    """
-
-    milliseconds: Positive
-    values: File = None
-
-    def __post_init__(self) -> None:
-        if self.values != ONE_STEP:
-            load_values(self.values or SHIPPED_VALUES)
-
-    @property
-    def budget(self) -> float:
-        """See `ControllerSettings`."""
-        return self.milliseconds * 1e-3
-
-    def files(self) -> tuple[str, ...]:
-        """See `ControllerSettings.files`."""
-        return _files_of(self.values)
-
-    def learned(self, start: Start) -> Values | None:
-        """See `ControllerSettings.learned`."""
-        return None if self.values == ONE_STEP else _learned(self.values, start)
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        learned = self.learned(start)
-        if learned is None:
-            gains: Any = OneStepGains(Quadratic(start.costs, 0.0, start.ladder))
-        else:
-            gains = replace(learned.rule(start.ladder, start.costs, 0.0), cautious=False)
-        return Budget(gains, start.costs, self.budget)
-
-
-class NearestSettings(ControllerSettings, frozen=True, tag="nearest"):
-    """The top rung for the nearest humans, and the first rung for all others."""
-
-    count: Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
-
-    def rule(self, start: Start) -> Any:
-        """See `ControllerSettings.rule`."""
-        return Nearest(self.count, start.ladder)
-
-
-CONTROLLERS: dict[str, type[ControllerSettings]] = {
-    str(kind.__struct_config__.tag): kind
-    for kind in (
-        SwitchingSettings,
-        HorizonSettings,
-        LearnedSettings,
-        BudgetSettings,
-        NearestSettings,
-        DriverSettings,
-        AgentSettings,
-        FixedSettings,
-        ScheduleSettings,
-        PeriodSettings,
-        RandomSettings,
-    )
+CONTROLLERS: dict[str, Pair] = {
+    "switching": Pair(Price, Quadratic),
+    "horizon": Pair(Price, partial(Quadratic, steps=None)),
+    "learned": Pair(PriceTogether, LearnedValue),
+    "budget": Pair(Budget, partial(LearnedValue, margin=0.0, nearest=None)),
+    "nearest": Pair(Nearest),
+    "driver": Pair(DrivenByFunction),
+    "agent": Pair(DrivenByAgent),
+    "fixed": Pair(Fixed),
+    "schedule": Pair(Schedule),
+    "random": Pair(RandomModels),
 }
 """The controllers of the package and those that `add_rule` adds, by type."""
 
 keep_apart("a rule", lambda: CONTROLLERS)
 
 
-def add_rule(settings: type[ControllerSettings]) -> None:
+def add_rule(part: type[Part], estimator: type[Estimator[Any]] | None = None) -> None:
     """Add a decision rule of one's own by its name, for configurations and commands of this process.
 
-    The short name of a rule ``near`` is ``near:6`` with its first field, a number or a text, and ``near`` if all fields
-    have defaults. A rule with two fields or more that have no default has no short name. A first field ``price`` that
-    is named ``lambda`` makes it a rule that chooses at a lambda. A rule replaces an added rule of the same name.
+    Its name is the ``tag`` of its class, as in ``class Near(ms_highway.Chooser, tag="near")``. The fields of the class
+    are the keys of its configuration, see `ms_highway.choice.rule.Part`.
+
+    * A class of a chooser chooses the models, and has the short name ``near:6`` with its first field, a number or a
+      text, and ``near`` if all fields have defaults. It sees the gains of an estimator, if one is given. With two
+      fields or more that have no default, it has no short name. If it derives from `ms_highway.choice.choosers.Price`,
+      it chooses at a lambda.
+    * A class of an estimator says what models gain, which are chosen at a lambda: ``mine:0.1``, see
+      `ms_highway.choice.choosers.Price`.
+
+    A rule replaces an added rule of the same name.
 
     Args:
-        settings: class of the rule's settings; its ``rule`` makes the rule, and its tag is the name.
+        part: class of the chooser or the estimator.
+        estimator: class of the estimator of a chooser that needs gains.
 
     Raises:
-        ValueError: if the class makes no rule, or the name is taken or not one word in lower case.
+        ValueError: if the class is neither, or the name is taken or not one word in lower case.
     """
-    if (
-        not (isinstance(settings, type) and issubclass(settings, ControllerSettings))
-        or settings.rule is ControllerSettings.rule
-    ):
-        raise ValueError(f"{settings.__name__} makes no rule; give a ControllerSettings with a method `rule`")
-    name = str(settings.__struct_config__.tag)
+    pair = _pair_of(part, estimator)
+    name = part.tag
     check_own_name("a rule", name)
-    CONTROLLERS[name] = settings
-    note_definition(name, settings)
+    CONTROLLERS[name] = pair
+    note_definition(name, part)
+
+
+def _pair_of(part: type[Part], estimator: type[Estimator[Any]] | None) -> Pair:
+    """Return the pair of a user's chooser or estimator.
+
+    Raises:
+        ValueError: if the class is neither.
+    """
+    if estimator is not None and not _estimates(estimator):
+        raise ValueError(f"{_named(estimator)} is no estimator; derive it from ms_highway.Estimator")
+    if _estimates(part) and estimator is None:
+        return Pair(Price, part)
+    if isinstance(part, type) and issubclass(part, Chooser) and part.choose is not Chooser.choose:
+        return Pair(part, estimator)
+    raise ValueError(f"{_named(part)} makes no rule; {DERIVE}")
+
+
+def _estimates(part: Any) -> bool:
+    """Return whether something is the class of an estimator."""
+    return isinstance(part, type) and issubclass(part, Estimator) and part.estimate is not Estimator.estimate
+
+
+def _named(part: Any) -> str:
+    """Return the name of a class; anything else as it is written."""
+    return part.__name__ if isinstance(part, type) else repr(part)
 
 
 def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
@@ -271,12 +194,12 @@ def of_package(name: str) -> bool:
 
 def priced_types() -> list[str]:
     """Return the types of the controllers whose rule chooses at a lambda."""
-    return [name for name, kind in CONTROLLERS.items() if "lambda" in kind.__struct_encode_fields__]
+    return [name for name, pair in CONTROLLERS.items() if issubclass(pair.chooser_class, Priced)]
 
 
 def fixed_order_types() -> list[str]:
     """Return the types of the controllers whose models are the same in every episode, step by step."""
-    return [name for name, kind in CONTROLLERS.items() if issubclass(kind, (FixedSettings, ScheduleSettings))]
+    return [name for name, pair in CONTROLLERS.items() if issubclass(pair.chooser_class, (Fixed, Schedule))]
 
 
 def robot_config(name: str) -> Config:
@@ -285,7 +208,7 @@ def robot_config(name: str) -> Config:
     return agent_config(name) if config["type"] == "agent" else {"controller": config}
 
 
-def controller_settings(config: Any) -> Any:
+def controller_settings(config: Any) -> ControllerSettings:
     """Return the `ControllerSettings` of a controller's configuration or short name.
 
     Raises:
@@ -295,8 +218,23 @@ def controller_settings(config: Any) -> Any:
         config = controller_config(config)
     kind = config.get("type") if isinstance(config, Mapping) else None
     if kind not in list(CONTROLLERS):
-        raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
-    return read(CONTROLLERS[kind], PLACE, config)
+        gone = _retired(str(kind))
+        raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
+    return _read(kind, config)
+
+
+def _read(kind: str, config: Mapping[str, Any], strict: bool = True) -> ControllerSettings:
+    """Read the configuration of a controller of a known type, see `Pair.read`."""
+    if gone := _retired(str(config.get("values"))):
+        raise ValueError(gone)
+    return CONTROLLERS[kind].read(kind, config, strict)
+
+
+def _retired(name: str) -> str:
+    """Return a sentence that says what to use instead, if a name is retired, or an empty text."""
+    if name in RETIRED:
+        return f"{name} is gone since 3.0.0: {RETIRED[name]}"
+    return ""
 
 
 def controller_config(text: str) -> Config:
@@ -304,10 +242,9 @@ def controller_config(text: str) -> Config:
 
     * ``tom``, ``tom@8+warm``: always this human model.
     * ``switching:0.1``, ``horizon:0.1``, ``learned:0.1``: choose at a lambda; ``learned:0.1:FILE``: by a file's values.
-    * ``budget:20``, ``budget:20:FILE``, ``budget:20:one_step``: what gains most in so many milliseconds, by shipped
-      values, a file's values or Algorithm 1.
+    * ``budget:20``, ``budget:20:FILE``: what gains most in so many milliseconds, by shipped or by a file's values.
     * ``nearest:2``: theory of mind about the two nearest humans.
-    * ``schedule:tom=6,naive``: tom for six steps, then naive; ``period:tom=1,naive=3``: tom in every fourth step.
+    * ``schedule:tom=6,naive``: tom for six steps, then naive.
     * ``random:naive=0.7,tom=0.3``: a model drawn with these shares for every human and step.
     * The name of a function of `ms_highway.add_driver` or of an agent of `add_agent`, or a file of stable-baselines3.
 
@@ -326,9 +263,19 @@ def controller_config(text: str) -> Config:
         kind, rest = "agent", name
     if kind not in CONTROLLERS:
         known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
-        raise ValueError(f"unknown controller {text!r}; {known}; --import the module that adds your own")
-    config = CONTROLLERS[kind].parse(rest) | ({"belief": True} if name != text else {})
+        unknown = f"unknown controller {text!r}; {known}; --import the module that adds your own"
+        raise ValueError(_retired(kind) or unknown)
+    config = _short_config(kind, rest) | ({"belief": True} if name != text else {})
     try:
-        return json.decode(json.encode(read(CONTROLLERS[kind], PLACE, config, strict=False)))
+        return _read(kind, config, strict=False).config()
     except ValueError as error:
         raise ValueError(f"controller {text!r}: {error}") from None
+
+
+def _short_config(kind: str, text: str) -> Config:
+    """Return the configuration that the part of a short name behind its type stands for."""
+    if kind in SHORT_NAMES:
+        return SHORT_NAMES[kind](text)
+    first = list(CONTROLLERS[kind].keys())[:1]
+    given = dict(zip([*first, "values"], text.split(":", 1), strict=False))
+    return {name: value for name, value in given.items() if value}

@@ -10,9 +10,9 @@ import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
-from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS, shipped_kind
-from ms_highway.envs.configuration import NotNegative, Number, Positive, refuse_unknown
-from ms_highway.envs.controllers import KEYBOARD, ControllerSettings, Start
+from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS, Start, shipped_kind
+from ms_highway.envs.configuration import refuse_unknown
+from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
 from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
@@ -24,6 +24,7 @@ from ms_highway.numerics.solvers import MAX_ITERATIONS, PlanningSettings, Solver
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
+from ms_highway.runtime.limits import NotNegative, Number, Positive
 
 HUMAN_REWARDS = {"paper": "learned", "physical": "learned", "released": "published"}
 """The default of the humans' reward, by semantics."""
@@ -62,7 +63,6 @@ class Settings(Struct, frozen=True):
     semantics: Semantics
     human_reward: Annotated[NamedReward | dict[str, Number] | None, Meta(description=REWARD_REMEDY)]
     humans: Annotated[int, Meta(description="it must be a whole number")]
-    beliefs: Literal["learned", "true"]
     yielding: Literal["usual", "never", "always", "mixed"]
     human_driver: str | None
     control_limit: Annotated[Literal["unlimited"] | tuple[Positive, Positive] | None, Meta(description=LIMIT_REMEDY)]

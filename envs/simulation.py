@@ -9,11 +9,11 @@ import numpy as np
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import Order, compilable, in_ladder
+from ms_highway.choice.rule import compilable, in_ladder, in_order
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
-from ms_highway.envs.controllers import ControllerSettings, OrderSettings
+from ms_highway.envs.controllers import ControllerSettings, ModelOrder
 from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls, is_possible
 from ms_highway.game.features import check_own_features
 from ms_highway.game.starts import Random, TracedRandom
@@ -42,8 +42,8 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
         controllers: of the robot; the loop holds the models that they name.
 
     Raises:
-        ValueError: for environments that override a part of a step or tell the robot the true rewards, for controllers
-            that do not predict, and for costs that must be measured.
+        ValueError: for environments that override a part of a step, for controllers that do not predict, and for
+            costs that must be measured.
     """
     kind, settings = type(environment), environment.settings
     if own := [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]:
@@ -52,9 +52,6 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
         raise ValueError(f"{reason}; {remedy}")
     if not all(each.predicts for each in controllers):
         raise ValueError("a function or an agent that drives the robot is not simulated; use `compare`")
-    if settings.beliefs == "true":
-        reason = f"{environment.scenario.name} is configured with beliefs 'true', which a simulation does not do"
-        raise ValueError(f"{reason}; use `compare`")
     if settings.costs == "measured":
         remedy = "say 'shipped', or give seconds by model"
         raise ValueError(f"costs are 'measured', and a simulation cannot measure plans; {remedy}")
@@ -62,7 +59,8 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
     used |= {Naive.name for each in controllers if each.belief and not each.chooses}
     used -= {model.name for model in settings.models}
     drivers = tuple(traceable(name, environment.game) for name in settings.drivers)
-    order, others = Order(np.zeros((1, 1), np.int32), settings.models), tuple(map(human_model, cheapest_first(used)))
+    order = in_order(np.zeros((1, 1), np.int32), settings.models)
+    others = tuple(map(human_model, cheapest_first(used)))
     return Loop(environment.game, order, others, settings.way_out, drivers=drivers, chunk=usual_chunk())
 
 
@@ -78,9 +76,10 @@ def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSett
     start, weights = environment.draw_episode(random)
     drivers, steps = environment.draw_drivers(random), environment.episode_steps
     rungs = np.full((steps, environment.settings.humans), DECIDES, np.int32)
-    if isinstance(settings, OrderSettings):
+    if isinstance(settings.chooser, ModelOrder):
         names = [model.name for model in loop.models]
-        table = settings.table(environment.settings.start(steps, random))  # type: ignore[arg-type]
+        known = environment.settings.start(steps, random)  # type: ignore[arg-type]
+        table = settings.chooser.table(known)
         rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(steps), len(table) - 1)]
     price = np.nan_to_num(np.float32(settings.price))  # an order has none
     return Episodes(start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers)

@@ -11,7 +11,7 @@ from highway_env.envs.common import observation as observations
 from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
 
-from ms_highway.choice.rule import Order
+from ms_highway.choice.rule import in_order
 from ms_highway.game.dynamics import Dynamics, facing, keep_velocity
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import State, Vector
@@ -213,4 +213,4 @@ class HumanModelAction(Autopilot):
 
     def act(self, action: Any) -> None:
         """Choose the models of the coming plan."""
-        self.controlled_vehicle.controller.rule = Order(np.reshape(action, (1, -1)), self.env.settings.models)
+        self.controlled_vehicle.controller.rule = in_order(np.reshape(action, (1, -1)), self.env.settings.models)

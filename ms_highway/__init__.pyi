@@ -21,6 +21,9 @@ from .choice.quadratic import Quadratic as Quadratic
 from .choice.quadratic import Switching as Switching
 from .choice.quadratic import WholeHorizon as WholeHorizon
 from .choice.rule import PUBLISHED_COSTS as PUBLISHED_COSTS
+from .choice.rule import Chooser as Chooser
+from .choice.rule import Estimate as Estimate
+from .choice.rule import Estimator as Estimator
 from .choice.rule import Order as Order
 from .choice.rule import Rule as Rule
 from .choice.rule import always as always

@@ -28,9 +28,9 @@ INFO = {
     "choice_failed": "whether no model could be chosen, so that the last ones stayed",
     "timing": "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]",
     "clocked": "whether measured times had a say in the choice, so that the same seed may be another episode",
-    "gains": "net gain that the controller expects of each model over the one in use [reward]; the largest of the "
-    "humans for whom it is estimated; of every model of the ladder, -inf where none was estimated; empty where no rule "
-    "chooses",
+    "gains": "gain per step that the controller expects of each model over the first of the ladder, before the price "
+    "of its time [reward]; the highest over the humans for whom it is estimated; of every model of the ladder, -inf "
+    "where none was estimated; empty where no rule chooses",
     "counted_seconds": "T of the step's plan [s]",
     "human_status": "a status for each human; None for cars that do not plan",
     "distance_to_cones": "from the robot's front to the first cone ahead in its lane, infinite without one [m]",

@@ -1,31 +1,41 @@
 """Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et al. 2018); keep it in files.
 
 From the situation of a human, networks estimate how much more the robot earns per step if a rung, instead of the
-cheapest one, predicts this human, while the same rung predicts all nearer humans. The price of the time that the human
-adds to a plan is subtracted. A gap may open only if two humans yield together. Therefore, the rule adds up the values
-of each rung from the nearest human outwards, and takes the rung and the number of humans with the highest sum. The
-cheapest rung predicts the other humans.
+cheapest one, predicts this human, while the same rung predicts all nearer humans. A gap may open only if two humans
+yield together. Therefore, `ms_highway.choice.choosers.PriceTogether` chooses for the nearest humans together.
 """
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias, TypedDict
+from typing import Annotated, Any, TypeAlias, TypedDict
 
 import jax
 import msgspec
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
+from msgspec import Meta
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, unestimated
+from ms_highway.choice.budget import LITTLE_GAIN
+from ms_highway.choice.choosers import TOGETHER, PriceTogether
+from ms_highway.choice.rule import (
+    FROM_START,
+    NOT_ESTIMATED,
+    Estimate,
+    Estimator,
+    GameEvidence,
+    Memory,
+    Rule,
+    Start,
+    shipped_kind,
+)
 from ms_highway.choice.situation import describe, description_names, nearness
-from ms_highway.game.game import Game
 from ms_highway.game.scenario import Semantics
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -36,63 +46,78 @@ from ms_highway.runtime.sources import digest
 Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
-TOGETHER = 4  # at most so many humans, the nearest, are predicted by more than the first rung
 DOUBT_MARGIN = 0.5  # in standard deviations among the networks
-MIN_NOISE = 0.02  # least standard deviation of a gain
+MIN_NOISE = LITTLE_GAIN  # least standard deviation of a gain
+
+
+File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class LearnedValue(Rule):
-    """Take the rung and the number of the nearest humans with the highest total value.
+class LearnedValue(Estimator[GameEvidence]):
+    """Expect gains by networks, from the situation of each human.
+
+    The gain of a rung is what the networks expect over the first one, on average, less a margin for doubt.
 
     Attributes:
-        costs: planning time of each rung.
-        price: lambda, reward per second of planning.
+        values: ``"shipped"``, which None and ``""`` mean as well, or a file; None in an episode, where the networks
+            stand for it (static).
+        margin: how much doubt lowers a gain, in standard deviations among the networks.
+        nearest: number of the nearest humans for whom gains are estimated; None for all (static).
         network: networks that estimate the gains over the first rung from `ms_highway.choice.situation.describe`.
         centre, spread: mean and standard deviation by which the inputs of the networks are standardised.
-        ladder: human models, cheapest first (static).
-        cautious: whether a decision tells the gains that it compares, those of the nearest humans, net of the price and
-            of a margin for doubt. Otherwise, it tells the expected gains of all humans over the first rung, which
-            budgets need. If the networks then expect a gain below `MIN_NOISE` from the top rung, a small gain replaces
-            it, which is larger for nearer humans, so that spare time goes to them (static).
     """
 
-    costs: Costs
-    price: Scalar
-    network: Network
-    centre: Float[Array, "inputs"]
-    spread: Float[Array, "inputs"]
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    cautious: bool = field(default=True, metadata={"static": True})
+    values: File = field(default=None, metadata={"static": True})
+    margin: Scalar = field(default=DOUBT_MARGIN, metadata=FROM_START)
+    nearest: int | None = field(default=TOGETHER, metadata={"static": True} | FROM_START)
+    network: Network = field(default=(), metadata=FROM_START)
+    centre: Float[Array, "inputs"] = field(default=None, metadata=FROM_START)
+    spread: Float[Array, "inputs"] = field(default=None, metadata=FROM_START)
 
-    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Choose by the state after the last step.
+    def __post_init__(self) -> None:
+        if self.values and self.values != SHIPPED_VALUES:
+            load_values(self.values)
 
-        The value of a rung is its gain over the first one, less its price and `DOUBT_MARGIN` standard deviations among
-        the networks, so that the first rung is chosen in doubt. A value that is not known counts as that of the first.
+    def learned(self, start: Start) -> "Values":
+        """Return the values of the file, or the shipped values for a number of humans and semantics.
+
+        Among several humans, those of physical semantics know fewer models; longer ladders take those of the paper's.
         """
-        if len(self.ladder) == 1:
-            return unestimated(memory, memory.rungs)
-        rank = nearness(game, outcome.after)
-        nearest = jnp.argsort(rank)[: TOGETHER if self.cautious else game.number]
-        inputs = (describe(game, outcome.after, nearest) - self.centre) / self.spread
+        found = load_values(self.values or SHIPPED_VALUES, shipped_kind(start.semantics, start.humans))
+        if not self.values and start.humans > 1 and not {model.name for model in start.ladder} <= {*found.ladder}:
+            return load_values(SHIPPED_VALUES, "several")
+        return found
+
+    def at_start(self, start: Start) -> "LearnedValue":
+        """Return the estimator with the networks of its values, for the ladder of an episode.
+
+        Raises:
+            ValueError: see `Values.estimator`.
+        """
+        networks = self.learned(start).estimator(start.ladder)
+        return replace(networks, margin=self.margin, nearest=self.nearest)
+
+    def estimate(self, memory: Memory, evidence: GameEvidence) -> Estimate:
+        """Estimate by the state after the last step."""
+        gains = jnp.full(memory.last_check.shape, NOT_ESTIMATED)
+        if gains.shape[1] == 1:
+            return Estimate(gains, jnp.bool(False))
+
+        # What each network expects for the nearest humans.
+        game = evidence.game
+        after = evidence.outcome.after
+        nearest = jnp.argsort(nearness(game, after))[: self.nearest]
+        inputs = (describe(game, after, nearest) - self.centre) / self.spread
         means, _ = jax.vmap(partial(outputs, self.network))(inputs)  # [nearest, networks, rungs above the first]
-        gains, doubts = (jnp.pad(part(means, axis=1), ((0, 0), (1, 0))) for part in (jnp.mean, jnp.std))
-        known = jnp.isfinite(gains).all(axis=1, keepdims=True)
-        values = gains - DOUBT_MARGIN * doubts - self.price * jnp.asarray(self.costs.each)
-        worth = jnp.where(known, values - values[:, :1], 0.0)
-        totals = jnp.cumsum(worth[:TOGETHER], axis=0)  # of the nearest humans under each rung
-        fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
-        rungs = jnp.where(rank <= fewer, rung, 0).astype(jnp.int32)
-        if self.cautious:
-            estimates = values - jnp.take_along_axis(values, jnp.asarray(memory.rungs)[nearest, None], axis=1)
-        else:
-            top, little = gains[:, -1], MIN_NOISE * (1 - np.arange(game.number) / game.number)
-            estimates = gains.at[:, -1].set(jnp.where(jnp.abs(top) < MIN_NOISE, little, top))
-        estimated = jnp.full(memory.last_check.shape, NOT_ESTIMATED)
-        estimated = estimated.at[nearest].set(jnp.where(known, estimates, NOT_ESTIMATED))
-        return Decision(memory._replace(rungs=rungs), estimated, ~known.all())
+
+        # Their mean less the doubt, 0 for the first rung.
+        expected, doubts = (jnp.pad(part(means, axis=1), ((0, 0), (1, 0))) for part in (jnp.mean, jnp.std))
+        known = jnp.isfinite(expected).all(axis=1, keepdims=True)
+        cautious = expected - self.margin * doubts
+        gains = gains.at[nearest].set(jnp.where(known, cautious, NOT_ESTIMATED))
+        return Estimate(gains, ~known.all())
 
 
 def outputs(
@@ -181,8 +206,8 @@ class Values:
         if np.min(self.spread) < MIN_SPREAD:
             raise ValueError(f"spreads are below {MIN_SPREAD:g}")
 
-    def rule(self, models: tuple[HumanModel, ...], costs: Costs, price: float) -> LearnedValue:
-        """Return the rule on a ladder of learned models that begins with the cheapest of them.
+    def estimator(self, models: tuple[HumanModel, ...]) -> LearnedValue:
+        """Return the estimator on a ladder of learned models that begins with the cheapest of them.
 
         Raises:
             ValueError: if values of a model were not learned, or the ladder begins with another model.
@@ -198,7 +223,11 @@ class Values:
         places += [gains + place for place in places]
         *hidden, (weights, biases) = self.network
         network = (*hidden, (weights[..., places], biases[..., places]))
-        return LearnedValue(costs, price, network, self.centre, self.spread, models)
+        return LearnedValue(network=network, centre=self.centre, spread=self.spread)
+
+    def rule(self, models: tuple[HumanModel, ...], costs: Costs, price: Scalar) -> Rule[GameEvidence]:
+        """Return the rule that chooses by these values at a price, see `estimator`."""
+        return Rule(models, costs, PriceTogether(price), self.estimator(models))
 
 
 class _Provenance(TypedDict, total=False):

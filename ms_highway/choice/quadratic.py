@@ -7,17 +7,30 @@ n = 2 steps numbers for each player.
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax
 from jax import numpy as jnp
 from jaxtyping import Float
+from msgspec import Meta
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Memory, Outcome, Rule, with_human
+from ms_highway.choice.choosers import Price
+from ms_highway.choice.rule import (
+    FROM_START,
+    NEVER,
+    NOT_ESTIMATED,
+    Estimate,
+    Estimator,
+    GameEvidence,
+    Memory,
+    Rule,
+    Start,
+)
 from ms_highway.game.game import (
     Game,
     each_human,
     move,
+    pair,
     step_rewards,
     swap_players,
     with_scripted,
@@ -26,7 +39,9 @@ from ms_highway.game.reward import Reward
 from ms_highway.numerics.second_derivatives import response
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel, scaled_prediction
+from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Vector
+from ms_highway.runtime.limits import Positive
 
 HALVINGS = 60  # of the shift's bracket at most, beyond what float32 resolves
 
@@ -84,6 +99,8 @@ TRUST_TOLERANCE = 1e-3
 RELEASED_TRUST_TOLERANCE = 0.05
 """The same tolerance in the solver of the released code."""
 
+Cooldown = Annotated[int, Meta(ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}")]
+
 
 class RewardExpansion(NamedTuple):
     """Derivatives of the robot's reward in both players' controls, its own first, and the human's response."""
@@ -95,13 +112,13 @@ class RewardExpansion(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Quadratic(Rule):
-    """Algorithm 1: switch to a rung with a positive gain, by a quadratic expansion over some steps of the last plan.
+class Quadratic(Estimator[GameEvidence]):
+    """Algorithm 1: what other rungs would have gained, by a quadratic expansion over some steps of the last plan.
 
-    The first step is planned with the first rung. After a step below the top, the rule checks the top rung, as if that
-    had predicted the human control that was observed. If it does not switch up, and its last downward check from this
-    rung was ``cooldown`` steps ago, it checks the rung below, with the prediction of that rung and without influence.
-    Gains are additive: the gain for one human does not depend on the rungs of the others.
+    After a step below the top, the top rung is estimated, as if that had predicted the human control that was observed.
+    If the last downward check from the rung in use was ``cooldown`` steps ago, the rung below is estimated, with the
+    prediction of that rung and without influence. Gains are additive: the gain for one human does not depend on the
+    rungs of the others.
 
     * The rewards R_R and R_H of the steps are expanded around the last plan, from the state in which it was made. The
       first control of the robot is the executed one, and the first of the human the observed one; the others are those
@@ -111,86 +128,112 @@ class Quadratic(Rule):
       ``J = du_H / du_R = -(d2R_H / du_H2)^-1 d2R_H / du_H du_R``. On the way down, it expects the controls that the
       rung below predicts, and no response.
     * ``delta u`` maximises the expansion within the trust region, whose radius bounds all 2 steps numbers together.
-    * The gain is R_R after this change and the human's response J to it, less what the last plan earns: its first
-      reward as observed, the others as expected.
-    * The meta-MDP charges ``lambda T(M)`` for every step. Driving several steps takes as many plans, so
-      ``steps lambda (T' - T)`` is subtracted from the gain.
+    * The gain over the rung in use is R_R after this change and the human's response J to it, less what the last plan
+      earns: its first reward as observed, the others as expected. It is divided by the number of steps, as the
+      meta-MDP charges ``lambda T(M)`` for each.
+    * Only the rung in use is compared with others. Its own gain over the first rung is the one that was estimated when
+      it was chosen, see `ms_highway.choice.rule.Memory`, unless the first rung is the one below. A rung that was not
+      compared has no estimate, not even the first.
 
     Attributes:
-        costs: planning time of each rung [s]. If a time is NaN (unknown), no gain is estimated, and the rung stays.
-        price: lambda, reward per second of planning.
+        cooldown: least number of steps between two downward checks from the same rung.
         trust_radius: longest change of the scaled controls for which the expansion is trusted.
         trust_tolerance: tolerance of the length of ``delta u``, as a share of the radius; 0.05 in the released code.
-        cooldown: least number of steps between two downward checks from the same rung.
-        ladder: tuple of human models, cheapest first, see `ms_highway.planning.ladders.ladder` (static).
         steps: number of steps of the last plan that are expanded; None for the whole horizon (static).
     """
 
-    costs: Costs
-    price: Scalar
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    trust_radius: Scalar = 1.5
-    trust_tolerance: Scalar = TRUST_TOLERANCE
-    cooldown: Index = 3
-    steps: int | None = field(default=1, metadata={"static": True})
+    cooldown: Cooldown = 3
+    trust_radius: Positive = 1.5
+    trust_tolerance: Scalar = field(default=TRUST_TOLERANCE, metadata=FROM_START)
+    steps: int | None = field(default=1, metadata={"static": True} | FROM_START)
 
-    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Switch to the top of the ladder, or one rung down, if that gains."""
-        rungs, top = jnp.asarray(memory.rungs), len(self.ladder) - 1
-        humans, places = jnp.arange(len(rungs)), jnp.arange(top + 1)
+    def __post_init__(self) -> None:
+        if self.steps is not None and self.steps < 1:
+            raise ValueError(f"Quadratic.steps is {self.steps}; give at least 1, or None for all")
+
+    def at_start(self, start: Start) -> "Quadratic":
+        """Return the estimator with the tolerance of the episode's semantics."""
+        if start.semantics != "released":
+            return self
+        return replace(self, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+
+    def estimate(self, memory: Memory, evidence: GameEvidence) -> Estimate:
+        """Compare the rung in use with the top of the ladder, and with the rung below."""
+        rungs = jnp.asarray(memory.rungs)
+        top = len(evidence.ladder) - 1
+        humans = jnp.arange(len(rungs))
+        places = jnp.arange(top + 1)
+        in_use = places == rungs[:, None]
+
+        # Which comparisons are due.
         waited = memory.step + 1 - jnp.asarray(memory.last_check)[humans, rungs]
         climbs = (rungs < top) & (memory.step > 0)
         checks = (rungs > 0) & (memory.step > 0) & (waited >= self.cooldown)
 
-        def one(human: Index) -> tuple[Scalar, Scalar]:
-            return self._gains(*with_human(game, outcome, human), rungs[human], climbs[human], checks[human])
+        def compare(human: Index) -> tuple[Scalar, Scalar]:
+            alone = with_human(evidence, human)
+            return self._gains(alone, rungs[human], climbs[human], checks[human])
 
-        up, down = each_human(game, one)
-        chosen = jnp.where(up > 0, top, jnp.where(down > 0, rungs - 1, rungs))
-        checked = (checks & ~(up > 0))[:, None] & (places == rungs[:, None])
-        last_check = jnp.where(checked, memory.step + 1, memory.last_check)
-        ups = jnp.where(climbs[:, None] & (places == top), up[:, None], NOT_ESTIMATED)
-        gains = jnp.where(places == rungs[:, None] - 1, down[:, None], ups)
-        return Decision(memory._replace(rungs=chosen, last_check=last_check), gains, jnp.bool(False))
+        up, down = each_human(evidence.game, compare)
 
-    def check(self) -> None:
-        """See `ms_highway.choice.rule.Rule.check`; the number of steps must be positive."""
-        super().check()
-        if self.steps is not None and self.steps < 1:
-            raise ValueError(f"Quadratic.steps is {self.steps}; give at least 1, or None for all")
+        # From gains over the rung in use to gains over the first one.
+        own = jnp.where(rungs == 0, 0.0, jnp.asarray(memory.gain))
+        own = jnp.where((rungs == 1) & jnp.isfinite(down), -down, own)
+        gains = jnp.where(in_use & (climbs | checks)[:, None], own[:, None], NOT_ESTIMATED)
+        gains = jnp.where(climbs[:, None] & (places == top), (own + up)[:, None], gains)
+        gains = jnp.where(checks[:, None] & (places == rungs[:, None] - 1), (own + down)[:, None], gains)
+        return Estimate(gains, jnp.bool(False))
 
-    def _gains(self, game: Game, outcome: Outcome, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
-        """Estimate the gains of going up and down for one human; return `NOT_ESTIMATED` for unneeded ones."""
-        ladder, costs, none = self.ladder, jnp.asarray(self.costs.each), jnp.float32(NOT_ESTIMATED)
+    def _gains(self, evidence: GameEvidence, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
+        """Estimate what going up and going down gains for one human; return `NOT_ESTIMATED` for what is not due."""
+        game = evidence.game
+        ladder = evidence.ladder
+        outcome = evidence.outcome
+        none = jnp.float32(NOT_ESTIMATED)
         state = jnp.asarray(outcome.before)
         plan = outcome.plan
         observed = game.observed_payoff
 
         def estimate() -> tuple[Scalar, Scalar]:
+            # What happened in the first step, and what the plan expects of the others.
             robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
             human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
             later = step_rewards(game, observed, state, robot, human[None])[1:] if self.steps != 1 else jnp.zeros(0)
             earned = outcome.reward + jnp.sum(later)
             expansion = expand(game, state, robot.ravel(), human.ravel())
 
-            def gain(expected: Controls, responds: bool, alternative: Index) -> Scalar:
+            def gain(expected: Controls, responds: bool) -> Scalar:
                 influence = expansion.influence if responds else jnp.zeros_like(expansion.influence)
                 change = change_of_control(expansion, (expected - human).ravel(), influence, self)
                 response = (expansion.influence @ change).reshape(human.shape)
                 moved = robot + change.reshape(robot.shape)
-                better = jnp.sum(step_rewards(game, observed, state, moved, (human + response)[None]))
-                saved = costs[rung] - costs[alternative]
-                return jnp.where(jnp.isnan(saved), none, better - earned + len(robot) * self.price * saved)
+                rewards = step_rewards(game, observed, state, moved, (human + response)[None])
+                return (jnp.sum(rewards) - earned) / len(robot)
 
             def gain_down() -> Scalar:
                 below = jnp.maximum(rung - 1, 0)
                 models = [partial(scaled_prediction, model, game, state) for model in ladder[:-1] or ladder]
-                return gain(jax.lax.switch(below, models)[: len(robot)], False, below)
+                return gain(jax.lax.switch(below, models)[: len(robot)], False)
 
-            up = jax.lax.cond(climbs, lambda: gain(human, ladder[-1].responds, len(ladder) - 1), lambda: none)
-            return up, jax.lax.cond(checks & ~(up > 0), gain_down, lambda: none)
+            up = jax.lax.cond(climbs, lambda: gain(human, ladder[-1].responds), lambda: none)
+            return up, jax.lax.cond(checks, gain_down, lambda: none)
 
         return jax.lax.cond(climbs | checks, estimate, lambda: (none, none))
+
+
+def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
+    """Return the evidence in the game of the robot with one human, see `ms_highway.game.game.pair`."""
+    game = evidence.game
+    outcome = evidence.outcome
+    if game.number == 1:
+        return evidence
+    alone, before = pair(game, outcome.before, human)
+    _, after = pair(game, outcome.after, human)
+    expected = jnp.asarray(outcome.plan.humans)[human][None]
+    controls = jnp.asarray(outcome.humans)[human][None]
+    plan = Plan(outcome.plan.robot, expected)
+    seen = outcome._replace(before=before, after=after, humans=controls, plan=plan)
+    return replace(evidence, game=alone, outcome=seen)
 
 
 @jax.jit
@@ -211,7 +254,7 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
     return RewardExpansion(gradients[0], hessian, response(game.influence, human_bend, mirrored[:n, n:]))
 
 
-def change_of_control(expansion: RewardExpansion, surprise: Vector, influence: Matrix, rule: Quadratic) -> Vector:
+def change_of_control(expansion: RewardExpansion, surprise: Vector, influence: Matrix, how: Quadratic) -> Vector:
     """Return ``delta u``, which leads from the present controls to the best ones under another model.
 
     Let g and H be the gradient and the Hessian of r_R in both players' controls, and d the human controls that the
@@ -222,11 +265,32 @@ def change_of_control(expansion: RewardExpansion, surprise: Vector, influence: M
     both = jnp.concatenate([jnp.eye(n), influence])
     slope = expansion.gradient + expansion.hessian[:, n:] @ surprise
     quadratic, linear = both.T @ expansion.hessian @ both, both.T @ slope
-    return trust_region_step(quadratic, linear, rule.trust_radius, rule.trust_tolerance)
+    return trust_region_step(quadratic, linear, how.trust_radius, how.trust_tolerance)
 
 
-Switching = Quadratic
-"""Algorithm 1 with the paper's one-step estimate."""
+def Switching(  # noqa: N802 (its name since version 1, when it was a class)
+    costs: Costs,
+    price: Scalar,
+    ladder: tuple[HumanModel, ...],
+    trust_radius: Scalar = Quadratic.trust_radius,
+    trust_tolerance: Scalar = TRUST_TOLERANCE,
+    cooldown: Index = Quadratic.cooldown,
+    steps: int | None = 1,
+) -> Rule[GameEvidence]:
+    """Return the rule of Algorithm 1, by default with the paper's one-step estimate.
 
-WholeHorizon = partial(Quadratic, steps=None)
+    Args:
+        costs: planning time of each rung [s].
+        price: lambda, reward per second of planning.
+        ladder: human models, cheapest first, see `ms_highway.planning.ladders.ladder`.
+        trust_radius: see `Quadratic`, as the others.
+        trust_tolerance: as a share of the radius.
+        cooldown: in steps.
+        steps: that are expanded.
+    """
+    estimator = Quadratic(cooldown, trust_radius, trust_tolerance, steps)
+    return Rule(ladder, costs, Price(price), estimator)
+
+
+WholeHorizon = partial(Switching, steps=None)
 """Algorithm 1 with the estimate over the whole horizon."""

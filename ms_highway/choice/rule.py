@@ -1,21 +1,26 @@
-"""Define the interface of rules, which choose the model of every human for the coming step; and two simple rules.
+"""Define rules, which choose the model of every human for the coming step.
 
-`Order` takes the models of a fixed order, `Nearest` predicts the nearest humans by the top of the ladder.
+A `Rule` has two parts. Its `Estimator` says what each rung of the ladder would gain for
+each human over the first rung, before any price. Its `Chooser` takes these gains and
+what the rungs cost, and returns rungs. A part may need evidence, a type of its own: in
+games the last step, a `GameEvidence`; on stock roads the bounds of proposals, see
+`ms_highway.road.settings`.
 
-All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on the rule's ladder.
+All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on
+the rule's ladder.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, Self, TypeVar
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.choice.situation import nearness
-from ms_highway.game.game import Game, pair
+from ms_highway.game.game import Game
+from ms_highway.game.scenario import Semantics
+from ms_highway.planning.costs import UNKNOWN, Costs
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import (
@@ -25,6 +30,7 @@ from ms_highway.runtime.arrays import (
     Gains,
     HumansControl,
     Index,
+    PerHuman,
     Published,
     Rungs,
     Scalar,
@@ -32,6 +38,7 @@ from ms_highway.runtime.arrays import (
     naming_writes,
     read_only,
 )
+from ms_highway.runtime.limits import NotNegative
 
 PUBLISHED_COSTS = Published({"naive": 0.09, "turn": 0.17, "tom": 0.37})  # s
 """Planning time of each model, as the decisions in the paper's experiments count it."""
@@ -56,6 +63,20 @@ NOT_ESTIMATED = -np.inf
 NEVER = -(2**20)
 """Step that stands for the last check if there was none."""
 
+NO_GAINS = int(np.iinfo(np.int32).min)
+"""Rung that stands for gains that are no numbers. JAX cannot raise an error where it traces
+a decision, so that `refuse_rungs` raises it afterwards."""
+
+DERIVE = "derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define `estimate`"
+"""What to derive a rule of one's own from."""
+
+FROM_START: dict[str, bool] = {"from_start": True}
+"""Metadata of a part's field that is no key of configurations, as only the start of an
+episode knows it, see `Part.at_start`."""
+
+
+# What rules see, and what they return
+
 
 class Memory(NamedTuple):
     """What a rule remembers.
@@ -63,12 +84,16 @@ class Memory(NamedTuple):
     Attributes:
         rungs: rung of every human in the plan of the last step; in a `Decision`, for the coming step.
         step: number of the coming step, from 0.
-        last_check: for each rung of every human, the step in which Algorithm 1 last checked the rung below it.
+        last_check: for each rung of every human, the last step in which the rung below it was estimated while it was
+            in use, and the rule did not go up instead.
+        gain: for every human, the gain over the first rung that was estimated for the rung in use, when it was last
+            estimated; 0 for the first rung, and if there was no estimate.
     """
 
     rungs: Rungs
     step: Index
     last_check: Int[Array, "humans rungs"]
+    gain: PerHuman
 
 
 class Outcome(NamedTuple):
@@ -91,15 +116,42 @@ class Outcome(NamedTuple):
     plan: Plan
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GameEvidence:
+    """What rules see where the robot plays a game.
+
+    Attributes:
+        game: with the humans' rewards as the robot believes them.
+        outcome: of the last step.
+        ladder: the rule's human models, cheapest first (static).
+    """
+
+    game: Game
+    outcome: Outcome
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+
+
+class Estimate(NamedTuple):
+    """What an estimator says.
+
+    Attributes:
+        gains: for every human, how much more reward per step each rung earns than the first rung, before the price of
+            its time. The gain of the first rung is 0 where it is estimated. `NOT_ESTIMATED` where none is.
+        failed: whether a gain that was asked for could not be computed.
+    """
+
+    gains: Gains
+    failed: Flag
+
+
 class Decision(NamedTuple):
     """What a rule chose.
 
     Attributes:
         memory: memory with the rungs for the coming step. The caller counts the steps.
-        gains: for every human, the estimated gain of each rung over the rung in use, net of the price of its time;
-            `NOT_ESTIMATED` where none was estimated. Rules inside a `ms_highway.choice.budget.Budget` return the gain
-            over the first rung, without a price.
-        failed: whether an estimate that the rule needs could not be computed.
+        gains: see `Estimate`; `NOT_ESTIMATED` for all rungs of a rule without an estimator.
+        failed: see `Estimate`.
     """
 
     memory: Memory
@@ -107,222 +159,321 @@ class Decision(NamedTuple):
     failed: Flag
 
 
-class Rule:
-    """Base class of rules, which choose the rungs of the coming step from the outcome of the last one.
-
-    Rules are frozen dataclasses and pytrees with pure methods, so that their numbers may change without recompilation.
-    They work for any number of humans, live and in batches.
+class Start(NamedTuple):
+    """What is known when an episode starts.
 
     Attributes:
-        ladder: human models, cheapest first (static).
-        estimates: whether a decision needs a computation, which is then compiled and timed.
+        ladder: human models to choose from, cheapest first.
+        costs: of plans with them, NaN where unknown.
+        semantics: of the scenario.
+        humans: number of humans.
+        steps: number of steps of the episode.
+        random: source of the draws.
     """
 
-    ladder: Any
-    estimates: ClassVar[bool] = True
+    ladder: tuple[HumanModel, ...]
+    costs: Costs
+    semantics: Semantics
+    humans: int
+    steps: int
+    random: np.random.Generator
 
-    def decide(self, game: Any, memory: Memory, outcome: Any) -> Decision:
-        """Choose the rungs of the coming step.
+
+# The parts of a rule
+
+Evidence = TypeVar("Evidence", contravariant=True)
+"""What a part of a rule sees beside the memory."""
+
+
+class Part:
+    """A part of a rule: a frozen dataclass and a pytree with pure methods.
+
+    Its fields are keys of ``config["controller"]``, except those with the metadata
+    `FROM_START`; a field ``price`` is the key ``lambda``. Annotations with a
+    `msgspec.Meta` limit them, and its ``description`` says what to give instead.
+
+    Attributes:
+        tag: name in configurations and commands, given as ``class Near(Chooser, tag="near")``,
+            see `ms_highway.add_rule`.
+    """
+
+    tag: ClassVar[str] = ""
+
+    def __init_subclass__(cls, tag: str = "") -> None:
+        """Note the name."""
+        super().__init_subclass__()
+        cls.tag = tag
+
+    def at_start(self, start: Start) -> Self:
+        """Return the part with what only the start of an episode knows; by default, as it is."""
+        return self
+
+
+class Estimator(Part, Generic[Evidence]):
+    """Say what each rung would gain for each human, whatever its price, for any number of humans."""
+
+    def estimate(self, memory: Memory, evidence: Evidence) -> Estimate:
+        """Estimate the gains of all rungs over the first one.
 
         Args:
-            game: game that is played; None in `ms_highway.road`, which plays no game.
-            memory: what the rule remembers.
-            outcome: outcome of the last step; in `ms_highway.road`, bounds on the gain of each human's response.
+            memory: what the rule remembers; its ``last_check`` has the shape [humans, rungs].
+            evidence: what happened.
         """
         raise NotImplementedError
 
-    def at_price(self, price: Scalar) -> "Rule":
-        """Return the rule at another price lambda; a rule without a price is returned unchanged."""
-        return replace(self, price=price) if "price" in {each.name for each in fields(self)} else self  # type: ignore
 
-    def deciding_in(self, seconds: Callable[[], float]) -> "Rule":
-        """Return the rule with the seconds that a decision takes, if it needs them; ``seconds`` measures them."""
-        return self
+class Chooser(Part, Generic[Evidence]):
+    """Choose rungs by their gains and costs, for any number of humans.
 
-    def for_unresponsive(self) -> "tuple[Rule, int]":
-        """Return the rule, and the rung that predicts unresponsive humans: the first one.
+    Attributes:
+        computes: whether a choice needs a computation, which is then compiled and timed.
+    """
+
+    computes: ClassVar[bool] = True
+
+    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: Evidence) -> Rungs:
+        """Return the rung of every human in the coming step.
+
+        Args:
+            memory: what the rule remembers; its rungs are those in use.
+            gains: of the rule's estimator, see `Estimate`.
+            costs: of plans [s].
+            evidence: what happened.
+        """
+        raise NotImplementedError
+
+
+class Priced(Chooser[Evidence]):
+    """Base of choosers at a price per second of planning, lambda, by which batches of episodes may differ."""
+
+    price: NotNegative
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Rule(Generic[Evidence]):
+    """What chooses the rungs of the coming step.
+
+    A rule is a pytree, so that its numbers may change without recompilation. It works for any number of humans, live
+    and in batches.
+
+    Attributes:
+        ladder: human models, cheapest first (static).
+        costs: planning time of each rung [s]; NaN where unknown.
+        chooser: chooses the rungs.
+        estimator: says what they gain; None if the chooser needs no gains.
+    """
+
+    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
+    costs: Costs
+    chooser: Chooser[Evidence]
+    estimator: Estimator[Evidence] | None = None
+
+    def __init_subclass__(cls) -> NoReturn:
+        """Refuse rules that are classes, as before version 3.
 
         Raises:
-            ValueError: if the first model counts on a response of the human.
+            ValueError: always.
         """
-        if self.ladder[0].responds:
-            message = f"the ladder begins with {self.ladder[0].name}, which counts on a response"
-            raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
-        return self, 0
+        raise ValueError(f"the rule {cls.__name__} derives from Rule; {DERIVE}")
+
+    @property
+    def estimates(self) -> bool:
+        """Whether a decision needs a computation, which is then compiled and timed."""
+        return self.chooser.computes or self.estimator is not None
+
+    @property
+    def name(self) -> str:
+        """Name of what chooses, for messages."""
+        return type(self.chooser).__name__
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts that it has."""
+        return (self.chooser,) if self.estimator is None else (self.chooser, self.estimator)
 
     def check(self) -> None:
-        """Check the ladder, and the costs and the price of a rule that has them.
+        """Check the ladder, the costs and the price.
 
         Raises:
             ValueError: if the ladder holds something else than human models, if the costs or the price are negative,
-                or if there is not one cost for each rung; for a rule that estimates, if JAX cannot compile for it.
+                or if there is not one cost for each rung; if JAX cannot compile a decision that needs it.
         """
         if self.estimates:
             compilable(self)
         if strange := [model for model in self.ladder if not isinstance(model, HumanModel)]:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
-        costs, price = getattr(self, "costs", None), np.asarray(getattr(self, "price", 0.0))
-        if costs is None:
-            return
-        each = np.asarray(costs.each)
+        each = np.asarray(self.costs.each)
         if each.shape != (len(self.ladder),):
             names = ", ".join(model.name for model in self.ladder)
             raise ValueError(f"costs have the shape {each.shape}; give one for each of {names}")
+        price = np.asarray(self.chooser.price if isinstance(self.chooser, Priced) else 0.0)
         if not (price >= 0).all() or (each < 0).any():
             raise ValueError(f"the price is {price} and the costs are {each.tolist()}; neither may be negative")
 
 
+def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
+    """Return the rule at another price lambda; a rule without a price is returned unchanged."""
+    if not isinstance(rule.chooser, Priced):
+        return rule
+    return replace(rule, chooser=replace(rule.chooser, price=price))  # type: ignore[type-var]
+
+
+# Orders of models
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Order(Rule):
-    """Take the rungs from a table: a fixed model, a schedule, a period, or rungs that were drawn beforehand.
+class Order(Chooser[object]):
+    """Take the rungs from a table: a fixed model, a schedule, or rungs that were drawn beforehand.
 
     Attributes:
         rungs: rung of every human in each step. Later steps take the last row. A single column holds for all humans.
-        ladder: human models (static).
     """
 
     rungs: Int[Array, "steps humans"]
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    estimates: ClassVar[bool] = False
+    computes: ClassVar[bool] = False
 
-    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Return the rungs of this step; no gain is estimated."""
+    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
+        """Return the rungs of this step."""
         xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
         table = xp.asarray(self.rungs)
         row = table[xp.minimum(memory.step, len(table) - 1)]
-        return unestimated(memory, xp.broadcast_to(row, memory.rungs.shape))
-
-    def for_unresponsive(self) -> tuple[Rule, int]:
-        """Return the order, and the rung of naive, which is added to a ladder without it."""
-        names = [model.name for model in self.ladder]
-        if Naive.name in names:
-            return self, names.index(Naive.name)
-        return replace(self, ladder=(*self.ladder, Naive())), len(names)
+        return xp.broadcast_to(row, memory.rungs.shape)
 
 
-def always(model: HumanModel) -> Order:
+def in_order(rungs: Int[Array, "steps humans"], ladder: tuple[HumanModel, ...]) -> Rule[Any]:
+    """Return the rule that takes the rungs of a ladder from a table, see `Order`; its costs are unknown."""
+    costs = UNKNOWN.select(model.name for model in ladder)
+    return Rule(ladder, costs, Order(rungs))
+
+
+def always(model: HumanModel) -> Rule[Any]:
     """Return the rule that predicts every human by the same model in all steps."""
-    return Order(np.zeros((1, 1), int), (model,))
+    return in_order(np.zeros((1, 1), int), (model,))
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Nearest(Rule):
-    """Predict the nearest humans by the top of the ladder, and all others by the first rung.
+def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], int]:
+    """Return the rule, and the rung that predicts unresponsive humans.
 
-    Attributes:
-        count: number of humans on the top rung.
-        ladder: human models (static).
-    """
-
-    count: Index
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-
-    def decide(self, game: Game, memory: Memory, outcome: Outcome) -> Decision:
-        """Choose by the distances after the last step."""
-        rank = nearness(game, outcome.after)
-        return unestimated(memory, jnp.where(rank < self.count, len(self.ladder) - 1, 0))
-
-
-def compilable(rule: Rule) -> Rule:
-    """Return a rule of whose class JAX knows the fields.
+    It is the first rung; under an order naive, which is added to a ladder without it.
 
     Raises:
-        ValueError: if JAX does not know them.
+        ValueError: if the first model of a rule that is no order counts on a response of the human.
     """
-    if jax.tree_util.all_leaves([rule]):
-        remedy = "write @jax.tree_util.register_dataclass above its @dataclass(frozen=True)"
-        raise ValueError(
-            f"JAX cannot compile for the rule {type(rule).__name__}, as it does not know its fields; {remedy}"
-        )
-    return rule
+    first = rule.ladder[0]
+    if isinstance(rule.chooser, Order):
+        names = [model.name for model in rule.ladder]
+        if Naive.name in names:
+            return rule, names.index(Naive.name)
+        return in_order(rule.chooser.rungs, (*rule.ladder, Naive())), len(names)
+    if first.responds:
+        message = f"the ladder begins with {first.name}, which counts on a response"
+        raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
+    return rule, 0
 
 
-def is_of_package(rule: Rule) -> bool:
-    """Return whether a rule is the package's own, whose decisions need no check."""
-    return type(rule).__module__.partition(".")[0] == __name__.partition(".")[0]
+# Decisions
 
 
-def decide(rule: Rule, game: Any, memory: Memory, outcome: Any) -> Decision:
-    """Choose the rungs of the coming step by a rule, see `Rule.decide`.
+def decide(rule: Rule[GameEvidence], game: Game, memory: Memory, outcome: Outcome) -> Decision:
+    """Choose the rungs of the coming step in a game, see `decide_on`.
 
-    Another rule than the package's gets arrays that it cannot write, and its decision is checked.
+    Args:
+        rule: that chooses.
+        game: with the humans' rewards as the robot believes them.
+        memory: what the rule remembers.
+        outcome: of the last step.
+    """
+    return decide_on(rule, memory, GameEvidence(game, outcome, rule.ladder))
+
+
+def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decision:
+    """Choose the rungs of the coming step by a rule: estimate, choose, and remember.
+
+    Other parts than the package's get arrays that they cannot write, and what they return is checked.
 
     Raises:
-        ValueError: if a decision has no whole number for each human; if they are known now, also for numbers that are
-            no rungs. Where JAX traces the decision, `refuse_rungs` checks these afterwards.
+        ValueError: if a part returns arrays of a wrong shape or type; if they are known now, also for numbers that are
+            no rungs, and for gains that are no numbers. Where JAX traces the decision, `refuse_rungs` checks these
+            afterwards.
     """
-    if is_of_package(rule):
-        return rule.decide(game, memory, outcome)
-    name, number = type(rule).__name__, len(memory.rungs)
+    shape = memory.last_check.shape
+    if rule.estimator is None:
+        xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
+        gains = xp.full(shape, NOT_ESTIMATED, dtype=xp.float32)
+        rungs = _chosen(rule, memory, gains, evidence)
+        return unestimated(memory, rungs)
+
+    # Gains first, before any price; then the choice.
+    gains, failed = _estimated(rule, rule.estimator, memory, evidence)
+    rungs = _chosen(rule, memory, gains, evidence)
+    if not is_of_package(rule):
+        unknown = jnp.isnan(gains).any(axis=1)
+        rungs = jnp.where(unknown, NO_GAINS, rungs)
+    return Decision(_remembered(memory, rungs, gains), gains, jnp.asarray(failed))
+
+
+def _estimated(rule: Rule[Evidence], estimator: Estimator[Evidence], memory: Memory, evidence: Evidence) -> Estimate:
+    """Return what an estimator says; check it, if the estimator is not the package's."""
+    if _is_own(estimator):
+        return estimator.estimate(memory, evidence)
+    name = type(estimator).__name__
+    with naming_writes(f"the estimator {name}"):
+        estimate = estimator.estimate(*read_only((memory, evidence)))
+    if not isinstance(estimate, Estimate):
+        raise ValueError(f"the estimator {name} returned {estimate!r}; return an Estimate(gains, failed)")
+    shape = memory.last_check.shape
+    gains = jnp.asarray(estimate.gains, jnp.float32)
+    if gains.shape != shape:
+        remedy = f"return one for each human and rung, an array {shape}"
+        raise ValueError(f"the estimator {name} returned gains of shape {gains.shape}; {remedy}")
+    if not isinstance(gains, jax.core.Tracer) and np.isnan(gains).any():
+        raise ValueError(_gains_message(rule))
+    return Estimate(gains, estimate.failed)
+
+
+def _chosen(rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Evidence) -> Rungs:
+    """Return the rungs that a chooser returns; check them, if the chooser is not the package's."""
+    if _is_own(rule.chooser):
+        return rule.chooser.choose(memory, gains, rule.costs, evidence)
+    name = rule.name
+    number = len(memory.rungs)
     with naming_writes(f"the rule {name}"):
-        decision = rule.decide(*read_only((game, memory, outcome)))
-    if not isinstance(decision, Decision) or not isinstance(decision.memory, Memory):
-        remedy = "return a Decision, such as ms_highway.unestimated(memory, rungs)"
-        raise ValueError(f"the rule {name} returned {decision!r}; {remedy}")
-    rungs = decision.memory.rungs
+        rungs = rule.chooser.choose(*read_only((memory, gains, rule.costs, evidence)))
     rungs = rungs if isinstance(rungs, np.ndarray) else jnp.asarray(rungs)
     traced = isinstance(rungs, jax.core.Tracer)
     if rungs.shape != (number,) or not jnp.isdtype(rungs.dtype, ("bool", "integral")):
         found = f"{rungs.dtype} numbers of shape {rungs.shape}" if traced else f"the rungs {rungs.tolist()}"
         raise ValueError(f"the rule {name} returned {found}; {_rungs_remedy(rule, number)}")
-    if jnp.shape(decision.gains) != (number, len(rule.ladder)):
-        remedy = f"return one for each human and rung, an array {(number, len(rule.ladder))}"
-        raise ValueError(f"the rule {name} returned gains of shape {jnp.shape(decision.gains)}; {remedy}")
     if not traced:
         refuse_rungs(rule, rungs)
-    whole = rungs.__array_namespace__().asarray(rungs, dtype=np.int32)
-    return decision._replace(memory=decision.memory._replace(rungs=whole))
+    return rungs.__array_namespace__().asarray(rungs, dtype=np.int32)
 
 
-def in_ladder(rule: Rule, rungs: Any) -> Any:
-    """Return where numbers are rungs of the rule's ladder."""
-    return (rungs >= 0) & (rungs < len(rule.ladder))
+def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
+    """Return the memory with new rungs, with what was checked, and with the gain of the rung that is now in use."""
+    before = jnp.asarray(memory.rungs)
+    humans = jnp.arange(len(before))
+    places = jnp.arange(gains.shape[1])
+
+    # The rung below counts as checked where it was estimated, unless the rule goes up.
+    below = gains[humans, jnp.maximum(before - 1, 0)]
+    checked = (before > 0) & (below != NOT_ESTIMATED) & (rungs <= before)
+    in_use = places == before[:, None]
+    last_check = jnp.where(checked[:, None] & in_use, memory.step + 1, memory.last_check)
+
+    # The gain of the rung, or what is known of it.
+    gain = gains[humans, jnp.clip(rungs, 0, gains.shape[1] - 1)]
+    known = jnp.where(rungs == before, memory.gain, 0.0)
+    gain = jnp.where(jnp.isfinite(gain), gain, known).astype(jnp.float32)
+    return memory._replace(rungs=rungs, last_check=last_check, gain=gain)
 
 
-def refuse_rungs(rule: Rule, rungs: Int[Any, "*steps humans"]) -> None:
-    """Refuse numbers that a rule chose and that are no rungs of its ladder.
-
-    Raises:
-        ValueError: naming the rule and the first such numbers.
-    """
-    rungs = np.asarray(rungs)
-    wrong = ~in_ladder(rule, rungs).all(axis=-1)
-    if wrong.any():
-        first = rungs[wrong][0] if rungs.ndim > 1 else rungs
-        remedy = _rungs_remedy(rule, rungs.shape[-1])
-        raise ValueError(f"the rule {type(rule).__name__} returned the rungs {first.tolist()}; {remedy}")
-
-
-def _rungs_remedy(rule: Rule, humans: int) -> str:
-    names = ", ".join(f"{place} for {model.name}" for place, model in enumerate(rule.ladder))
-    return f"return one whole number for each human, {humans} in all: {names}"
-
-
-def with_human(game: Game, outcome: Outcome, human: Index) -> tuple[Game, Outcome]:
-    """Return the game of the robot with one human, see `ms_highway.game.game.pair`, and the outcome of this game."""
-    if game.number == 1:
-        return game, outcome
-    alone, before = pair(game, outcome.before, human)
-    _, after = pair(game, outcome.after, human)
-    plan = Plan(outcome.plan.robot, jnp.asarray(outcome.plan.humans)[human][None])
-    return alone, outcome._replace(
-        before=before, after=after, humans=jnp.asarray(outcome.humans)[human][None], plan=plan
-    )
-
-
-def shipped_kind(semantics: str, humans: int) -> str:
-    """Return the kind of scene for which the package has costs and learned values, a key of `SHIPPED_COSTS`."""
-    if humans == 1:
-        return "physical" if semantics == "physical" else "pair"
-    return "physical several" if semantics == "physical" else "several"
-
-
-def first_memory(rule: Rule, humans: int) -> Memory:
+def first_memory(rule: Rule[Any], humans: int) -> Memory:
     """Return the memory before the first step. Every human is on the first rung, and every rung may be checked."""
     checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
-    return Memory(np.zeros(humans, np.int32), np.zeros((), np.int32), checks)
+    return Memory(np.zeros(humans, np.int32), np.zeros((), np.int32), checks, np.zeros(humans, np.float32))
 
 
 def unestimated(memory: Memory, rungs: Rungs) -> Decision:
@@ -332,9 +483,75 @@ def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     if isinstance(rungs, np.ndarray) and rungs.dtype.kind in "iu":  # of 64 bits, which JAX cuts to 32
         rungs = np.clip(rungs, -1, np.iinfo(np.int32).max)
     rungs = xp.asarray(rungs)
-    if not xp.isdtype(rungs.dtype, "real floating"):  # which `decide` refuses, instead of cutting its numbers off
+    if not xp.isdtype(rungs.dtype, "real floating"):  # which is refused, instead of cutting its numbers off
         rungs = xp.asarray(rungs, dtype=xp.int32)
     return Decision(memory._replace(rungs=rungs), gains, xp.asarray(False))
+
+
+# Rules of a user's
+
+
+def _is_own(part: Part) -> bool:
+    """Return whether a part is the package's own."""
+    return type(part).__module__.partition(".")[0] == __name__.partition(".")[0]
+
+
+def is_of_package(rule: Rule[Any]) -> bool:
+    """Return whether all parts of a rule are the package's own, whose decisions need no check."""
+    return all(map(_is_own, rule.parts))
+
+
+def compilable(rule: Rule[Evidence]) -> Rule[Evidence]:
+    """Return a rule of whose parts JAX knows the fields.
+
+    Raises:
+        ValueError: if JAX does not know them.
+    """
+    for part in rule.parts:
+        if jax.tree_util.all_leaves([part]):
+            remedy = "write @jax.tree_util.register_dataclass above its @dataclass(frozen=True)"
+            raise ValueError(
+                f"JAX cannot compile for the rule {type(part).__name__}, as it does not know its fields; {remedy}"
+            )
+    return rule
+
+
+def in_ladder(rule: Rule[Any], rungs: Any) -> Any:
+    """Return where numbers are rungs of the rule's ladder."""
+    return (rungs >= 0) & (rungs < len(rule.ladder))
+
+
+def refuse_rungs(rule: Rule[Any], rungs: Int[Any, "*steps humans"]) -> None:
+    """Refuse numbers that a rule chose and that are no rungs of its ladder.
+
+    Raises:
+        ValueError: naming the rule and the first such numbers, or the estimator whose gains were no numbers.
+    """
+    rungs = np.asarray(rungs)
+    if (rungs == NO_GAINS).any():
+        raise ValueError(_gains_message(rule))
+    wrong = ~in_ladder(rule, rungs).all(axis=-1)
+    if wrong.any():
+        first = rungs[wrong][0] if rungs.ndim > 1 else rungs
+        remedy = _rungs_remedy(rule, rungs.shape[-1])
+        raise ValueError(f"the rule {rule.name} returned the rungs {first.tolist()}; {remedy}")
+
+
+def _rungs_remedy(rule: Rule[Any], humans: int) -> str:
+    names = ", ".join(f"{place} for {model.name}" for place, model in enumerate(rule.ladder))
+    return f"return one whole number for each human, {humans} in all: {names}"
+
+
+def _gains_message(rule: Rule[Any]) -> str:
+    remedy = "return -inf (NOT_ESTIMATED) where no gain is known"
+    return f"the estimator {type(rule.estimator).__name__} returned gains that are NaN; {remedy}"
+
+
+def shipped_kind(semantics: str, humans: int) -> str:
+    """Return the kind of scene for which the package has costs and learned values, a key of `SHIPPED_COSTS`."""
+    if humans == 1:
+        return "physical" if semantics == "physical" else "pair"
+    return "physical several" if semantics == "physical" else "several"
 
 
 def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.ndarray, "*steps rungs"]:

@@ -25,7 +25,7 @@ MAX_SEEDS = 2**63 - 1 - MOST
 
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
-    "period:MODEL=STEPS,..., random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K; "
+    "random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K; "
     "your own: functions of add_driver, agents of add_agent, and files of stable-baselines3 (AGENT.zip)"
 )
 """Short names of controllers, for help texts."""

@@ -41,7 +41,6 @@ def compare(options: argparse.Namespace) -> None:
       switching:LAMBDA        chooses by the paper's Algorithm 1
       horizon:LAMBDA          the same, with gains over the whole plan instead of one step
       schedule:tom=6,naive    a fixed order: tom for six steps, then naive
-      period:tom=1,naive=3    a repeated order: tom in every fourth step, else naive
       random:tom=0.3,naive=0.7  a model drawn for every step with these shares, a baseline for every choice
 
     Without scenarios and controllers, the paper's comparison runs: its three scenarios, each with its ladder and the

@@ -209,7 +209,7 @@ def frontier(options: argparse.Namespace) -> None:
       ms-highway frontier
       ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier
       ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 --out results/wide
-      ms-highway frontier merger --controllers period:tom=1,naive=3 random:naive=0.7,tom=0.3 --out results/blind
+      ms-highway frontier merger --controllers schedule:tom=6,naive random:naive=0.7,tom=0.3 --out results/blind
     """
     import pandas as pd
 

@@ -7,11 +7,9 @@ late. A budget counts the given seconds for planning, and none for deciding.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from math import isnan
 from typing import Any, TypeAlias
 
 import jax
-import msgspec
 import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
@@ -101,8 +99,8 @@ class Batch:
         alike: dict[Any, list[int]] = {}
         for place, (name, _) in enumerate(keys):
             settings = self.settings(name)
-            free = settings if isnan(settings.price) else msgspec.structs.replace(settings, price=0.0)
-            alike.setdefault((free if settings.chooses else None, settings.belief), []).append(place)
+            free = settings.without_price() if settings.chooses else None
+            alike.setdefault((free, settings.belief), []).append(place)
         parts = []
         for places in alike.values():
             own = [keys[place] for place in places]
@@ -185,8 +183,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
     Raises:
         ValueError: for anything unknown or impossible; without controllers; for costs that have to be measured, as
-            nothing is timed here; and for environments that end early, have a step of their own, or tell the robot the
-            true rewards.
+            nothing is timed here; and for environments that end early or have a step of their own.
     """
     names = comparison.controllers.get(scenario, [])
     if not names:

@@ -103,7 +103,8 @@ class Comparison:
         """Return the columns of a record of steps.
 
         ``counted_seconds`` is T of the step's plan, as decisions count it. ``gain_MODEL``, for every known human model
-        and every rung, is the highest gain that was estimated for a human, and empty if none was. States are those of
+        and every rung, is the highest gain over the first rung, before the price of its time, that was estimated for a
+        human, and empty if none was. States are those of
         the robot and the first human after the step, in SI units. With several humans, ``model`` is the most expensive
         model in use, ``humans_MODEL`` the number of humans that each rung above the first predicts, and ``success``
         whether the robot has succeeded so far.

@@ -21,7 +21,6 @@ from ms_highway.runtime.compilation import Devices
 from ms_highway.runtime.files import reading, whole_lines
 
 MEAN_STRETCH = 4  # mean number of steps in a stretch that a mutant changes
-SINGLE_SHARE = 0.5  # share of the changes that are for a single one of several humans
 SWITCHES = 12  # number of steps at which the first orders may change their rung
 INDEX = ["controller", "seed"]
 KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
@@ -79,15 +78,13 @@ class Outcomes:
 def controller_name(models: Sequence[str], order: Array) -> str:
     """Return the short name of an order as a controller, such as ``schedule:tom=6,naive`` or ``tom``.
 
-    If models differ between humans, all of them are named: ``schedule:tom/naive=6,naive``.
-
     Args:
         models: names of the rungs.
-        order: rung of every human in each step, [steps, humans].
+        order: rung of all humans in each step.
     """
-    names = ["/".join(models[rung] for rung in (rungs if len(set(rungs)) > 1 else rungs[:1])) for rungs in order]
+    names = [models[rung] for rung in order]
     *stretches, (last, _) = [(name, len(list(steps))) for name, steps in groupby(names)]
-    if not stretches and "/" not in last:
+    if not stretches:
         return last
     return "schedule:" + ",".join([*(f"{name}={steps}" for name, steps in stretches), last])
 
@@ -114,7 +111,7 @@ def search(
         The number of each finished round, from 1; a last number after the starts have tried each other's best orders.
     """
     random, batch = np.random.default_rng(0), outcomes.batch
-    rungs, steps = range(len(batch.rungs)), np.arange(batch.steps)[:, None].repeat(batch.humans, axis=1)
+    rungs, steps = range(len(batch.rungs)), np.arange(batch.steps)
     ends = np.unique(np.round(np.geomspace(1, batch.steps, SWITCHES)).astype(int))
     drawn = [np.where(steps < end, *pair) for end in ends for pair in product(rungs, rungs)]
     orders = {controller_name(batch.rungs, order): order for order in drawn}
@@ -135,12 +132,12 @@ def search(
 
 
 def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
-    """Return an order [steps, humans] with a random rung in one or two stretches of steps, for one or all humans."""
-    new, (steps, humans) = order.copy(), order.shape
+    """Return an order [steps] with a random rung in one or two stretches of steps."""
+    new = order.copy()
+    steps = len(order)
     for _ in range(random.integers(1, 3)):
         start, length = random.integers(steps), random.geometric(1 / MEAN_STRETCH)
-        alone = humans > 1 and random.random() < SINGLE_SHARE
-        new[start : start + length, random.integers(humans) if alone else slice(None)] = random.integers(rungs)
+        new[start : start + length] = random.integers(rungs)
     return new
 
 

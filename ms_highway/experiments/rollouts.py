@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import numpy as np
 
-from ms_highway.choice.learned_value import TOGETHER, LearnedValue
+from ms_highway.choice.choosers import TOGETHER
+from ms_highway.choice.rule import GameEvidence, Rule
 from ms_highway.choice.situation import describe, nearness
 from ms_highway.experiments.batch import Batch
 from ms_highway.loop.batch import simulate
@@ -100,7 +101,7 @@ class Driving:
 
     batch: Batch
     how: Learning
-    rule: LearnedValue
+    rule: Rule[GameEvidence]
     learned: bool
     devices: Devices | None
 

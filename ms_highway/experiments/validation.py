@@ -14,7 +14,15 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, Switching
-from ms_highway.choice.rule import PUBLISHED_COSTS, Memory, Outcome, decide, first_memory
+from ms_highway.choice.rule import (
+    PUBLISHED_COSTS,
+    GameEvidence,
+    Memory,
+    Outcome,
+    Rule,
+    decide,
+    first_memory,
+)
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.scenario import Scenario, build_game
@@ -124,7 +132,7 @@ def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str
 
 
 @jit_quickly
-def _choices(switching: Switching, game: Game, rungs: Any, *happened: Any) -> Array:
+def _choices(switching: Rule[GameEvidence], game: Game, rungs: Any, *happened: Any) -> Array:
     """Return the rung that is chosen after each step; each step was driven with the logged rung."""
 
     def choose(memory: Memory, step: tuple) -> tuple[Memory, Array]:

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, is_of_package, refuse_rungs, unestimated
+from ms_highway.choice.rule import NOT_ESTIMATED, Decision, at_price, is_of_package, refuse_rungs, unestimated
 from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.features import check_own_features, features
@@ -157,7 +157,7 @@ def _step(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Recor
     robot, by_rule = complete_outcome(game, now.robot, seen, loop.belief), given.scheduled == DECIDES
 
     def decide() -> Decision:
-        return chosen_by(loop.rule.at_price(own.prices), game, robot.memory, robot.outcome)
+        return chosen_by(at_price(loop.rule, own.prices), game, robot.memory, robot.outcome)
 
     decision = _where_needed(loop, by_rule.any(), decide, unestimated(robot.memory, robot.memory.rungs))
     chosen = None if is_of_package(loop.rule) else jnp.where(by_rule, decision.memory.rungs, 0)

@@ -52,8 +52,8 @@ class ControlStep:
             or inferred.
         compile_seconds: wall time of compiling and warming up in this step.
         ladder: names of the models to choose from.
-        gains: estimated gain of each of them for every human, NaN where none was estimated, see
-            `ms_highway.choice.rule.Decision`; with one human, NaN for the model in use.
+        gains: estimated gain of each of them over the first one for every human, before the price of its time, see
+            `ms_highway.choice.rule.Estimate`; NaN where none was estimated.
         choice_failed: whether the rule failed to choose, see there.
         status: where the control comes from, see `ms_highway.loop.step.Status`.
         belief: for every human, the probability that each of `ms_highway.planning.ladders.PACKAGE_MODELS` predicts it;

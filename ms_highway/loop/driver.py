@@ -6,7 +6,17 @@ from time import perf_counter
 import jax
 import numpy as np
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Rule, always, is_of_package, refuse_rungs
+from ms_highway.choice.budget import deciding_in
+from ms_highway.choice.rule import (
+    NOT_ESTIMATED,
+    Decision,
+    GameEvidence,
+    Rule,
+    always,
+    for_unresponsive,
+    is_of_package,
+    refuse_rungs,
+)
 from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.game import Game
 from ms_highway.loop.controller import ControlStep
@@ -33,14 +43,14 @@ from ms_highway.runtime.process import refuse_after_fork
 QUANTILE = 0.99  # of decisions' seconds, for budgets
 
 
-def drivable(rule: Rule, belief: bool) -> tuple[Rule, int | None]:
+def drivable(rule: Rule[GameEvidence], belief: bool) -> tuple[Rule[GameEvidence], int | None]:
     """Return the rule for a `Driver`, and the rung that predicts unresponsive humans (None without a belief).
 
     Raises:
         ValueError: as `Driver` does.
     """
     rule.check()
-    return rule.for_unresponsive() if belief else (rule, None)
+    return for_unresponsive(rule) if belief else (rule, None)
 
 
 class Driver:
@@ -165,7 +175,7 @@ class Driver:
         seconds = self._plans.warm_up(state, self.way_out)
         if self.looks_back:
             seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
-            rule, measuring = timed(self.rule.deciding_in, lambda: self._deciding_seconds(state))
+            rule, measuring = timed(deciding_in, self.rule, lambda: self._deciding_seconds(state))
             if rule is not self._rule:
                 self._rule, seconds = rule, seconds + measuring
                 self._place()
@@ -196,8 +206,6 @@ class Driver:
         else:
             decision = jax.tree.map(np.asarray, chosen_by(self.rule, self.game, carry.memory, carry.outcome))
         gains = np.where(decision.gains == NOT_ESTIMATED, np.nan, decision.gains)
-        if self.game.number == 1:  # gains of switching: there is none for the model in use
-            gains[0, carry.memory.rungs[0]] = np.nan
         return carry, decision._replace(gains=gains), seconds
 
     def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.choice.rule import Rule
+from ms_highway.choice.rule import GameEvidence, Rule, for_unresponsive
 from ms_highway.game.game import Game
 from ms_highway.loop.controller import DriverFunction
 from ms_highway.planning.human_models import HumanModel, Naive
@@ -39,7 +39,7 @@ class Loop:
     """
 
     game: Game
-    rule: Rule
+    rule: Rule[GameEvidence]
     others: tuple[HumanModel, ...] = field(default=(), metadata={"static": True})
     way_out: bool = field(default=False, metadata={"static": True})
     belief: bool = field(default=False, metadata={"static": True})
@@ -57,7 +57,7 @@ class Loop:
         if not self.belief:
             return None
         if self.rule.estimates:
-            return self.rule.for_unresponsive()[1]
+            return for_unresponsive(self.rule)[1]
         return [model.name for model in self.models].index(Naive.name)
 
     @property
@@ -103,7 +103,7 @@ class Records(NamedTuple):
         status: of the robot's control, its place in `ms_highway.loop.step.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
-        gains: of each rung for each human, estimated before the step, see `ms_highway.choice.rule.Decision`.
+        gains: of each rung for each human, estimated before the step, see `ms_highway.choice.rule.Estimate`.
         states: all cars after the step.
         chosen: what a rule that is not the package's chose, 0 where a schedule did; to be checked by
             `ms_highway.choice.rule.refuse_rungs`. None for the package's rules.

@@ -9,7 +9,7 @@ from highway_env.envs.common.action import DiscreteMetaAction
 from highway_env.utils import rect_corners
 from msgspec import Meta, Struct
 
-from ms_highway.envs.configuration import RANGES, TYPES, Config, Number, keys_of
+from ms_highway.envs.configuration import RANGES, TYPES, Config, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.geometry.bodies import separation
@@ -29,6 +29,7 @@ from ms_highway.recorded.straight_road import StraightRoad, straight_road
 from ms_highway.recorded.traffic import RecordedRoad, sized
 from ms_highway.road.stock import GoalEnv
 from ms_highway.road.timed_goal import TimedGoal
+from ms_highway.runtime.limits import Number
 
 # Planning problems
 

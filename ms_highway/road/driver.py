@@ -8,7 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.choice.rule import Rule, decide, first_memory
+from ms_highway.choice.budget import deciding_in
+from ms_highway.choice.rule import Rule, decide_on, first_memory
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.step import LATE, PLANNED, STATUSES, fallback_status
 from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
@@ -17,7 +18,7 @@ from ms_highway.planning.manoeuvres import MAX_BRAKING
 from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.road.plan import RoadPlan, no_plan, propose_road, respond_road
 from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
-from ms_highway.runtime.arrays import Controls, Rungs
+from ms_highway.runtime.arrays import Controls, PerHuman, Rungs
 from ms_highway.runtime.compilation import jit_quickly, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
@@ -27,7 +28,7 @@ SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]), MODELS)
 BRAKING_SHARE = 0.95  # share of the grip above which the deceleration of a broken plan counts as braking
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 
-proposed_for, responded_to, decided = jit_quickly(propose_road), jit_quickly(respond_road), jit_quickly(decide)
+proposed_for, responded_to, decided = jit_quickly(propose_road), jit_quickly(respond_road), jit_quickly(decide_on)
 """Proposals, answers to them and decisions, each compiled once for all scenes, models, limits and weights."""
 
 
@@ -77,7 +78,7 @@ class RoadDriver:
     """
 
     planning: RoadPlanning
-    rule: Rule
+    rule: Rule[PerHuman]
     weights: RoadWeights = field(default_factory=RoadWeights)
     budget: float = np.inf
 
@@ -95,15 +96,15 @@ class RoadDriver:
         rule, memory, gains = self.rule, self._memory, np.full((TRAFFIC, len(MODELS)), np.nan)
         compiling = warm_up(plan_of, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._last)
         if rule.estimates:
-            compiling += warm_up(decided, rule, None, memory, np.zeros(TRAFFIC, np.float32))
+            compiling += warm_up(decided, rule, memory, np.zeros(TRAFFIC, np.float32))
         else:
-            memory = rule.decide(None, memory, None).memory
+            memory = decide_on(rule, memory, np.zeros(TRAFFIC, np.float32)).memory
         first = models = self._models(scene, memory.rungs)
         proposed, proposing = timed(proposed_for, scene, self.planning, self.weights, first, self._last)
         if rule.estimates:
-            rule = rule.deciding_in(lambda: perf_counter() - start - compiling - proposing)
+            rule = deciding_in(rule, lambda: perf_counter() - start - compiling - proposing)
             gains[:, NAIVE + 1 :] = np.asarray(proposed.worth)[:, None]
-            models = self._models(scene, np.asarray(decided(rule, None, memory, proposed.worth).memory.rungs))
+            models = self._models(scene, np.asarray(decided(rule, memory, proposed.worth).memory.rungs))
         plan, answering = proposed.plan, 0.0
         if (models != first).any() or (models == TOM).any():  # the proposals have to be scored again
             plan, answering = timed(responded_to, proposed, models)

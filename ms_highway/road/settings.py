@@ -2,12 +2,11 @@
 
 Proposals are first scored with all cars under the first model of the ladder. How much more the best of them would earn
 without car i is an upper bound on the gain of any better prediction of this car: ``max_p (R(p) + c_i(p)) - max_p
-R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in it. The rules here receive these bounds in place
-of an outcome. `ms_highway.choice.rule.Order` needs none.
+R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in it. These bounds are the evidence of rules here.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import jax
@@ -15,41 +14,31 @@ import numpy as np
 from jax import numpy as jnp
 from msgspec import Meta, Struct, ValidationError, convert
 
-from ms_highway.choice.budget import Budget
-from ms_highway.choice.rule import Decision, Memory, Rule, always
-from ms_highway.envs.configuration import NotNegative, Positive, read, refuse_unknown
+from ms_highway.choice.budget import Knapsack
+from ms_highway.choice.choosers import Price
+from ms_highway.choice.rule import Estimate, Estimator, Memory, Rule, always
+from ms_highway.envs.configuration import read, refuse_unknown
 from ms_highway.loop.controller import HUMAN_DRIVERS, draw_key
 from ms_highway.planning.costs import Costs
-from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import human_model
 from ms_highway.road.added import AddedRoadDriver, added_drivers
 from ms_highway.road.constants import MODELS, RoadPlanning
 from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
 from ms_highway.road.robot import GRIP_MARGIN
-from ms_highway.runtime.arrays import PerHuman, Scalar
+from ms_highway.runtime.arrays import PerHuman
+from ms_highway.runtime.limits import NotNegative, Positive
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Priced(Rule):
-    """Predict each car by the most expensive model whose time costs no more than a better prediction could gain.
+class Bounds(Estimator[PerHuman]):
+    """Say what better predictions could gain at most; the evidence is a bound for each car."""
 
-    Attributes:
-        ladder: models, cheapest first (static).
-        costs: of plans.
-        price: lambda [reward per second].
-    """
-
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-    costs: Costs
-    price: Scalar
-
-    def decide(self, game: Any, memory: Memory, outcome: PerHuman) -> Decision:
-        """Choose by the bounds; the first model, which gains nothing over itself, is always worth its time."""
-        gains = jnp.asarray(outcome)[:, None] - self.price * jnp.asarray(self.costs.each)
-        gains = gains.at[:, 0].set(0.0)
-        rungs = jnp.where(gains >= 0, jnp.arange(len(self.ladder)), 0).max(axis=1)
-        return Decision(memory._replace(rungs=rungs), gains, jnp.bool(False))
+    def estimate(self, memory: Memory, evidence: PerHuman) -> Estimate:
+        """Return the bound of each car for all models but the first, which gains nothing over itself."""
+        above_first = jnp.arange(memory.last_check.shape[1]) > 0
+        gains = jnp.where(above_first, jnp.asarray(evidence)[:, None], 0.0)
+        return Estimate(gains, jnp.bool(False))
 
 
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
@@ -130,7 +119,7 @@ class RoadSettings(Struct, frozen=True):
             remedy = f"choose one of {known}, with numbers from 0 and rungs of config['ladder'], which is {self.ladder}"
             raise ValueError(f"{message}; {remedy}") from None
 
-    def rule(self, costs: Costs) -> Rule:
+    def rule(self, costs: Costs) -> Rule[PerHuman]:
         """Return the rule that chooses the models.
 
         It leaves out models that cost at least as much as a later model on the ladder. Of those left, a budget chooses
@@ -142,15 +131,23 @@ class RoadSettings(Struct, frozen=True):
         kind, value = self._choice()
         if kind == "fixed":
             return always(human_model(value))
-        seconds = [costs.each[MODELS.index(name)] for name in self.ladder]
-        kept = [place for place, each in enumerate(seconds) if each < min(seconds[place + 1 :], default=np.inf)]
-        if kind == "budget":  # the bounds are gains of the last model; those between are not estimated
-            kept = sorted({kept[0], kept[-1]})
-        ladder = tuple(human_model(self.ladder[place]) for place in kept)
-        costs = Costs(costs.base, np.array(seconds)[kept])
+        # Models that cost less than all later ones.
+        seconds = costs.select(self.ladder).each
+        kept = [
+            name for place, name in enumerate(self.ladder) if seconds[place] < min(seconds[place + 1 :], default=np.inf)
+        ]
         if kind == "budget":
-            return Budget(Priced(ladder, costs, 0.0), costs, value / 1e3, 1.0)
-        return Priced(ladder, costs, value)
+            # The bounds are gains of the last model; those between are not estimated.
+            kept = list(dict.fromkeys([kept[0], kept[-1]]))
+        ladder = tuple(map(human_model, kept))
+        costs = costs.select(kept)
+        if kind == "budget":
+            return Rule(ladder, costs, Knapsack(value, share=1.0), Bounds())
+
+        # A bound has to be worth the whole time of its model, not only what that takes
+        # more than the first one.
+        free_first = np.where(np.arange(len(kept)) > 0, costs.each, 0.0)
+        return Rule(ladder, replace(costs, each=free_first), Price(value), Bounds())
 
     def planning(self, desired_speed: float, frame: float) -> RoadPlanning:
         """Return limits and wishes of plans.
@@ -179,6 +176,7 @@ class RoadSettings(Struct, frozen=True):
             return AddedRoadDriver(planning, value, key)
         costs = SHIPPED_COSTS
         if isinstance(self.costs, dict):
-            costs = Costs(0.0, np.array([self.costs.get(model, 0.0) / 1e3 for model in MODELS]))
+            seconds = np.array([self.costs.get(model, 0.0) / 1e3 for model in MODELS])
+            costs = Costs(0.0, seconds, MODELS)
         budget = value / 1e3 if kind == "budget" else np.inf
         return RoadDriver(planning, self.rule(costs), budget=budget)

@@ -25,7 +25,7 @@ PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
     "a human model": ("naive", "idm", "turn", "tom", "best"),
     "a rule": (
         *("switching", "horizon", "learned", "budget", "nearest"),
-        *("driver", "agent", "fixed", "schedule", "period", "random"),
+        *("driver", "agent", "fixed", "schedule", "random"),
     ),
     "a human driver": ("never", "always", "keyboard", "usual", "mixed"),
     "an agent": (),

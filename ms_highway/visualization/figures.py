@@ -32,7 +32,7 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
 
     On the left, planning is counted at the seconds T(M) that decisions count. On the right are planning and deciding as
     measured on this machine, if they were. A line per kind joins controllers that choose online, in the order of
-    lambda. The dashed line is the highest reward of schedules, periods and fixed models with at most this computation.
+    lambda. The dashed line is the highest reward of schedules and fixed models with at most this computation.
     Crosses are random controllers.
     """
     rows = summaries.query("scenario == @scenario")
@@ -151,9 +151,9 @@ CAPTIONS = {
     "and deciding as measured. Whiskers are the 90 % intervals. Controllers that choose online are labelled by lambda. "
     "Where schedules were compared, a dashed line is the highest reward of fixed orders with at most this computation, "
     "in these episodes. Crosses are controllers that draw their models at random.",
-    "decisions": "Decisions in single episodes. Above, the estimated net gain of switching to each model in this step; "
-    "a gain above zero is taken. For learned values, it is the gain of all that follows. Below, the reward. The "
-    "background is the model in use.",
+    "decisions": "Decisions in single episodes. Above, the estimated gain of each model over the first one, in this "
+    "step, before the price of its time. For learned values, it is the gain of all that follows. Below, the reward. "
+    "The background is the model in use.",
 }
 """What the figures of `figures` show."""
 
@@ -288,10 +288,10 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
 def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None = None) -> Figure:
     """Draw the decisions and the reward of episodes, a column per episode.
 
-    Above, the estimated net gains of switching to each model in the step at which they are drawn. Algorithm 1 takes a
-    gain above zero. Learned values of computation estimate the gain of all that follows, less a margin for doubt, and
-    the highest one is taken. The scale is linear up to 0.01 and logarithmic beyond. Below, the reward per step, on a
-    background of the models in use.
+    Above, the estimated gains of the models over the first one, before the price of their time, in the step at which
+    they are drawn. Algorithm 1 estimates the gain of the last step. Learned values of computation estimate the gain of
+    all that follows, less a margin for doubt. The scale is linear up to 0.01 and logarithmic beyond. Below, the reward
+    per step, on a background of the models in use.
 
     Args:
         episodes: of controllers that choose online, see `ms_highway.experiments.comparison.one_episode`.
@@ -309,7 +309,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
         upper.axhline(0, color="black", linewidth=0.8)
         for name in models_of(episode.dropna(axis=1, how="all"), "gain"):
             style = {"color": color_of(name), "markersize": 4, "linewidth": 0.8}
-            shown[f"gain of switching to {name}"] = upper.plot(steps, episode[f"gain_{name}"], "o-", **style)[0]
+            shown[f"gain of {name}"] = upper.plot(steps, episode[f"gain_{name}"], "o-", **style)[0]
         lower.plot(steps, rewards, color="black", linewidth=1.5)
         lower.set(xlabel="step (0.1 s)", xlim=(-0.5, len(steps) - 0.5))
         lower.set_title(f"mean reward {rewards.mean():.2f}", loc="right", fontsize="small")
@@ -320,7 +320,7 @@ def decisions(episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None =
             for step, model in zip(steps, episode["model"], strict=True):
                 span = axes.axvspan(step - 0.5, step + 0.5, color=color_of(model), alpha=0.25, linewidth=0, zorder=0)
                 shown[f"{model} in use"] = span
-    panels[0, 0].set_ylabel("estimated net gain")
+    panels[0, 0].set_ylabel("estimated gain")
     panels[1, 0].set_ylabel("reward per step")
     legend(figure, shown.values(), shown)
     return figure

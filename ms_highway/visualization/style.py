@@ -18,7 +18,6 @@ SHADES = {
     "learned": ("#7d52c9", "#a98be0", "#5a35a0", "#cfc0ee"),
     "random": ("#2e8b57", "#7cbf98", "#1c5736", "#b5dcc5"),
     "schedule": ("#8a6d3b", "#bda273", "#5c4724", "#dbcba8"),
-    "period": ("#b8433a", "#dc8b84", "#7d2a23", "#eec2be"),
     "budget": ("#1f5fbf", "#6f9be0", "#143f80", "#b3cbf0"),
     "nearest": ("#d9822b", "#ecb27a", "#985717", "#f5d6b5"),
     "driver": ("#a0522d", "#c98a6c", "#6e371d", "#e3c0ae"),

@@ -37,10 +37,28 @@ def decided(rule, played, memory, reward=1.5, unit=PAPER_UNIT):
     return decide_quickly(rule, game, memory, outcome)
 
 
-@pytest.mark.parametrize(("kind", "steps"), [(Switching, 1), (WholeHorizon, 5)])
-def test_a_gain_pays_for_one_plan_in_each_step_that_it_covers(played, kind, steps):
-    free, priced = (decided(made(price, kind), played, on(0)).gains[0, 2] for price in (0.0, 2.0))
-    assert free - priced == pytest.approx(steps * 2.0 * (0.37 - 0.09), rel=1e-3)
+@pytest.mark.parametrize("kind", [Switching, WholeHorizon])
+def test_the_top_is_chosen_up_to_the_price_at_which_its_time_costs_as_much_as_it_gains_per_step(played, kind):
+    gain = decided(made(0.0, kind), played, on(0), reward=-9.0).gains[0, 2]
+    break_even = gain / (0.37 - 0.09)
+    assert gain > 0
+    for share, rung in ((0.99, 2), (1.01, 0)):
+        decision = decided(made(share * break_even, kind), played, on(0), reward=-9.0)
+        assert decision.memory.rungs == rung
+        assert decision.gains[0, 2] == gain
+
+
+def test_gains_are_over_the_first_rung_whichever_rung_is_in_use(played):
+    """A downward check from turn compares it with naive; what tom gained when it was chosen is kept."""
+    up = decided(made(0.0), played, on(0), reward=-9.0)
+    assert (up.memory.rungs, up.memory.gain) == (2, up.gains[0, 2])
+    down = decided(made(1e6), played, up.memory._replace(step=np.int32(2)))
+    assert down.memory.rungs == 1
+    assert down.gains[0, 2] == up.gains[0, 2]
+    last = decided(made(0.0), played, down.memory._replace(step=np.int32(6)), reward=100.0)
+    assert np.isfinite(last.gains[0]).all()
+    assert last.gains[0, 0] == 0
+    assert last.memory.gain == last.gains[0, 1]
 
 
 def test_gains_do_not_depend_on_the_unit_of_length(played):
@@ -57,7 +75,7 @@ def test_the_top_rung_checks_only_the_rung_below_after_each_cooldown_and_switche
         checked.append(np.flatnonzero(decision.gains[0] != NOT_ESTIMATED).tolist())
         memory = decision.memory._replace(step=np.asarray(decision.memory.step) + 1)
         assert memory.rungs == 2
-    assert checked == [[1], [], [], [1], [], [], [1], []]
+    assert checked == [[1, 2], [], [], [1, 2], [], [], [1, 2], []]
     assert decided(made(1e6), played, on(2)).memory.rungs == 1
 
 

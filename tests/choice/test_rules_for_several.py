@@ -1,6 +1,6 @@
 """Rules for several humans: `nearest` chooses by distance, learned values by gains, `budget` by those that fit."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -9,8 +9,9 @@ from driving import LADDER
 from jax import numpy as jnp
 
 from ms_highway.choice.budget import Budget
+from ms_highway.choice.choosers import Nearest
 from ms_highway.choice.learned_value import load_values
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, Nearest, Rule, decide
+from ms_highway.choice.rule import NOT_ESTIMATED, Estimate, Estimator, Rule, decide
 from ms_highway.loop.step import begin
 from ms_highway.planning.costs import Costs
 from ms_highway.runtime.compilation import jit_quickly
@@ -36,7 +37,7 @@ def game(played):
 def decided(rule, game, error=0.0, before=0):
     """Return the decision after plans with these rungs, with an error added to the state."""
     memory, outcome, _ = begin(rule, game, STATE + error)
-    return decide_quickly(rule, game, memory._replace(rungs=memory.rungs + before), outcome)
+    return decide_quickly(rule, game, memory._replace(rungs=np.int32(memory.rungs + before)), outcome)
 
 
 def chosen(rule, game):
@@ -53,30 +54,30 @@ def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately
 
 def test_theory_of_mind_predicts_the_nearest_humans(game):
     for count, rungs in ((0, [NAIVE] * 5), (2, [TOM, NAIVE, NAIVE, NAIVE, TOM]), (9, [TOM] * 5)):
-        assert chosen(Nearest(count, LADDER), game) == rungs
+        assert chosen(Rule(LADDER, COSTS, Nearest(count)), game) == rungs
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class KnownGains(Rule):
-    """A rule with given gains."""
+class KnownGains(Estimator):
+    """An estimator with given gains."""
 
     gains: np.ndarray
-    ladder: tuple = field(default=LADDER, metadata={"static": True})
 
-    def decide(self, game, memory, outcome):
-        return Decision(memory, jnp.asarray(self.gains), jnp.bool(False))
+    def estimate(self, memory, evidence):
+        return Estimate(jnp.asarray(self.gains), jnp.bool(False))
 
 
 def test_a_budget_is_spent_where_it_gains_most(game):
-    gains = KnownGains(np.float32([[0, 1, 3], [0] * 3, [np.nan, 2, 2.5], [0, np.nan, 9], [0, -1, np.nan]]))
-    for seconds, deciding, rungs in (
-        (1.0, 0.0, [TOM, NAIVE, TOM, TOM, NAIVE]),
-        (0.0561, 0.0, [TOM, NAIVE, TURN, TOM, NAIVE]),  # 8 + 2 + 8 ms fit into 28 - 10 ms
-        (0.0561, 0.001, [TURN, NAIVE, TURN, TOM, NAIVE]),
-        (0.001, 0.0, [NAIVE] * 5),  # not even these fit
+    none = NOT_ESTIMATED
+    gains = KnownGains(np.float32([[0, 1, 3], [0, 0, -1], [none, 2, 2.5], [0, none, 9], [0, -1, none]]))
+    for milliseconds, deciding, rungs in (
+        (1000.0, 0.0, [TOM, NAIVE, TOM, TOM, NAIVE]),
+        (56.1, 0.0, [TOM, NAIVE, TURN, TOM, NAIVE]),  # 8 + 2 + 8 ms fit into 28 - 10 ms
+        (56.1, 0.001, [TURN, NAIVE, TURN, TOM, NAIVE]),
+        (1.0, 0.0, [NAIVE] * 5),  # not even these fit
     ):
-        assert chosen(Budget(gains, COSTS, seconds, 0.5, deciding), game) == rungs
+        assert chosen(Rule(LADDER, COSTS, Budget(milliseconds, 0.5, deciding), gains), game) == rungs
 
 
 def over_naive(gains, price=0.0, doubt=0.0):
@@ -85,19 +86,25 @@ def over_naive(gains, price=0.0, doubt=0.0):
     expected = np.zeros_like(biases)
     expected[:, :2] = gains
     expected[:, 1] += doubt * np.resize([1, -1], len(biases))
-    return replace(SHIPPED.rule(LADDER, COSTS, price), network=(*hidden, (0 * weights, expected)))
+    return with_networks(SHIPPED.rule(LADDER, COSTS, price), network=(*hidden, (0 * weights, expected)))
+
+
+def with_networks(rule, **changes):
+    """Return a rule with other numbers of its estimator."""
+    return replace(rule, estimator=replace(rule.estimator, **changes))
 
 
 def test_a_budget_without_expected_gains_is_spent_on_the_nearest_humans(game):
-    gains = replace(over_naive((0.0, 0.0)), cautious=False)
-    assert chosen(Budget(gains, COSTS, 0.027, 1.0), game) == [TOM, NAIVE, NAIVE, NAIVE, TOM]  # 2 x 8 ms fit
+    nothing = with_networks(over_naive((0.0, 0.0)), margin=0.0, nearest=None)
+    rule = replace(nothing, chooser=Budget(27.0, 1.0))
+    assert chosen(rule, game) == [TOM, NAIVE, NAIVE, NAIVE, TOM]  # 2 x 8 ms fit
 
 
-def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_and_gains_are_over_the_last_ones(game):
+def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_and_gains_stay_the_same(game):
+    gains = np.where(NEAREST_FOUR[:, None], [0.0, 0.5, 1.0], NOT_ESTIMATED)
     for price, rung in ((0.0, TOM), (100.0, TURN), (1000.0, NAIVE)):
-        before, net = [TURN, TOM, NAIVE, TOM, NAIVE], np.array([0.0, 0.5, 1.0]) - price * COSTS.each
+        before = [TURN, TOM, NAIVE, TOM, NAIVE]
         decision = decided(over_naive((0.5, 1.0), price), game, before=before)
-        gains = np.where(NEAREST_FOUR[:, None], net - net[before, None], NOT_ESTIMATED)
         np.testing.assert_allclose(decision.gains, gains, atol=1e-6)
         assert decision.memory.rungs.tolist() == [*rung * NEAREST_FOUR]
 
@@ -110,7 +117,7 @@ def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highes
         gains = np.float32([[[0.0, -800.0, 0.0, 0.0]]]), np.float32([[gain, 1.0, 0.0, 0.0]])
         network = (place, np.zeros((1, 1), np.float32)), gains
         whole = {"centre": 0 * SHIPPED.centre, "spread": 1 + 0 * SHIPPED.centre}
-        assert chosen(replace(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole), game) == [*rungs]
+        assert chosen(with_networks(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole), game) == [*rungs]
 
 
 def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):

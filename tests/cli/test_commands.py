@@ -49,14 +49,16 @@ def test_a_wrong_command_is_refused_in_one_line_and_writes_nothing(command, mess
 def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(tmp_path, monkeypatch):
     monkeypatch.chdir(Path(__file__).parents[2])
     monkeypatch.setattr(sys, "path", list(sys.path))
-    asked = "merger --set costs=coasting=0.09,tom=0.37 --set ladder=coasting,tom --controllers coasting near:6"
+    models = "--set costs=coasting=0.09,tom=0.37 --set ladder=coasting,tom"
+    asked = f"merger {models} --controllers coasting near:6 closeness:2"
     try:
         run(f"--import notebooks.examples.rule sweep {asked} --seeds 2 --out {tmp_path}")
     finally:
-        del MODELS["coasting"], CONTROLLERS["near"]
+        del MODELS["coasting"], CONTROLLERS["near"], CONTROLLERS["closeness"]
     summary = pd.read_csv(tmp_path / "summary.csv").set_index("controller")
-    assert summary["kind"]["near:6"] == "near"
-    assert 0 < summary["share_tom"]["near:6"] < 1
+    for name in ("near:6", "closeness:2"):
+        assert summary["kind"][name] == name.partition(":")[0]
+        assert 0 < summary["share_tom"][name] < 1
 
 
 def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_path, capsys):

@@ -16,14 +16,15 @@ from jax import numpy as jnp
 
 import ms_highway
 from ms_highway import always
+from ms_highway.choice.choosers import Price
 from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.rule import first_memory
 from ms_highway.cli.main import parse
 from ms_highway.cli.options import configuration
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
 from ms_highway.envs.agents import AGENTS, AddedAgent
-from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
-from ms_highway.envs.registry import SwitchingSettings, add_rule, controller_config, controller_settings
+from ms_highway.envs.controllers import KEYBOARD
+from ms_highway.envs.registry import add_rule, controller_config, controller_settings
 from ms_highway.envs.settings import YIELDING
 from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
 from ms_highway.experiments.batch import make_batch
@@ -48,6 +49,11 @@ WRONG = [
     ({"controller": "nobody+belief"}, "unknown controller 'nobody+belief'; name a model"),
     ({"controller": "switching:0.1\n"}, "['lambda'] is '0.1\\n'; it must be a number from 0"),
     ({"controller": "schedule:tom=999999999,naive"}, "names 'tom=999999999'"),
+    ({"controller": "schedule:tom/naive=2,tom"}, "names 'tom/naive'; models per human are gone since 3.0.0; name one"),
+    ({"controller": "period:tom=1,naive=3"}, "period is gone since 3.0.0: write the steps as schedule:"),
+    ({"controller": {"type": "period", "models": ["tom"]}}, "period is gone since 3.0.0: write the steps"),
+    ({"controller": "budget:20:one_step"}, "one_step is gone since 3.0.0: leave it out, to have the gains of learned"),
+    ({"beliefs": "true"}, "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several"),
     ({"controller": "random:tom"}, "['shares'] is {'tom': ''}; give the share of each model"),
     ({"controller": "AGENT.zip+belief"}, "'AGENT.zip' predicts no human; leave the belief out"),
     ({"controller": {"type": "random", "shares": {"tom": 0.3, "naive": 0.6}}}, "['shares'] sum to 0.9; change one"),
@@ -149,7 +155,7 @@ def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(options, message):
     [
         ("tom@8+warm+belief", {"type": "fixed", "model": "tom@8+warm", "belief": True}),
         ("learned:1:", {"type": "learned", "lambda": 1.0}),
-        ("budget:20:one_step", {"type": "budget", "milliseconds": 20.0, "values": "one_step"}),
+        ("budget:20", {"type": "budget", "milliseconds": 20.0}),
         ("schedule:tom=2,naive", {"type": "schedule", "models": ["tom", "tom", "naive"]}),
         ("random:naive=0.7,tom=0.3", {"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}),
     ],
@@ -192,45 +198,52 @@ def test_planners_are_told_all_actions_of_a_discrete_space():
         assert all(env.action_space.contains(action) for action in env.get_available_actions())
 
 
-class Plain(ControllerSettings, tag="plain"):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Plain(ms_highway.Chooser, tag="plain"):
     """A rule without numbers."""
 
-    def rule(self, start):
-        return always(start.ladder[0])
+    def choose(self, memory, gains, costs, evidence):
+        return 0 * memory.rungs
 
 
-class Dear(SwitchingSettings, tag="dear"):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Dear(Price, tag="dear"):
     """A rule at a lambda."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Says(ms_highway.Rule):
+class Says(ms_highway.Chooser, tag="says"):
     """Choose a given number for so many humans."""
 
     number: float
-    humans: int = field(metadata={"static": True})
-    kind: str = field(metadata={"static": True})
-    ladder: tuple = field(metadata={"static": True})
+    humans: int = field(default=1, metadata={"static": True})
+    dtype: str = field(default="int32", metadata={"static": True})
 
-    def decide(self, game, memory, outcome):
-        return ms_highway.unestimated(memory, jnp.full(self.humans, self.number).astype(self.kind))
+    def choose(self, memory, gains, costs, evidence):
+        return jnp.full(self.humans, self.number).astype(self.dtype)
 
 
-class SaysAtOnce(Says):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class SaysAtOnce(Says, tag="says_at_once"):
     """The same without a compilation."""
 
-    estimates = False
+    computes = False
 
 
-class SaysSettings(ControllerSettings, frozen=True, tag="says"):
-    number: float
-    humans: int = 1
-    kind: str = "int32"
-    compiled: bool = True
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Gains(ms_highway.Estimator, tag="gains"):
+    """Say that every rung gains a given number, for so many rungs."""
 
-    def rule(self, start):
-        return (Says if self.compiled else SaysAtOnce)(self.number, self.humans, self.kind, start.ladder)
+    number: float = 1.0
+    rungs: int = field(default=2, metadata={"static": True})
+
+    def estimate(self, memory, evidence):
+        return ms_highway.Estimate(jnp.full((len(memory.rungs), self.rungs), self.number), False)
 
 
 @pytest.fixture
@@ -252,25 +265,26 @@ def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_r
             controller_config(wrong)
 
 
-def test_a_class_that_makes_no_rule_is_refused():
-    for kind in (ControllerSettings, ZipperEnv):
-        with pytest.raises(ValueError, match=f"{kind.__name__} makes no rule; give a ControllerSettings with a"):
+def test_a_class_that_makes_no_rule_is_refused_with_what_to_derive_it_from():
+    remedy = "; derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define"
+    for kind in (ms_highway.ControllerSettings, ms_highway.Chooser, ms_highway.Estimator, ZipperEnv):
+        with pytest.raises(ValueError, match=f"{kind.__name__} makes no rule{remedy}"):
             add_rule(kind)
+    for base, options in ((ms_highway.Rule, {}), (ms_highway.ControllerSettings, {"frozen": True, "tag": "old"})):
+        with pytest.raises(ValueError, match=f"the rule Old derives from {base.__name__}{remedy}"):
+            type("Old", (base,), {}, **options)
+    with pytest.raises(ValueError, match=r"Plain is no estimator; derive it from ms_highway\.Estimator"):
+        add_rule(Plain, Plain)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Overwrites(Says):
-    estimates = False
+class Overwrites(ms_highway.Chooser, tag="overwrites"):
+    computes = False
 
-    def decide(self, game, memory, outcome):
-        game.robot.weights[0] = memory.rungs[0] = 1
-        return ms_highway.unestimated(memory, memory.rungs)
-
-
-class OverwritesSettings(ControllerSettings, frozen=True, tag="overwrites"):
-    def rule(self, start):
-        return Overwrites(0, 1, "int32", start.ladder)
+    def choose(self, memory, gains, costs, evidence):
+        evidence.game.robot.weights[0] = memory.rungs[0] = 1
+        return memory.rungs
 
 
 @dataclass(frozen=True)
@@ -284,7 +298,7 @@ class Bribes(ms_highway.PredictedHuman):
 
 @pytest.mark.usefixtures("rules")
 def test_neither_rules_nor_models_nor_callers_can_change_what_the_package_computes_with(monkeypatch):
-    add_rule(OverwritesSettings)
+    add_rule(Overwrites)
     monkeypatch.setitem(MODELS, "bribes", Bribes())
     with pytest.raises(ValueError, match="the rule Overwrites writes into an array that it was given; copy"):
         drive(make("merger-v1", "overwrites"))
@@ -322,10 +336,11 @@ RUNGS = "return one whole number for each human, 1 in all: 0 for naive, 1 for tu
 @pytest.mark.usefixtures("rules")
 @pytest.mark.parametrize("loop", ["live", "live, not compiled", "batch", "vector", "functional"])
 def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
-    add_rule(SaysSettings)
+    for rule in (Says, SaysAtOnce, Gains):
+        add_rule(rule)
 
-    def episode(number, **kinds):
-        controller = {"type": "says", "number": number, "compiled": loop != "live, not compiled", **kinds}
+    def episode(number, kind="says_at_once" if loop == "live, not compiled" else "says", **numbers):
+        controller = {"type": kind, "number": number, **numbers}
         config = {"controller": controller, "ladder": ["naive", "turn"], "duration": 0.2}
         if loop == "vector":
             envs = gym.make_vec(environment_id("merger-v1"), num_envs=2, config=config)
@@ -350,29 +365,27 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
         with pytest.raises(ValueError, match=rf"the rule Says\w* returned the rungs \[{number:.0f}\]; {RUNGS}"):
             episode(number)
     with pytest.raises(ValueError, match=rf"the rule Says\w* returned (the rungs \[nan\]|float32 .*); {RUNGS}"):
-        episode(np.nan, kind="float32")
+        episode(np.nan, dtype="float32")
     with pytest.raises(ValueError, match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}"):
         episode(1.0, humans=5)
+    episode(1.0, "gains", **{"lambda": 0.0})
+    with pytest.raises(ValueError, match="the estimator Gains returned gains that are NaN; return -inf"):
+        episode(np.nan, "gains", **{"lambda": 0.0})
+    with pytest.raises(ValueError, match=r"the estimator Gains returned gains of shape \(1, 3\); return one for each"):
+        episode(1.0, "gains", rungs=3, **{"lambda": 0.0})
 
 
 @dataclass(frozen=True)
-class Unknown(ms_highway.Rule):
+class Unknown(ms_highway.Chooser, tag="unknown"):
     """A rule whose author has forgotten to tell JAX its fields."""
 
-    ladder: tuple
-
-    def decide(self, game, memory, outcome):
-        return ms_highway.unestimated(memory, memory.rungs)
-
-
-class UnknownSettings(ControllerSettings, frozen=True, tag="unknown"):
-    def rule(self, start):
-        return Unknown(start.ladder)
+    def choose(self, memory, gains, costs, evidence):
+        return memory.rungs
 
 
 @pytest.mark.usefixtures("rules")
 def test_a_rule_whose_fields_jax_does_not_know_is_refused_with_the_line_that_is_missing(monkeypatch):
-    add_rule(UnknownSettings)
+    add_rule(Unknown)
     config = {"controller": "unknown"}
     makes = [
         lambda: gym.make(environment_id("merger-v1"), config=config).reset(seed=0),
@@ -381,9 +394,9 @@ def test_a_rule_whose_fields_jax_does_not_know_is_refused_with_the_line_that_is_
         lambda: make_batch(Comparison({"merger-v1": ["unknown"]}, seeds=1), "merger-v1"),
     ]
     missing = r"the rule Unknown, .*; write @jax\.tree_util\.register_dataclass above"
-    for estimates in (True, False):  # what estimates nothing is compiled in simulations only
-        monkeypatch.setattr(Unknown, "estimates", estimates)
-        for make_it in makes[not estimates :]:
+    for computes in (True, False):  # what computes nothing is compiled in simulations only
+        monkeypatch.setattr(Unknown, "computes", computes)
+        for make_it in makes[not computes :]:
             with pytest.raises(ValueError, match=missing):
                 make_it()
 

@@ -223,7 +223,7 @@ def test_forked_and_other_workers_of_a_vector_environment_find_and_step_the_envi
 
 @pytest.mark.parametrize(
     ("costs", "controller", "clocked"),
-    [("measured", "switching:0.1", True), ("measured", "naive", False), ("published", "budget:500:one_step", True)],
+    [("measured", "switching:0.1", True), ("measured", "naive", False), ("published", "budget:500", True)],
 )
 def test_info_tells_whether_rules_chose_by_measured_times(costs, controller, clocked):
     env = make("merger", controller, ladder=["naive", "turn"], costs=costs)

@@ -18,11 +18,10 @@ def test_an_agent_that_chooses_a_model_for_each_human_pays_for_their_time():
         assert sum(info["rewards"].values()) == pytest.approx(reward)
 
 
-@pytest.mark.parametrize("beliefs", ["learned", "true"])
-def test_the_robot_assumes_the_average_reward_or_knows_every_humans_reward(beliefs):
-    inner = make("dense_merge", beliefs=beliefs).unwrapped
+def test_the_robot_assumes_the_average_reward_of_humans_who_differ():
+    inner = make("dense_merge").unwrapped
     average, believed = inner.game.humans.weights, inner.robot.controller.game.humans.weights
-    np.testing.assert_array_equal(believed, average if beliefs == "learned" else inner.weights)
+    np.testing.assert_array_equal(believed, average)
     assert abs(inner.weights - average).max() > 0
 
 

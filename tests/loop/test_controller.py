@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from driving import COSTS, LADDER, move
 
+from ms_highway.choice.choosers import Nearest
 from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.quadratic import Switching
-from ms_highway.choice.rule import Nearest, Order, always
+from ms_highway.choice.rule import Rule, always, at_price, in_order
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.loop.controller import FunctionDriver
@@ -25,7 +26,7 @@ SWITCHING = Switching(COSTS, 0.0, LADDER)
 @pytest.mark.usefixtures("stopped_by_nans")
 def test_a_step_records_the_models_and_controls_of_every_human(played):
     game, state = played("dense_merge")
-    step = Driver(game, Nearest(1, LADDER)).step(np.asarray(state))
+    step = Driver(game, Rule(LADDER, COSTS, Nearest(1))).step(np.asarray(state))
     assert step.models == ("naive", "tom")
     assert step.plan.shape == (5, 2)
     assert step.humans.shape == (2, 5, 2)
@@ -145,18 +146,18 @@ def test_rules_with_impossible_ladders_costs_or_prices_are_refused(played):
     with pytest.raises(ValueError, match="give one for each of naive, turn, tom"):
         Driver(game, replace(SWITCHING, costs=Costs(0.0, np.array([0.1]))))
     with pytest.raises(ValueError, match="the price is nan"):
-        Driver(game, replace(SWITCHING, price=np.nan))
+        Driver(game, at_price(SWITCHING, np.nan))
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
-        Driver(game, Nearest(1, ladder(("tom@4", "tom"))), belief=True)
+        Driver(game, replace(SWITCHING, ladder=ladder(("tom@4", "tom@8", "tom"))), belief=True)
 
 
 def test_an_order_with_a_belief_also_has_naive_can_be_pickled_and_can_be_replaced(played):
     game, state = played("merger")
     models = ladder(("turn", "tom"))
-    driver = pickle.loads(pickle.dumps(Driver(game, Order(np.array([[1]]), models), belief=True)))
+    driver = pickle.loads(pickle.dumps(Driver(game, in_order(np.array([[1]]), models), belief=True)))
     assert [model.name for model in driver.rule.ladder] == ["turn", "tom", "naive"]
     assert driver.step(np.asarray(state)).models == ("tom",)
-    driver.rule = Order(np.array([[0]]), models)
+    driver.rule = in_order(np.array([[0]]), models)
     assert driver.step(np.asarray(state)).models == ("turn",)  # at once
     with pytest.raises(ValueError, match="the rule is on the ladder naive, and the driver on turn tom naive"):
         driver.rule = always(MODELS["naive"])

@@ -1,7 +1,8 @@
 """Live drives agree with batches, with one human and with two: models, rules, beliefs, ways out."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any, ClassVar
 
 import jax
@@ -11,19 +12,23 @@ from driving import COSTS, LADDER, SCENES, Brakes, drive, simulated
 from jax import numpy as jnp
 
 from ms_highway.choice.belief import RESPONDING
-from ms_highway.choice.budget import Budget, OneStepGains
+from ms_highway.choice.budget import Budget
 from ms_highway.choice.learned_value import load_values
-from ms_highway.choice.quadratic import Switching, WholeHorizon
-from ms_highway.choice.rule import Decision, Nearest, Order, Rule
+from ms_highway.choice.rule import Chooser, Estimate, Estimator, Rule, Start, at_price, decide, in_order
+from ms_highway.envs.controllers import ModelOrder, Outside
+from ms_highway.envs.registry import CONTROLLERS, controller_settings
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_roles
 from ms_highway.loop.controller import FunctionDriver, always_yields, never_yields
 from ms_highway.loop.driver import Driver
 from ms_highway.loop.records import PLANS, Loop
-from ms_highway.loop.step import STATUSES
+from ms_highway.loop.step import STATUSES, begin
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
+from ms_highway.runtime.compilation import jit_quickly
+
+decide_quickly = jit_quickly(decide)
 
 
 @dataclass(frozen=True)
@@ -38,34 +43,74 @@ class Failing(PredictedHuman):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class OneOf(Rule):
-    """Rules on the same ladder, one of which decides, so that batches of all take a single compilation."""
+class OneEstimator(Estimator):
+    """Estimators, one of which estimates, so that drives and batches of all take a single compilation each."""
 
-    rules: tuple
+    parts: tuple
     which: Any
-    ladder: tuple = field(metadata={"static": True})
 
-    def decide(self, game, memory, outcome):
-        def one(rule):
-            after, gains, failed = rule.decide(game, memory, outcome)
-            return Decision(jax.tree.map(jnp.int32, after), jnp.float32(gains), jnp.bool(failed))
+    def estimate(self, memory, evidence):
+        def one(part):
+            gains, failed = part.estimate(memory, evidence)
+            return Estimate(jnp.float32(gains), jnp.bool(failed))
 
-        return jax.lax.switch(self.which, [partial(one, rule) for rule in self.rules])
+        return jax.lax.switch(self.which, [partial(one, part) for part in self.parts])
 
 
-def rules(humans):
-    """All rules that choose models, by name."""
-    costs = Costs.of(COSTS.seconds, humans)
-    values = load_values("shipped", "several" if humans > 1 else "pair")
-    one_step = OneStepGains(Switching(costs, 0.0, LADDER))
-    return {
-        "switching": Switching(costs, 0.1, LADDER),
-        "whole horizon": WholeHorizon(costs, 0.1, LADDER),
-        "learned": values.rule(LADDER, costs, 1.0),
-        "budget": Budget(one_step, costs, seconds=0.6, deciding=0.01),
-        "budget of values": Budget(values.rule(LADDER, costs, 0.0), costs, seconds=0.7, deciding=0.01),
-        "nearest": Nearest(1, LADDER),
-    }
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class OneChooser(Chooser):
+    """Choosers, one of which chooses."""
+
+    parts: tuple
+    which: Any
+
+    def choose(self, memory, gains, costs, evidence):
+        choices = [partial(part.choose, memory, gains, costs, evidence) for part in self.parts]
+        return jax.lax.switch(self.which, [lambda choice=choice: jnp.int32(choice()) for choice in choices])
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class OwnGains(Estimator):
+    """A user's estimator, which knows the gain of the top rung only."""
+
+    def estimate(self, memory, evidence):
+        after, humans = evidence.outcome.after, 1 + evidence.game.number
+        distances = jnp.linalg.norm(after[1:humans, :2] - after[0, :2], axis=1)
+        gains = jnp.full(memory.last_check.shape, -jnp.inf)
+        return Estimate(gains.at[:, -1].set(0.15 * jnp.exp(-distances / 10.0)), False)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class OwnChoice(Chooser):
+    """A user's chooser, which changes the rung in every step."""
+
+    def choose(self, memory, gains, costs, evidence):
+        return (memory.rungs + 1) % gains.shape[1]
+
+
+def parts(humans):
+    """All choosers and all estimators by name; those of the package as an episode has them."""
+    start = Start(LADDER, Costs.of(COSTS.seconds, humans), "paper", humans, 5, np.random.default_rng(0))
+    choosers, estimators = {}, {}
+    for name in ("switching:0.1", "horizon:0.1", "learned:1", "budget:700", "nearest:1"):
+        settings = controller_settings(name)
+        rule = settings.rule(start)
+        choosers[type(rule.chooser)] = rule.chooser
+        if rule.estimator:
+            estimators[settings.type] = rule.estimator
+    return {**choosers, OwnChoice: OwnChoice()}, {**estimators, "own": OwnGains()}
+
+
+def test_the_parts_of_all_controllers_are_tested():
+    choosers, estimators = parts(1)
+    for name, pair in CONTROLLERS.items():
+        if issubclass(pair.chooser_class, (ModelOrder, Outside)):
+            continue
+        assert pair.chooser_class in choosers
+        assert pair.estimator is None or name in estimators
 
 
 @pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)])
@@ -87,35 +132,63 @@ def agree(records, episode, live, models):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("stopped_by_nans")
-def test_rules_decide_alike_live_and_in_batches_and_differently_from_each_other(scene):
-    game, starts = scene
-    named, chosen = rules(game.number), set()
-    for which, (name, rule) in enumerate(named.items()):
-        records = simulated(Loop(game, OneOf(tuple(named.values()), np.int32(which), LADDER)), starts)
+@pytest.mark.parametrize("humans", [1, 3])
+def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(played, humans):
+    """Gains do not depend on the chooser either, where the same rungs are in use; the first rung gains 0."""
+    options = {} if humans == 1 else {"humans": humans}
+    seeds = range(2 if humans == 1 else 1)
+    games, starts = zip(*(played(SCENES[min(humans, 2)], seed, **options) for seed in seeds), strict=True)
+    game, starts = games[0], np.array(starts)
+    choosers, estimators = (tuple(each.values()) for each in parts(humans))
+    costs = Costs.of(COSTS.seconds, humans)
+    chosen = set()
+    for chooser, estimator in product(range(len(choosers)), range(len(estimators))):
+        made = OneChooser(choosers, np.int32(chooser)), OneEstimator(estimators, np.int32(estimator))
+        rule = Rule(LADDER, costs, *made)
+        records = simulated(Loop(game, rule), starts)
         chosen.add(records.rungs.tobytes())
         for episode, start in enumerate(starts):
             _, driven = live = drive(Driver(game, rule), start, 5)
+            name = type(choosers[chooser]), [*parts(humans)[1]][estimator]
             assert not any(step.choice_failed for step in driven), name
             agree(records, episode, live, LADDER)
             for gains, step in zip(records.gains[episode], driven, strict=True):
                 known = np.isfinite(step.gains)
+                np.testing.assert_array_equal(np.isfinite(gains), known, err_msg=name)
                 np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2, err_msg=name)
-    assert len(chosen) > 3
+                assert (step.gains[known[:, 0], 0] == 0).all()
+    assert len(chosen) > 8
+
+
+@pytest.mark.parametrize("name", ["switching:0.1", "horizon:0.1", "learned:1", "budget:700"])
+def test_gains_depend_neither_on_the_price_nor_on_the_costs(scene, name):
+    game, starts = scene
+    humans = game.number
+    start = Start(LADDER, Costs.of(COSTS.seconds, humans), "paper", humans, 5, np.random.default_rng(0))
+    rule = controller_settings(name).rule(start)
+    memory, outcome, _ = begin(rule, game, starts[0])
+    memory = memory._replace(step=np.int32(1))
+    dear = at_price(replace(rule, costs=replace(rule.costs, base=0.0, each=100 * COSTS.each)), np.float32(3.0))
+    found = [decide_quickly(each, game, memory, outcome) for each in (rule, dear)]
+    np.testing.assert_array_equal(found[0].gains, found[1].gains)
+    assert (np.asarray(found[0].gains)[:, 0] == 0).all()
+    assert np.isfinite(found[0].gains[:, -1]).all()
 
 
 @pytest.mark.slow
 def test_a_driver_with_a_budget_measures_the_time_of_its_decisions(scene):
     game, starts = scene
-    rule = replace(rules(game.number)["budget"], seconds=10.0, deciding=0.0)
+    humans = game.number
+    values = load_values("shipped", "several" if humans > 1 else "pair").estimator(LADDER)
+    rule = Rule(LADDER, Costs.of(COSTS.seconds, humans), Budget(10_000.0), values)
     driver = Driver(game, rule, budget=10.0)
     steps = [driver.step(starts[0]) for _ in range(2)]
-    assert 0 < driver.rule.deciding < 1
+    assert 0 < driver.rule.chooser.deciding < 1
     assert [step.status for step in steps] == ["planned"] * 2
-    assert steps[0].models == ("naive",) * game.number
-    first = game.number > 1  # with one human, no gain is told of the model in use
-    assert np.isfinite(steps[1].gains).all(axis=0).tolist() == [first, False, True]
+    assert np.isfinite(steps[1].gains).all()
     again = Driver(game, rule, budget=10.0)
-    assert again.step(starts[0]).compile_seconds > again.rule.deciding  # which compiles nothing, but measures again
+    first = again.step(starts[0])
+    assert first.compile_seconds > again.rule.chooser.deciding  # which compiles nothing, but measures again
 
 
 def weaves(game, state):
@@ -147,14 +220,14 @@ def test_models_failures_beliefs_ways_out_and_drivers_of_humans_are_alike_live_a
     places, schedules, functions = zip(*EPISODES.values(), strict=True)
     schedules = np.array(schedules)[:, :, : game.number]
     drivers = [[1 + DRIVERS.index(function) if function else PLANS] * game.number for function in functions]
-    loop = Loop(game, Order(schedules[0], MODELS), way_out=True, belief=True, drivers=DRIVERS)
+    loop = Loop(game, in_order(schedules[0], MODELS), way_out=True, belief=True, drivers=DRIVERS)
     with pytest.warns(UserWarning, match="human model 'failing' predicts"):
         records = simulated(loop, starts[[*places]], 9, schedules, drivers)
     driven = {}
     for episode, name in enumerate(EPISODES):
         function = functions[episode]
         humans = function and [FunctionDriver(swap_roles(game, i), "own", function) for i in range(game.number)]
-        driver = Driver(game, Order(schedules[episode], MODELS), way_out=True, belief=True)
+        driver = Driver(game, in_order(schedules[episode], MODELS), way_out=True, belief=True)
         live = drive(driver, starts[places[episode]], 9, humans)
         agree(records, episode, live, MODELS)
         driven[name] = live[1]

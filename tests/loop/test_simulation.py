@@ -16,7 +16,7 @@ from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.loop.batch import simulate
 
 KEYS = ["controller", "seed", "step"]
-CONTROLLERS = ["naive", "schedule:turn=5,naive=3,turn", "period:turn=1,naive=2", "random:naive=0.25,turn=0.75"]
+CONTROLLERS = ["naive", "schedule:turn=5,naive=3,turn", "random:naive=0.25,turn=0.75"]
 STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
 COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=4, config={"ladder": ["naive", "turn"]})
 

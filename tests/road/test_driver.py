@@ -6,6 +6,7 @@ import jax
 import numpy as np
 from roads import PLANNING, WEIGHTS, scene_of
 
+from ms_highway.choice.budget import deciding_in
 from ms_highway.choice.rule import first_memory
 from ms_highway.perception.scene import TRAFFIC
 from ms_highway.planning.costs import Costs
@@ -30,13 +31,14 @@ def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_pre
 
 def chosen(driver, costs, gains, spent=0.0):
     """Numbers of the models that a driver's rule chooses."""
-    rule = RoadSettings.read({"driver": driver}).rule(costs).deciding_in(lambda: spent)
-    rungs = decided(rule, None, first_memory(rule, TRAFFIC), gains.astype(np.float32)).memory.rungs
+    rule = deciding_in(RoadSettings.read({"driver": driver}).rule(costs), lambda: spent)
+    rungs = decided(rule, first_memory(rule, TRAFFIC), gains.astype(np.float32)).memory.rungs
     return np.array([MODELS.index(rule.ladder[rung].name) for rung in rungs])
 
 
 def test_a_higher_price_never_buys_a_more_expensive_model():
-    costs, gains = Costs(0.004, np.array([0.0, 0.0001, 0.003])), np.geomspace(1e-3, 30.0, TRAFFIC)
+    costs = Costs(0.004, np.array([0.0, 0.0001, 0.003]), MODELS)
+    gains = np.geomspace(1e-3, 30.0, TRAFFIC)
     found = np.array([chosen(f"priced:{price}", costs, gains) for price in np.geomspace(1, 1e6, 30)])
     assert (np.diff(found, axis=0) <= 0).all()
     assert len(np.unique(found[:, -1])) == len(MODELS)
@@ -46,7 +48,8 @@ def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
     random = np.random.default_rng(0)
     for _ in range(20):
         gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
-        costs = Costs(random.uniform(0, 0.004), np.cumsum([0.0, *random.uniform(0, 0.002, 2)]))
+        each = np.cumsum([0.0, *random.uniform(0, 0.002, 2)])
+        costs = Costs(random.uniform(0, 0.004), each, MODELS)
         milliseconds, spent = random.uniform(0, 20), random.uniform(0, 0.005)
         models = chosen(f"budget:{milliseconds}", costs, gains, spent)
         extra = costs.each[models].sum()

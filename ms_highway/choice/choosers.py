@@ -1,0 +1,107 @@
+"""Choose rungs at a price per second of planning, or for the nearest humans.
+
+`ms_highway.choice.budget` chooses within a time, `ms_highway.choice.rule.Order` takes
+the rungs from a table.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import jax
+from jax import numpy as jnp
+from msgspec import Meta
+
+from ms_highway.choice.rule import NOT_ESTIMATED, Chooser, GameEvidence, Memory, Priced
+from ms_highway.choice.situation import nearness
+from ms_highway.planning.costs import Costs
+from ms_highway.runtime.arrays import Gains, Rungs
+from ms_highway.runtime.limits import NotNegative
+
+TOGETHER = 4
+"""Number of the nearest humans, at most, who are predicted by more than the first rung
+at a price. A gap may open only if two of them yield together."""
+
+Humans = Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Price(Priced[object]):
+    """Take, for each human, the most expensive rung that is worth more than the rung in use, or else stay.
+
+    The worth of a rung is its gain less the price of its time. Of rungs that are worth the same, the more expensive
+    one counts as worth more. So Algorithm 1 goes to the top rung if that is worth more, or else one rung down if that
+    is, as it estimates no other rung. On stock roads, where the first rung is always the one in use, it is the most
+    expensive rung that gains its price.
+
+    Attributes:
+        price: lambda, reward per second of planning.
+    """
+
+    price: NotNegative
+
+    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
+        """See `ms_highway.choice.rule.Chooser.choose`; rungs without an estimate or a cost are not taken."""
+        each = jnp.asarray(costs.each)
+        in_use = jnp.asarray(memory.rungs)[:, None]
+        places = jnp.arange(len(each))
+
+        # What the rung in use gains; without an estimate, what it gained when it was chosen.
+        own = jnp.take_along_axis(gains, in_use, axis=1)
+        own = jnp.where(jnp.isfinite(own), own, jnp.asarray(memory.gain)[:, None])
+
+        # What each rung is worth more than that one.
+        known = gains > NOT_ESTIMATED
+        gained = jnp.where(known, gains, own) - own
+        worth = gained - self.price * (each - each[in_use])
+        better = known & ((worth > 0) | ((worth == 0) & (places > in_use)))
+        best = jnp.where(better, places, -1).max(axis=1)
+        return jnp.where(best >= 0, best, in_use[:, 0])
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PriceTogether(Priced[GameEvidence]):
+    """Take one rung for some of the nearest humans together, whichever are worth most; the first rung for the others.
+
+    The worth of a rung is its gain less the price of its time, and that of a human without estimates is 0. For each
+    rung, the worths are added up from the nearest human outwards. The rung and the number of humans with the highest
+    sum are chosen.
+
+    Attributes:
+        price: lambda, reward per second of planning.
+    """
+
+    price: NotNegative
+
+    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence) -> Rungs:
+        """See `ms_highway.choice.rule.Chooser.choose`."""
+        rank = nearness(evidence.game, evidence.outcome.after)
+        nearest = jnp.argsort(rank)[:TOGETHER]
+        gained = gains[nearest]
+        known = jnp.isfinite(gained).all(axis=1, keepdims=True)
+
+        # What each rung is worth more than the first one, for each and for all nearer humans.
+        values = jnp.where(known, gained, 0.0) - self.price * jnp.asarray(costs.each)
+        worth = jnp.where(known, values - values[:, :1], 0.0)
+        totals = jnp.cumsum(worth, axis=0)
+        fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
+        return jnp.where(rank <= fewer, rung, 0).astype(jnp.int32)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Nearest(Chooser[GameEvidence]):
+    """Predict the nearest humans by the top of the ladder, and all others by the first rung.
+
+    Attributes:
+        count: number of humans on the top rung.
+    """
+
+    count: Humans
+
+    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence) -> Rungs:
+        """Choose by the distances after the last step."""
+        rank = nearness(evidence.game, evidence.outcome.after)
+        top = gains.shape[1] - 1
+        return jnp.where(rank < self.count, top, 0)
