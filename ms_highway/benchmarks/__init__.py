@@ -1,4 +1,4 @@
-"""Measure latency and throughput, the steadiness of driving, and the performance of drivers on stock roads.
+"""Measure latency and throughput, and the performance of drivers on stock roads.
 
 Imports `ms_highway.experiments` and what stands below it.
 """

@@ -23,21 +23,15 @@ OTHERS = (
     "the other drivers: idm, highway-env's (default); aggressive, its aggressive ones; or commuter, learned ones; in "
     "recordings: learned (default), replay or idm"
 )
-NOISES = 1e-5, 10.0  # m, the least that single precision resolves, and the most
-STARTS = 24
 JSON = output("--json", "write all figures to a JSON file")
 
 
 @command(
     "bench",
-    "measure planning time, the closed loop, and steadiness",
+    "measure planning time and the closed loop",
     SCENARIOS,
     controllers("(default: all models of the ladder, and switching)"),
     number("--batches", [], "also measure batches of simulated episodes", nargs="+", metavar="SIZE"),
-    number("--noise", [], "measure steadiness under this noise instead", *NOISES, nargs="+", metavar="NOISE"),
-    option("--seen", "add the --noise to what the robot sees in every step", action="store_true"),
-    number("--seeds", STARTS, "starts that get --noise", 2),
-    number("--first-seed", 0, "seed of the first start", 0, MAX_SEEDS),
     DEVICES,
     SET,
     JSON,
@@ -47,37 +41,23 @@ def bench(options: argparse.Namespace) -> None:
     rest of a step (without the plans of all cars), and steps per second. With --batches, also measure the simulation of
     many episodes at once on --devices, by batch size: steps per second, and the largest memory so far in MiB.
 
-    With --noise, measure how steady driving is: drive from --seeds starts without noise, and again with normal noise
-    on the starts of the robot and of every human or, with --seen, on what the robot sees of itself and of them in every
-    step. NOISE is the standard deviation of x and y [m] and of the speed [m/s]; that of the heading is NOISE / 20 rad.
-    The table shows the distance between the robot's positions with and without noise after some steps, as the median
-    and the 95 % quantile over the starts; growth, the factor of the median per step (below 1, noise is forgotten); the
-    change of the reward per step with its 90 % interval, and the mean of its magnitude; the share of episodes whose
-    success changes, among several humans; and the episodes with a collision, without and with noise.
-
     `ms-highway bench road` measures drivers in stock scenes of highway-env.
 
     Examples:
       ms-highway bench merger
-      ms-highway bench merger --noise 1e-5 1e-3 1e-1
       ms-highway bench dense_merge --set humans=12 --controllers naive tom --json bench.json
       ms-highway bench merger --batches 1 16 64 256 1024 8192
       ms-highway bench road merge --drivers priced idm
     """
-    from ms_highway.benchmarks.speed import batch_speed, live_speed, steadiness
+    from ms_highway.benchmarks.speed import batch_speed, live_speed
     from ms_highway.runtime.files import write_json
     from ms_highway.runtime.jax_settings import high_throughput, low_latency_on_core, own_process
-    from ms_highway.visualization.tables import speed_table, steadiness_table
+    from ms_highway.visualization.tables import speed_table
 
-    if options.noise and options.batches:
-        raise ValueError("--noise measures driving, and --batches time; leave one out")
     asked, devices = comparison(options), options.devices
     measures: list[tuple[Callable, Callable]] = [(partial(low_latency_on_core, 0), live_speed)]
     if options.batches:
         measures.append((high_throughput, partial(batch_speed, sizes=sorted(options.batches), devices=devices)))
-    if options.noise:
-        noises = {"noises": options.noise, "seen": options.seen}
-        measures = [(high_throughput, partial(steadiness, **noises, devices=devices))]
     results: dict = {scenario: {name: {} for name in names} for scenario, names in asked.controllers.items()}
     for (scenario, found), (configure, measure) in product(results.items(), measures):
         with own_process(configure, options.modules) as process:  # warm after its first controller
@@ -85,8 +65,7 @@ def bench(options: argparse.Namespace) -> None:
                 figures = process.submit(measure, asked, scenario, name).result()
                 tell(f"measured {scenario}, {name}: {', '.join(figures)}")
                 found[name] |= figures
-    table = steadiness_table if options.noise else speed_table
-    print_tables(*(table(scenario, measured) for scenario, measured in results.items()))
+    print_tables(*(speed_table(scenario, measured) for scenario, measured in results.items()))
     if options.json:
         write_json(options.json, results)
 

@@ -76,14 +76,6 @@ SPEED = {
     "step us": "{step_us:.0f}",
     "steps /s": "{environment:,.0f}",
 }
-STEADINESS = {
-    "controller, noise": "{controller}, {noise}",
-    "growth": "{growth:.2f}",
-    "reward /step": "{mean:+.3f} ({low:+.3f}, {high:+.3f})",
-    "|reward|": "{absolute:.2g}",
-    "collisions": "{without} -> {noisy}",
-    "success changed": "{success_changes:.0%}",
-}
 """Columns of tables: for every heading, the format of its texts, which takes numbers by name."""
 
 
@@ -260,20 +252,3 @@ def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
         memory = max(one.get("memory_mib", {}).values(), default=None)
         rows.append({**one, **one["plan_us"], **batches, "controller": name, "mib": memory})
     return grid(title, texts(forms, rows))
-
-
-def steadiness_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
-    """Return a table of the figures of ``bench --noise --json`` in a scenario, by controller and noise."""
-    first, rows = next(iter(measured.values())), []
-    for name, one in measured.items():
-        for noise, found in one["noise"].items():
-            without, noisy = found["collisions"]
-            row = {**found, **found["reward"], "controller": name, "noise": noise}
-            rows.append(row | {"without": without, "noisy": noisy, "moved": found["change_m"]})
-    title = f"{scenario}: mm from the undisturbed path after 1 to 20 steps, median (95 %) of {first['seeds'][1]} starts"
-    title += ", by noise in what the robot sees" if first["seen"] else ""
-    moved = [
-        {step: f"{1e3 * at['p50']:.2g} ({1e3 * at['p95']:.2g})" for step, at in row["moved"].items()} for row in rows
-    ]
-    table = texts(STEADINESS, rows)
-    return grid(title, pd.concat([table.iloc[:, :1], pd.DataFrame(moved), table.iloc[:, 1:]], axis=1))
