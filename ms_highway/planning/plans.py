@@ -40,11 +40,11 @@ class Plan(NamedTuple):
     robot: Controls
     humans: HumansControls
 
-
-def one_step_later(plan: Plan) -> Plan:
-    """Return the rest of a plan after its first step; its last controls are repeated."""
-    xp = plan.robot.__array_namespace__()  # of NumPy or JAX
-    return Plan(*(xp.concat([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in plan))
+    def later(self) -> "Plan":
+        """Return the rest of the plan a step later; its last controls are repeated."""
+        xp = self.robot.__array_namespace__()  # of NumPy or JAX
+        robot = xp.concat([self.robot[1:], self.robot[-1:]])
+        return Plan(robot, xp.concat([self.humans[:, 1:], self.humans[:, -1:]], axis=1))
 
 
 def cold_start(game: Game, state: State) -> Plan:
