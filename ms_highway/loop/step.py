@@ -147,7 +147,10 @@ class Parts(NamedTuple):
 
 
 def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
-    """Drive one step: look at the last one, choose models of the humans, plan, and follow the plan or fall back.
+    """Drive one step: choose a model of each human by what the last step showed, plan, and execute the first control.
+
+    A step of the paper's meta-MDP, whose action is the choice of the models (Sec. III). A robot that cannot follow its
+    plan falls back on the last one, then brakes; one that would have no way out escapes.
 
     Args:
         carry: what the robot carries into the step.
@@ -157,8 +160,10 @@ def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
     Returns:
         What the robot carries into the next step, and what happened in this one.
     """
-    # Choose a model of each human by what the last step has shown, and plan with these models.
+    # Look at what the last step has shown, and choose a model of each human.
     choice = parts.choose(carry, now)
+
+    # Plan with these models.
     planned = parts.plan(now, choice, carry.fallback)
     late = parts.is_late is not None and parts.is_late()
 
@@ -299,16 +304,29 @@ def follow(
     def new() -> tuple[RemainingPlan, int]:
         return RemainingPlan(plan, len(plan.robot), rungs, planned.warm_start), PLANNED
 
-    def go_on() -> tuple[RemainingPlan, int]:
-        left = last.later()
-        stopping = left._replace(rungs=rungs)
-        return branch(left.steps > 0, lambda: (left, PREVIOUS_PLAN), lambda: (brake(stopping, now), BRAKING))
+    def old() -> tuple[RemainingPlan, Index]:
+        return fall_back(last, rungs, now, brake)
 
-    fallback, status = branch(finite, new, go_on)
+    # A plan in time drives now, and is what the next step falls back on.
+    fallback, status = branch(finite, new, old)
     if not late:
         return fallback, fallback, status
-    driven, failed = go_on()
+
+    # A late one has to wait for the next step.
+    driven, failed = old()
     return driven, fallback, branch(finite, lambda: LATE, lambda: failed)
+
+
+def fall_back(
+    last: RemainingPlan, rungs: Rungs, now: Any, brake: Callable[[RemainingPlan, Any], RemainingPlan]
+) -> tuple[RemainingPlan, Index]:
+    """Go on with the last plan, or brake where nothing is left of it; return what drives and its status, see `follow`.
+
+    Braking counts under the models of the step's own plan.
+    """
+    left = last.later()
+    stopping = left._replace(rungs=rungs)
+    return branch(left.steps > 0, lambda: (left, PREVIOUS_PLAN), lambda: (brake(stopping, now), BRAKING))
 
 
 def follow_escape(
