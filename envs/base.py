@@ -25,7 +25,7 @@ from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
 from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, ControlStep, FunctionDriver, draw_key, is_vehicle
 from ms_highway.loop.driver import fixed
-from ms_highway.loop.records import PLANS
+from ms_highway.loop.records import HUMAN_PLANS
 from ms_highway.planning.costs import UNKNOWN, measure_costs
 from ms_highway.runtime.arrays import HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
@@ -220,11 +220,19 @@ class InteractionEnv(GameEnv):
         return draw_episode(self.scenario, random, self.game.humans)
 
     def draw_drivers(self, random: Random) -> Int[Any, "humans"]:
-        """Return the number of every human's driver: `PLANS`, or one more than its place in ``settings.drivers``."""
-        names, humans = self.settings.drivers, self.settings.humans
+        """Return the number of every human's driver, see `ms_highway.loop.records.HUMAN_PLANS`."""
+        humans = self.settings.humans
+        names = self.settings.drivers
+        first = HUMAN_PLANS + 1  # number of the first name
+
+        # One of two drivers is drawn for each human.
         if len(names) > 1:
-            return PLANS + 1 + (random.uniform(size=humans) < 0.5)
-        return np.where((np.arange(humans) > 0) & (names == (KEYBOARD,)), PLANS, PLANS + len(names))
+            return first + (random.uniform(size=humans) < 0.5)
+
+        # The only name drives all of them, but the keyboard the first one alone; without a name, they plan.
+        only = HUMAN_PLANS + len(names)
+        plans = (np.arange(humans) > 0) & (names == (KEYBOARD,))
+        return np.where(plans, HUMAN_PLANS, only)
 
     def _drive(self) -> None:
         """Give the cars their drivers."""
@@ -294,7 +302,7 @@ class InteractionEnv(GameEnv):
         self._collided |= self.collision
         step = self.robot.last_step
         if isinstance(self.action_type, HumanModelAction) and step:
-            counted = self.counted.of_models(step.thought)
+            counted = self.counted.of_models(step.counted_models)
             self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * counted)
         self.history.append((step, self._reward(action)))
 
@@ -316,7 +324,7 @@ class InteractionEnv(GameEnv):
         info["models"] = step.models if step else ("",) * settings.humans
         info["timing"] = Timing(*(float(getattr(step, each.name, 0.0)) for each in fields(Timing)))
         if controller.predicts:
-            info["counted_seconds"] = self.counted.of_models(step.thought) if step else 0.0
+            info["counted_seconds"] = self.counted.of_models(step.counted_models) if step else 0.0
         if controller.belief:
             info["belief"] = read_only(step.belief if step else first_belief(settings.humans))
 

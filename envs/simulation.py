@@ -17,7 +17,7 @@ from ms_highway.envs.controllers import ControllerSettings, ModelOrder
 from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls, is_possible
 from ms_highway.game.features import check_own_features
 from ms_highway.game.starts import Random, TracedRandom
-from ms_highway.loop.batch import Given, Now, begin_episodes, checked_records, step_episodes
+from ms_highway.loop.batch import Now, StepInputs, begin_episodes, checked_records, step_episodes
 from ms_highway.loop.controller import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.human_models import Naive, warn_of_limits
@@ -222,7 +222,7 @@ class FunctionalEnv:
         observation, reward, terminated, truncated = (part[0] for part in self.outcome(records, state.step))
         return state, observation, reward, terminated, truncated, info
 
-    def given(self, state: EnvState, actions: Any) -> Given:
+    def given(self, state: EnvState, actions: Any) -> StepInputs:
         """Return the models of the humans, or the robot's controls, for a step of n environments.
 
         Args:
@@ -234,10 +234,10 @@ class FunctionalEnv:
         if self.agent_drives:
             robots = state.now.state[:, 0]
             controls = executed_controls(self.environment.action_type, self.loop.game.world, actions, robots)
-            return Given(scheduled, controls=controls.astype(np.float32))
+            return StepInputs(scheduled, controls=controls.astype(np.float32))
         if isinstance(self.environment.action_type, HumanModelAction):
             scheduled = actions.reshape(scheduled.shape).astype(np.int32)
-        return Given(scheduled)
+        return StepInputs(scheduled)
 
     def outcome(self, records: Records, steps: Any) -> tuple[Any, Any, Any, Any]:
         """Return observations, rewards, terminated and truncated of n environments that have done these steps [n]."""

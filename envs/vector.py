@@ -17,7 +17,7 @@ from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, checked_seed, refuse_unknown
 from ms_highway.envs.simulation import EnvState, FunctionalEnv, stack_episodes
-from ms_highway.loop.batch import Given, Now, begin_episodes, checked_records, step_episodes
+from ms_highway.loop.batch import Now, StepInputs, begin_episodes, checked_records, step_episodes
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.runtime.compilation import jit_quickly
@@ -227,7 +227,7 @@ _begin = jit_quickly(begin_episodes)
 
 
 @jit_quickly
-def _step_chunks(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
+def _step_chunks(loop: Loop, own: Episodes, now: Now, given: StepInputs) -> tuple[Now, Records]:
     """Step environments [chunks, together], chunk by chunk."""
     return jax.lax.map(lambda items: step_episodes(loop, *items), (own, now, given))
 

@@ -14,13 +14,10 @@ from ms_highway.game.scenario import build_game
 from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.driver import fixed
-from ms_highway.loop.records import DECIDES, PLANS, Episodes
+from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Episodes
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
-
-SCENES = {1: "merger", 2: "dense_merge"}
-"""Scenarios by number of humans."""
 
 LADDER = ladder(("naive", "turn", "tom"))
 COSTS = Costs.of(PUBLISHED_COSTS, 1)
@@ -64,11 +61,11 @@ def drive(driver, start, steps, humans=None):
     return np.array(states), driven
 
 
-def simulated(loop, starts, steps=5, schedule=DECIDES, drivers=PLANS):
-    """Simulate episodes of a game from some starts and return their records; arguments for one episode serve all."""
+def episodes_of(loop, starts, steps=5, schedule=DECIDES, drivers=HUMAN_PLANS):
+    """Return episodes of a game from some starts; arguments for one episode serve all."""
     number, humans = len(starts), loop.game.number
     robot, others = loop.game.robot.weights, loop.game.humans.weights
-    given = Episodes(
+    return Episodes(
         np.asarray(starts, np.float32),
         np.full(number, 0.1, np.float32),
         np.broadcast_to(np.asarray(schedule, np.int32), (number, steps, humans)),
@@ -76,4 +73,8 @@ def simulated(loop, starts, steps=5, schedule=DECIDES, drivers=PLANS):
         np.broadcast_to(others, (number, *others.shape)),
         np.broadcast_to(np.asarray(drivers, np.int32), (number, humans)),
     )
-    return simulate(loop, given)
+
+
+def simulated(loop, *arguments):
+    """Simulate episodes of a game and return their records, see `episodes_of`."""
+    return simulate(loop, episodes_of(loop, *arguments))

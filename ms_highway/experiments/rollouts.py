@@ -18,7 +18,7 @@ from ms_highway.choice.rule import GameEvidence, Rule
 from ms_highway.choice.situation import describe, nearness
 from ms_highway.experiments.batch import Batch
 from ms_highway.loop.batch import simulate
-from ms_highway.loop.records import DECIDES, PLANS, Episodes, Records
+from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Episodes, Records
 from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import Devices
 
@@ -146,7 +146,7 @@ class Driving:
         count, steps, humans = schedules.shape
         lambdas = np.full(count, prices, np.float32)
         robot = np.tile(np.asarray(loop.game.robot.weights, np.float32), (count, 1))
-        usual, parts = np.full((count, humans), PLANS), []
+        usual, parts = np.full((count, humans), HUMAN_PLANS), []
         last = np.minimum(np.arange(steps + -steps % horizon), steps - 1)  # whole rollouts
         for part in np.split(schedules[:, last].astype(np.int32), len(last) // horizon, axis=1):
             parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.devices))

@@ -13,29 +13,40 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.choice.rule import NOT_ESTIMATED, Decision, at_price, is_of_package, refuse_rungs, unestimated
+from ms_highway.choice.rule import (
+    NOT_ESTIMATED,
+    Decision,
+    Memory,
+    Outcome,
+    at_price,
+    is_of_package,
+    refuse_rungs,
+    unestimated,
+)
 from ms_highway.choice.rule import decide as chosen_by
-from ms_highway.game.dynamics import keep_velocity, step, within_grip
+from ms_highway.game.dynamics import keep_velocity, within_grip
+from ms_highway.game.dynamics import step as move
 from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game, each_human, swap_players
-from ms_highway.loop.records import DECIDES, PLANS, Episodes, Loop, Records
+from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
     PLANNED,
     Carry,
-    Rest,
-    advance,
+    Choice,
+    NewPlan,
+    Parts,
+    RemainingPlan,
     begin,
-    complete_outcome,
-    continues_plan,
+    brake,
+    choose,
     follow,
-    follow_escape,
-    no_rest,
-    or_brake,
-    responsive_rungs,
+    no_plan,
+    plan_start,
+    step,
 )
 from ms_highway.planning.compiled_plans import plan_for
 from ms_highway.planning.human_models import HumanModel, plan_alone, warn_of_limits
-from ms_highway.planning.plans import Plan, cold_start, may_continue, one_step_later
+from ms_highway.planning.plans import Plan, Solution
 from ms_highway.planning.way_out import keep_way_out
 from ms_highway.runtime.arrays import Control, Flag, Index, Rungs, State, for_rows
 from ms_highway.runtime.compilation import Devices, jit_quickly, share_among
@@ -91,25 +102,28 @@ def checked_records(loop: Loop, records: Records) -> Records:
 
 
 class Now(NamedTuple):
-    """What an episode carries from step to step."""
+    """What an episode carries from step to step.
+
+    Attributes:
+        state: all cars.
+        robot: what the robot carries.
+        humans: for each human, the plan to fall back on in the next step.
+    """
 
     state: State
     robot: Carry
-    rest: Rest  # of the robot's plan
-    humans: Rest  # of each human's
+    humans: RemainingPlan
 
 
-class Given(NamedTuple):
-    """What is given for a step.
+class StepInputs(NamedTuple):
+    """What an episode gets for a step.
 
     Attributes:
         scheduled: numbers of the humans' models, see `Episodes`.
-        errors: of what the robot sees, see `Episodes`; None for no errors.
         controls: of the robot, if an agent drives it; None if it plans.
     """
 
     scheduled: Rungs
-    errors: State | None = None
     controls: Control | None = None
 
 
@@ -122,57 +136,83 @@ def believed(game: Game, own: Episodes) -> Game:
 def _simulate(loop: Loop, episodes: Episodes) -> Records:
     """Run a chunk of episodes."""
     begun = begin_episodes(loop, episodes.starts)
-    given = Given(episodes.schedules, None if episodes.errors is None else episodes.errors[:, :-1])
-    by_step = jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), given)
-    _, records = jax.lax.scan(lambda now, given: step_episodes(loop, episodes, now, given), begun, by_step)
+    by_step = StepInputs(jnp.swapaxes(episodes.schedules, 0, 1))
+    _, records = jax.lax.scan(partial(step_episodes, loop, episodes), begun, by_step)
     return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
 
 def begin_episodes(loop: Loop, starts: State) -> Now:
     """Return what episodes carry into their first step, given the states [episodes, cars, 4] of all cars."""
-    game, horizon = loop.game, loop.game.planner.horizon
+    game = loop.game
 
     def begun(start: State) -> Now:
-        drivers = jax.tree.map(lambda part: jnp.stack([part] * game.number), no_rest(horizon, 1))
-        return Now(start, begin(loop.rule, game, start), no_rest(horizon, game.number), drivers)
+        none = no_plan(game.planner.horizon, 1)
+        humans = jax.tree.map(lambda part: jnp.stack([part] * game.number), none)
+        return Now(start, begin(loop.rule, game, start), humans)
 
     return jax.vmap(begun)(starts)
 
 
-def step_episodes(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
+def step_episodes(loop: Loop, own: Episodes, now: Now, inputs: StepInputs) -> tuple[Now, Records]:
     """Advance a chunk of episodes by one step."""
-    own = replace(own, starts=None, schedules=None, errors=None)  # which a step does not need
-    step = partial(_step, loop)
+    own = replace(own, starts=None, schedules=None)  # which a step does not need
+    advance = partial(_step, loop)
     if loop.together > 1:
-        return jax.vmap(step, axis_name=EPISODES)(own, now, given)
-    return for_rows(step, own, now, given)
+        return jax.vmap(advance, axis_name=EPISODES)(own, now, inputs)
+    return for_rows(advance, own, now, inputs)
 
 
-def _step(loop: Loop, own: Episodes, now: Now, given: Given) -> tuple[Now, Records]:
-    """Advance an episode by one step: look, choose, plan, and move."""
+def _step(loop: Loop, own: Episodes, now: Now, inputs: StepInputs) -> tuple[Now, Records]:
+    """Advance an episode by one step: the robot plans, or executes an agent's control; then the world moves."""
+    if inputs.controls is not None:
+        return _steer(loop, now, own, inputs.controls)
     game = believed(loop.game, own)
-    if given.controls is not None:
-        return _steer(loop, now, own, given.controls)
-    seen = now.state if given.errors is None else now.state.at[: len(given.errors)].add(given.errors)
-    robot, by_rule = complete_outcome(game, now.robot, seen, loop.belief), given.scheduled == DECIDES
+    robot, result = step(now.robot, now.state, batch_parts(loop, own, inputs.scheduled))
+    control = result.driven.plan.robot[0] * game.planner.control_scale
+    control = _executed(game, now.state[0, 3], control)
 
-    def decide() -> Decision:
-        return chosen_by(at_price(loop.rule, own.prices), game, robot.memory, robot.outcome)
+    # Record the step. What a rule of the user's chose is checked afterwards.
+    decision = result.choice.decision
+    by_rule = inputs.scheduled == DECIDES
+    records = Records(
+        result.driven.rungs,
+        result.choice.rungs,
+        result.status,
+        gains=jnp.asarray(decision.gains, jnp.float32),
+        chosen=None if is_of_package(loop.rule) else jnp.where(by_rule, decision.memory.rungs, 0),
+    )
+    return _world(loop, now._replace(robot=robot), own, control, records)
 
-    decision = _where_needed(loop, by_rule.any(), decide, unestimated(robot.memory, robot.memory.rungs))
-    chosen = None if is_of_package(loop.rule) else jnp.where(by_rule, decision.memory.rungs, 0)
-    rungs = jnp.where(by_rule, decision.memory.rungs, given.scheduled).astype(jnp.int32)
-    rungs = responsive_rungs(loop.models, rungs, robot.belief, loop.unresponsive)
-    decision = decision._replace(memory=decision.memory._replace(rungs=rungs))
-    plan = _plan(loop, game, seen, now.rest, rungs)
-    followed = or_brake(game, seen[0], follow(plan, rungs, now.rest))
-    if loop.way_out:
-        followed = follow_escape(followed, keep_way_out(game, seen, followed.now.plan.robot[0]))
-    control = _executed(game, now.state[0, 3], followed.now.plan.robot[0] * game.planner.control_scale)
-    gains = jnp.asarray(decision.gains, jnp.float32)
-    now = now._replace(robot=advance(robot, decision, followed, seen), rest=followed.kept)
-    records = Records(followed.now.rungs, rungs, followed.status, gains=gains, chosen=chosen)
-    return _world(loop, now, own, control, records)
+
+def batch_parts(loop: Loop, own: Episodes, scheduled: Rungs) -> Parts:
+    """Return the parts of a step of the robot in an episode, see `ms_highway.loop.step`; no plan is late.
+
+    Args:
+        loop: what the episodes share.
+        own: what is the episode's own.
+        scheduled: numbers of the humans' models in this step, or `DECIDES`.
+    """
+    game = believed(loop.game, own)
+    decide = partial(_decide, loop, own, game, scheduled)
+    return Parts(
+        partial(choose, game, loop.models, loop.unresponsive, decide),
+        partial(_plan, loop, game),
+        partial(brake, game),
+        escape=partial(keep_way_out, game) if loop.way_out else None,
+    )
+
+
+def _decide(loop: Loop, own: Episodes, game: Game, scheduled: Rungs, memory: Memory, outcome: Outcome) -> Decision:
+    """Take the models of a schedule or, where it says so, let the rule decide at the episode's price."""
+    by_rule = scheduled == DECIDES
+    decision = _where_needed(
+        loop,
+        by_rule.any(),
+        lambda: chosen_by(at_price(loop.rule, own.prices), game, memory, outcome),
+        unestimated(memory, memory.rungs),
+    )
+    rungs = jnp.where(by_rule, decision.memory.rungs, scheduled).astype(jnp.int32)
+    return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
 
 def _where_needed(loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any) -> Any:
@@ -182,23 +222,23 @@ def _where_needed(loop: Loop, needed: Flag, function: Callable[[], Any], otherwi
     return jax.tree.map(partial(jnp.where, needed), found, otherwise)
 
 
-def _plan(loop: Loop, game: Game, seen: State, rest: Rest, rungs: Rungs) -> Plan:
+def _plan(loop: Loop, game: Game, state: State, choice: Choice, last: RemainingPlan) -> NewPlan:
     """Plan for an episode; with one human, compute only the models that some episode of the chunk uses."""
+    rungs = choice.rungs
+    start = plan_start(loop.models, game, state, rungs, last)
 
-    def planned(models: tuple[HumanModel, ...], used: Rungs) -> Plan:
-        start = cold_start(game, seen)
-        if may_continue(models, game):
-            left = continues_plan(models, game, used, rest)
-            start = jax.tree.map(partial(jnp.where, left), one_step_later(rest.start), start)
-        return plan_for(models, game, seen, used, start).plan
+    def planned(models: tuple[HumanModel, ...], used: Rungs) -> Solution:
+        return plan_for(models, game, state, used, start)
 
     if game.number > 1:
-        return planned(loop.models, rungs)
-    still = jnp.zeros((game.planner.horizon, 2))
-    plan = Plan(still, still[None])
-    for number, model in enumerate(loop.models):
-        plan = _where_needed(loop, rungs[0] == number, partial(planned, (model,), jnp.zeros_like(rungs)), plan)
-    return plan
+        solution = planned(loop.models, rungs)
+    else:
+        still = jnp.zeros((game.planner.horizon, 2))
+        solution = Solution(Plan(still, still[None]), jnp.int32(0), jnp.bool(False))
+        for number, model in enumerate(loop.models):
+            by_model = partial(planned, (model,), jnp.zeros_like(rungs))
+            solution = _where_needed(loop, rungs[0] == number, by_model, solution)
+    return NewPlan(solution.plan, solution.plan, solution.steps, solution.converged)
 
 
 def _steer(loop: Loop, now: Now, own: Episodes, control: Control) -> tuple[Now, Records]:
@@ -216,22 +256,32 @@ def _executed(game: Game, speed: Any, controls: Any) -> Any:
 
 def _world(loop: Loop, now: Now, own: Episodes, robot: Control, records: Records) -> tuple[Now, Records]:
     """Let the humans plan and the world move under the robot's control, not scaled; complete the records."""
-    game, state, last = believed(loop.game, own), now.state, 1 + loop.game.number
+    game = believed(loop.game, own)
+    state = now.state
+    last = 1 + game.number
     truth = replace(loop.game, humans=replace(loop.game.humans, weights=own.human_weights))
 
-    def drive(human: Index) -> tuple[Control, Rest]:
+    def drive(human: Index) -> tuple[Control, RemainingPlan]:
+        """Return a human's control, and the plan to fall back on in the next step."""
         view, turned = swap_players(truth, state, human)
-        rest = jax.tree.map(lambda part: part[human], now.humans)
-        driving = or_brake(view, turned[0], follow(plan_alone(view, turned).plan, rest.rungs, rest))
-        control = driving.now.plan.robot[0] * game.planner.control_scale
-        for number, driver in enumerate(loop.drivers, PLANS + 1):
+        before = jax.tree.map(lambda part: part[human], now.humans)
+        plan = plan_alone(view, turned).plan
+        driven, fallback, _ = follow(NewPlan(plan, plan), before.rungs, before, turned, partial(brake, view))
+        control = driven.plan.robot[0] * game.planner.control_scale
+        for number, driver in enumerate(loop.drivers, HUMAN_PLANS + 1):
             control = jnp.where(own.drivers[human] == number, driver(view, turned), control)
-        return control, driving.kept
+        return control, fallback
 
-    controls, rests = each_human(game, drive)
+    # All cars move at once: humans as they drive, scripted cars at their velocity.
+    controls, fallbacks = each_human(game, drive)
     controls = _executed(game, state[1:last, 3], controls)
     driven = jnp.concatenate([robot[None], controls, keep_velocity(game.world, state[last:])])
-    after = step(game.world, state, driven)
+    after = move(game.world, state, driven)
+
+    # Reward the robot.
     phi = features(game.scene, game.robot, after)
-    reward, collision = phi @ game.robot.weights, phi[game.robot.names.index("collision")] > 0
-    return now._replace(state=after, humans=rests), records._replace(reward=reward, collision=collision, states=after)
+    reward = phi @ game.robot.weights
+    collision = phi[game.robot.names.index("collision")] > 0
+    return now._replace(state=after, humans=fallbacks), records._replace(
+        reward=reward, collision=collision, states=after
+    )

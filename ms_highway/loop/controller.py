@@ -60,6 +60,8 @@ class ControlStep:
             None where it is not inferred.
         planned: for every human, the name of its model in the plan of this step, which is not ``plan`` if it is late or
             failed.
+        plan_steps: number of ascent steps of this plan.
+        converged: whether its ascent ended by itself, before its largest number of steps.
     """
 
     control: Control
@@ -75,6 +77,8 @@ class ControlStep:
     status: Status = "planned"
     belief: Belief | None = None
     planned: tuple[str, ...] = ()
+    plan_steps: int = 0
+    converged: bool = True
 
     @property
     def model(self) -> str:
@@ -82,7 +86,7 @@ class ControlStep:
         return ("", *cheapest_first(self.models))[-1] if self.models[1:] else self.models[0]
 
     @property
-    def thought(self) -> tuple[str, ...]:
+    def counted_models(self) -> tuple[str, ...]:
         """Names of the models in the plan of this step, whose time is counted."""
         return self.planned or self.models
 

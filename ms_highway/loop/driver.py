@@ -1,5 +1,6 @@
 """Drive among humans, one or several, with the models that a rule chooses for them."""
 
+from dataclasses import dataclass
 from functools import cache, partial
 from time import perf_counter
 
@@ -9,7 +10,6 @@ import numpy as np
 from ms_highway.choice.budget import deciding_in
 from ms_highway.choice.rule import (
     NOT_ESTIMATED,
-    Decision,
     GameEvidence,
     Rule,
     always,
@@ -23,20 +23,21 @@ from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.step import (
     STATUSES,
     Carry,
-    Followed,
-    advance,
+    Choice,
+    NewPlan,
+    Parts,
+    RemainingPlan,
+    StepResult,
     begin,
-    continues_plan,
-    decide,
-    follow,
-    follow_escape,
-    no_rest,
-    or_brake,
+    brake,
+    choose,
+    plan_start,
+    step,
 )
 from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan, one_step_later
-from ms_highway.runtime.arrays import State
+from ms_highway.planning.way_out import Escape
+from ms_highway.runtime.arrays import Control, State
 from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
@@ -51,6 +52,21 @@ def drivable(rule: Rule[GameEvidence], belief: bool) -> tuple[Rule[GameEvidence]
     """
     rule.check()
     return for_unresponsive(rule) if belief else (rule, None)
+
+
+@dataclass
+class StepSeconds:
+    """Seconds that the parts of a step took, without compilation.
+
+    Attributes:
+        choosing: of choosing the models, with the belief; 0 if nothing is chosen or inferred.
+        planning: of the plan.
+        checking: of the search for a way out, which comes after the plan; before it, of the last step's search.
+    """
+
+    choosing: float = 0.0
+    planning: float = 0.0
+    checking: float = 0.0
 
 
 class Driver:
@@ -75,7 +91,9 @@ class Driver:
     def __init__(
         self, game: Game, rule: Rule, *, budget: float | None = None, way_out: bool = False, belief: bool = False
     ) -> None:
-        self.budget, self.way_out, self.infers = budget, way_out, belief
+        self.budget = budget
+        self.way_out = way_out
+        self.infers = belief
         self._game = game
         self._rule, self._unresponsive = drivable(rule, belief)
         self._prepare()
@@ -88,11 +106,14 @@ class Driver:
 
     @rule.setter
     def rule(self, rule: Rule) -> None:
-        last, (rule, unresponsive) = self._rule, drivable(rule, self.infers)
+        last = self._rule
+        rule, unresponsive = drivable(rule, self.infers)
         if rule.ladder != last.ladder:
-            new, old = (" ".join(model.name for model in each.ladder) for each in (rule, last))
+            new = " ".join(model.name for model in rule.ladder)
+            old = " ".join(model.name for model in last.ladder)
             raise ValueError(f"the rule is on the ladder {new}, and the driver on {old}; make a new driver")
-        self._rule, self._unresponsive = rule, unresponsive
+        self._rule = rule
+        self._unresponsive = unresponsive
         self._place()
         if last.estimates or rule.estimates:
             self._warm = False
@@ -119,13 +140,12 @@ class Driver:
     @property
     def looks_back(self) -> bool:
         """Whether choices depend on the last step."""
-        return self.rule.estimates or self.infers
+        return self._rule.estimates or self.infers
 
     def reset(self) -> None:
         """Forget the past, before a new episode."""
         self._carry: Carry | None = None  # before the first step
-        self._rest = no_rest(self.game.planner.horizon, self.game.number)
-        self._checking = 0.0  # seconds of the last search for a way out, which comes after the plan
+        self._seconds = StepSeconds()
 
     def step(self, state: State) -> ControlStep:
         """Choose the models from the outcome of the last step, plan, and return the control of the coming step.
@@ -136,49 +156,97 @@ class Driver:
         Raises:
             ValueError: if it is not a finite array [cars, 4] of two cars or more.
         """
-        refuse_after_fork()
         now = checked_state(state)
         compiling = self._warm_up(now)
-        start = perf_counter()
-        carry, decision, deciding = self._decide(now)
-        rungs = decision.memory.rungs
-        continues = continues_plan(self.rule.ladder, self.game, rungs, self._rest)
-        solution, planning = self._plans.plan(now, rungs, one_step_later(self._rest.start) if continues else None)
-        plan = solution.plan
-        late = self.budget is not None and perf_counter() - start + self._checking > self.budget
-        followed, self._checking = self._follow(follow(plan, rungs, self._rest, late), now)
-        self._carry, (rest, self._rest, status) = advance(carry, decision, followed, now), followed
-        scale = np.asarray(self.game.planner.control_scale, dtype=float)
-        driven, left = Plan(rest.plan.robot * scale, rest.plan.humans * scale), int(rest.steps) or None
-        names = tuple(model.name for model in self.rule.ladder)
-        return ControlStep(
-            driven.robot[0],
-            driven.robot[:left],
-            driven.humans[:, :left],
-            tuple(names[rung] for rung in rest.rungs),
-            planning + self._checking,
-            deciding,
-            compiling,
-            names,
-            decision.gains,
-            bool(decision.failed),
-            STATUSES[status],
-            carry.belief if self.infers else None,
-            tuple(names[rung] for rung in rungs),
+        self._seconds = StepSeconds(checking=self._seconds.checking if self.way_out else 0.0)
+        self._started = perf_counter()
+        parts = Parts(
+            self._choose,
+            self._plan,
+            partial(brake, self._game),
+            None if self.budget is None else self._is_late,
+            self._escape if self.way_out else None,
         )
+        carry = self._carry or begin(self._rule, self._game, now)
+        self._carry, result = step(carry, now, parts)
+        return self._record(result, compiling)
+
+    def _record(self, result: StepResult, compiling: float) -> ControlStep:
+        """Return the record of a step in SI units, given the seconds of compilation."""
+        driven = result.driven
+        choice = result.choice
+        names = tuple(model.name for model in self._rule.ladder)
+        scale = np.asarray(self._game.planner.control_scale, dtype=float)
+        left = int(driven.steps) or None
+        plan = driven.plan.robot * scale
+        humans = driven.plan.humans * scale
+
+        gains = choice.decision.gains
+        return ControlStep(
+            control=plan[0],
+            plan=plan[:left],
+            humans=humans[:, :left],
+            models=tuple(names[rung] for rung in driven.rungs),
+            planning_seconds=self._seconds.planning + self._seconds.checking,
+            decision_seconds=self._seconds.choosing,
+            compile_seconds=compiling,
+            ladder=names,
+            gains=np.where(gains == NOT_ESTIMATED, np.nan, gains),
+            choice_failed=bool(choice.decision.failed),
+            status=STATUSES[result.status],
+            belief=choice.belief if self.infers else None,
+            planned=tuple(names[rung] for rung in choice.rungs),
+            plan_steps=int(result.planned.steps),
+            converged=bool(result.planned.converged),
+        )
+
+    # Parts of a step, which are compiled and timed
+
+    def _choose(self, carry: Carry, now: State) -> Choice:
+        """Choose the models; see `ms_highway.loop.step.Parts`."""
+        if not self.looks_back:
+            decision = chosen_by(self._rule, self._game, carry.memory, carry.outcome)
+            decision = jax.tree.map(np.asarray, decision)
+            return Choice(carry.belief, decision, decision.memory.rungs)
+        found, self._seconds.choosing = timed(*self._choice(carry, now))
+        choice = jax.tree.map(np.asarray, found)
+        if not is_of_package(self._rule):  # which a compiled decision cannot refuse
+            refuse_rungs(self._rule, choice.decision.memory.rungs)
+        return choice
+
+    def _plan(self, now: State, choice: Choice, last: RemainingPlan) -> NewPlan:
+        """Plan with the models of a choice; see `ms_highway.loop.step.Parts`."""
+        start = plan_start(self._rule.ladder, self._game, now, choice.rungs, last)
+        solution, self._seconds.planning = self._plans.plan(now, choice.rungs, start)
+        plan = solution.plan
+        return NewPlan(plan, plan, solution.steps, solution.converged)
+
+    def _is_late(self) -> bool:
+        """Return whether the budget will be spent after a search for a way out that takes as long as the last one."""
+        assert self.budget is not None
+        return perf_counter() - self._started + self._seconds.checking > self.budget
+
+    def _escape(self, now: State, control: Control) -> Escape:
+        """Search for a way out; see `ms_highway.loop.step.Parts`."""
+        escape, self._seconds.checking = self._plans.keep_way_out(now, control)
+        return escape
+
+    # Compilation
 
     def _warm_up(self, state: State) -> float:
         """Compile before the first control of a game; return the seconds spent, timing of decisions included."""
         if self._warm:
             return 0.0
+        refuse_after_fork()  # later, every compiled function refuses
         self._warm = True
         seconds = self._plans.warm_up(state, self.way_out)
         if self.looks_back:
             seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
             rule, measuring = timed(deciding_in, self.rule, lambda: self._deciding_seconds(state))
             if rule is not self._rule:
-                self._rule, seconds = rule, seconds + measuring
+                self._rule = rule
                 self._place()
+                seconds += measuring
         return seconds
 
     def _deciding_seconds(self, state: State) -> float:
@@ -190,39 +258,20 @@ class Driver:
 
     def _choice(self, carry: Carry, now: State) -> tuple:
         """Return the compiled function of a choice, and its arguments."""
-        function = decision_function(self._unresponsive)
-        arguments = *self._placed.take(), carry, now
+        function = choice_function(self._unresponsive)
+        past = carry._replace(fallback=None)  # type: ignore[arg-type]  # a choice does not need the last plan
+        arguments = *self._placed.take(), past, now
         return function.of(*arguments), *arguments
-
-    def _decide(self, now: State) -> tuple[Carry, Decision, float]:
-        """Choose the rungs; return the carry with the belief, the decision, and its seconds."""
-        carry, seconds = self._carry or begin(self.rule, self.game, now), 0.0
-        if self.looks_back:
-            found, seconds = timed(*self._choice(carry, now))
-            belief, decision = jax.tree.map(np.asarray, found)
-            carry = carry._replace(belief=belief)
-            if not is_of_package(self.rule):  # which a compiled decision cannot refuse
-                refuse_rungs(self.rule, decision.memory.rungs)
-        else:
-            decision = jax.tree.map(np.asarray, chosen_by(self.rule, self.game, carry.memory, carry.outcome))
-        gains = np.where(decision.gains == NOT_ESTIMATED, np.nan, decision.gains)
-        return carry, decision._replace(gains=gains), seconds
-
-    def _follow(self, followed: Followed, state: State) -> tuple[Followed, float]:
-        """Brake where no plan is left, and keep a way out; return what drives, and the seconds of the latter."""
-        if followed.now.steps == 0:
-            with np.errstate(over="ignore", invalid="ignore"):
-                followed = jax.tree.map(np.asarray, or_brake(self.game, state[0], followed))
-        if not self.way_out:
-            return followed, 0.0
-        escape, seconds = self._plans.keep_way_out(state, followed.now.plan.robot[0])
-        return follow_escape(followed, escape), seconds
 
 
 @cache
-def decision_function(unresponsive: int | None) -> Compiled:
-    """Compile `ms_highway.loop.step.decide`, given the rung that predicts unresponsive humans."""
-    return jit_quickly(partial(decide, unresponsive=unresponsive))
+def choice_function(unresponsive: int | None) -> Compiled:
+    """Compile `ms_highway.loop.step.choose` by a rule, given the rung that predicts unresponsive humans."""
+
+    def chosen(rule: Rule, game: Game, carry: Carry, now: State) -> Choice:
+        return choose(game, rule.ladder, unresponsive, partial(chosen_by, rule, game), carry, now)
+
+    return jit_quickly(chosen)
 
 
 def fixed(game: Game, model: HumanModel | None = None) -> Driver:

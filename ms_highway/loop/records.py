@@ -14,10 +14,12 @@ from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import CHUNK
 
 DECIDES = -1
-"""Entry of a schedule: the rule chooses the rung of this human in this step."""
+"""Entry of a schedule: the rule chooses the model of this human in this step; other entries, from 0, are numbers of
+`Loop.models`."""
 
-PLANS = 0
-"""Number of a human's driver if it plans for its reward; the drivers in `Loop.drivers` have the next numbers."""
+HUMAN_PLANS = 0
+"""Number of a human's driver if the human plans for its reward; ``HUMAN_PLANS + 1 + place`` is the number of the driver
+at this place in `Loop.drivers`."""
 
 
 @jax.tree_util.register_dataclass
@@ -77,9 +79,7 @@ class Episodes:
         schedules: number of the model that predicts each human in each step, or `DECIDES`.
         robot_weights: of the robot's reward, in the order of its features.
         human_weights: of the rewards that the humans drive for; with one human, the robot knows them.
-        drivers: number of each human's driver, `PLANS` or one more than its place in `Loop.drivers`.
-        errors: added to the states of the first cars that the robot sees before every step, and after the last one,
-            where they are not used; None for no errors.
+        drivers: number of each human's driver, see `HUMAN_PLANS`.
     """
 
     starts: Float[Array, "episodes cars 4"]
@@ -88,7 +88,6 @@ class Episodes:
     robot_weights: Float[Array, "episodes features"]
     human_weights: Float[Array, "episodes humans features"]
     drivers: Int[Array, "episodes humans"]
-    errors: Float[Array, "episodes steps+1 cars 4"] | None = None
 
     def __len__(self) -> int:
         return len(self.starts)

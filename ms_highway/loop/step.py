@@ -1,10 +1,13 @@
-"""One step of a robot among humans, live or in a batch: look at the last step, choose models, plan, follow the plan.
+"""One step of a robot among humans: live, in a batch, or on a stock road.
 
-Pure functions over what the robot carries from step to step; `ms_highway.planning.compiled_plans.plan_for` makes the
-plan. `follow` follows it or, where it is late or not finite, the rest of the last plan or braking in lane.
+`step` is a function of what the robot carries from step to step. Whatever differs between
+live steps, batches and stock roads is in its `Parts`: live, they are compiled and timed; in
+a batch, JAX traces them; on a stock road, the robot chooses and plans among proposals.
+
+Everything here works for numbers of NumPy and of JAX, see `branch`.
 """
 
-from functools import partial
+from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import jax
@@ -13,15 +16,14 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.choice.belief import counted_on, first_belief, infer
-from ms_highway.choice.rule import Decision, Memory, Outcome, Rule, first_memory, in_ladder, is_of_package
-from ms_highway.choice.rule import decide as chosen_by
+from ms_highway.choice.rule import Decision, Memory, Outcome, Rule, first_memory
 from ms_highway.game.dynamics import keep_velocity, recover_control
 from ms_highway.game.features import reward
 from ms_highway.game.game import Game
 from ms_highway.planning.human_models import HumanModel
-from ms_highway.planning.plans import Plan, one_step_later
+from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.way_out import Escape
-from ms_highway.runtime.arrays import Belief, Car, Flag, Index, Rungs, SameArray, State
+from ms_highway.runtime.arrays import Belief, Control, Flag, Index, Rungs, SameArray, State
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: ``planned``, this step's plan; ``previous plan``, the rest of the last finite plan, if this one
@@ -37,36 +39,25 @@ DECELERATION = 8.0  # m/s^2, hard braking on a dry road
 STRAIGHTENING_TIME = 0.5  # s, in which a braking car aligns with the road
 
 
-class Rest(NamedTuple):
-    """What is left of a plan.
+class RemainingPlan(NamedTuple):
+    """A plan from some step on.
 
     Attributes:
-        plan: scaled, from this step on; beyond its end, its last controls are repeated.
+        plan: scaled; beyond its end, its last controls are repeated.
         steps: number of its controls that are left, this step's included; with 0, the robot brakes.
         rungs: of every human in this plan.
-        start: plan from which the next one may start: this plan or, if it is an escape, the one that it replaced.
+        warm_start: where the next plan may start: this plan or, if it is an escape, the one that it replaced.
     """
 
     plan: Plan
     steps: Index
     rungs: Rungs
-    start: Plan
+    warm_start: Any
 
-
-class Followed(NamedTuple):
-    """What drives in a step.
-
-    Attributes:
-        now: what is followed; its first control is executed. If the robot brakes, the rungs are those of the step's own
-            plan.
-        kept: start of the next plan, and what is followed if that plan fails or is late: `now`, or a late plan, whose
-            first control counts as executed.
-        status: place of the status in `STATUSES`.
-    """
-
-    now: Rest
-    kept: Rest
-    status: Index
+    def later(self) -> "RemainingPlan":
+        """Return what is left a step later."""
+        steps = self.steps - (self.steps > 0)
+        return RemainingPlan(self.plan.later(), steps, self.rungs, self.warm_start.later())
 
 
 class Carry(NamedTuple):
@@ -76,139 +67,290 @@ class Carry(NamedTuple):
         memory: of its rule.
         outcome: of the last step; before the first one, of a step in which no car moved.
         belief: probability that each of the package's models predicts each human.
+        fallback: plan to fall back on in the next step, its first control counted as executed.
     """
 
     memory: Memory
     outcome: Outcome
     belief: Belief
+    fallback: RemainingPlan
+
+
+class Choice(NamedTuple):
+    """The models of the coming plan.
+
+    Attributes:
+        belief: after the last step.
+        decision: what the rule or a schedule chose.
+        rungs: of every human in the coming plan; other than chosen for humans who do not respond.
+        evidence: what was looked at, if the plan needs it.
+    """
+
+    belief: Belief
+    decision: Decision
+    rungs: Rungs
+    evidence: Any = None
+
+
+class NewPlan(NamedTuple):
+    """What planning returns.
+
+    Attributes:
+        plan: scaled; it fails if it is not finite.
+        warm_start: where the next plan may start, if this one is followed.
+        steps: number of ascent steps that were taken.
+        converged: whether the ascent ended by itself.
+        details: what else belongs into the record of the step.
+    """
+
+    plan: Plan
+    warm_start: Any
+    steps: Index = 0
+    converged: Flag = True
+    details: Any = None
+
+
+class StepResult(NamedTuple):
+    """What happened in a step.
+
+    Attributes:
+        driven: what drives; its first control is executed. If the robot brakes, the rungs are
+            those of the step's own plan.
+        status: place of the status in `STATUSES`.
+        choice: the models of the step's own plan.
+        planned: that plan, whether it drives or not.
+    """
+
+    driven: RemainingPlan
+    status: Index
+    choice: Choice
+    planned: NewPlan
+
+
+class Parts(NamedTuple):
+    """What differs between live steps, batches and stock roads.
+
+    Attributes:
+        choose: looks at the last step, and chooses the models from what the robot carries and the cars now.
+        plan: plans among the cars now, with a choice, perhaps starting from the plan to fall back on.
+        brake: returns what is left of a plan with braking in place of its controls, given the cars now.
+        is_late: whether the plan, which was just made, is too late for this step; None if no plan ever is.
+        escape: returns the control to execute now instead of a planned one, if that leaves no way out; None
+            without such a search.
+    """
+
+    choose: Callable[[Carry, Any], Choice]
+    plan: Callable[[Any, Choice, RemainingPlan], NewPlan]
+    brake: Callable[[RemainingPlan, Any], RemainingPlan]
+    is_late: Callable[[], bool] | None = None
+    escape: Callable[[Any, Control], Escape] | None = None
+
+
+def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
+    """Drive one step: choose a model of each human by what the last step showed, plan, and execute the first control.
+
+    A step of the paper's meta-MDP, whose action is the choice of the models (Sec. III). A robot that cannot follow its
+    plan falls back on the last one, then brakes; one that would have no way out escapes.
+
+    Args:
+        carry: what the robot carries into the step.
+        now: all cars; on a stock road, the scene.
+        parts: what differs between live steps, batches and stock roads.
+
+    Returns:
+        What the robot carries into the next step, and what happened in this one.
+    """
+    # Look at what the last step has shown, and choose a model of each human.
+    choice = parts.choose(carry, now)
+
+    # Plan with these models.
+    planned = parts.plan(now, choice, carry.fallback)
+    late = parts.is_late is not None and parts.is_late()
+
+    # Follow the plan. If it is not finite or late, follow the last one; where that has ended, brake.
+    driven, fallback, status = follow(planned, choice.rungs, carry.fallback, now, parts.brake, late)
+
+    # If the control leaves no way out among cars that keep their velocity, escape.
+    if parts.escape is not None:
+        escape = parts.escape(now, driven.plan.robot[0])
+        driven, fallback, status = follow_escape(driven, fallback, status, escape)
+
+    # Remember what was done; the next step looks at what comes of it.
+    memory = choice.decision.memory._replace(rungs=driven.rungs, step=carry.memory.step + 1)
+    outcome = carry.outcome._replace(before=now, after=now, robot=driven.plan.robot[0], plan=driven.plan)
+    return Carry(memory, outcome, choice.belief, fallback), StepResult(driven, status, choice, planned)
+
+
+def branch(flag: Flag | bool, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+    """Return one of two results; for a flag of JAX, compute both, and select each number."""
+    if isinstance(flag, jax.Array):
+        return jax.tree.map(lambda *both: jnp.where(flag, *both), then(), otherwise())
+    return then() if flag else otherwise()
+
+
+# Before the first step
 
 
 def begin(rule: Rule, game: Game, state: State) -> Carry:
     """Return what a robot carries into its first step."""
-    still = np.zeros((1 + game.number, game.planner.horizon, 2), np.float32)
-    outcome = Outcome(state, state, still[0, 0], still[1:, 0], np.float32(0), Plan(still[0], still[1:]))
-    return Carry(first_memory(rule, game.number), outcome, first_belief(game.number))
+    none = no_plan(game.planner.horizon, game.number)
+    outcome = Outcome(state, state, none.plan.robot[0], none.plan.humans[:, 0], np.float32(0), none.plan)
+    return Carry(first_memory(rule, game.number), outcome, first_belief(game.number), none)
 
 
-def complete_outcome(game: Game, carry: Carry, now: State, infers: bool) -> Carry:
-    """Complete the outcome of the last step: observed controls, the reward and, if wanted, the belief."""
-    outcome, last = carry.outcome, 1 + game.number
-    controls = recover_control(game.world, outcome.before[1:last], now[1:last]) / game.planner.control_scale
-    outcome = outcome._replace(after=now, humans=controls, reward=reward(game.scene, game.robot, now))
-    belief = carry.belief
-    if infers:
-        moved = jnp.any(outcome.before != now)  # before the first step, nothing is seen of the humans
-        belief = jnp.where(moved, infer(game, belief, outcome.before, now, outcome.plan.robot), belief)
-    return carry._replace(outcome=outcome, belief=belief)
-
-
-def responsive_rungs(ladder: tuple[HumanModel, ...], rungs: Rungs, belief: Belief, unresponsive: int | None) -> Rungs:
-    """Predict unresponsive humans by the rung ``unresponsive`` instead of one that counts on a response.
-
-    Args:
-        ladder: human models.
-        rungs: that were chosen.
-        belief: see `Carry`.
-        unresponsive: rung, or None to count on everybody's response.
-    """
-    if unresponsive is None:
-        return rungs
-    responds = jnp.array([model.responds for model in ladder])
-    return jnp.where(responds[rungs] & ~counted_on(belief), unresponsive, rungs).astype(jnp.int32)
-
-
-def decide(
-    rule: Rule, game: Game, carry: Carry, now: State, unresponsive: int | None = None
-) -> tuple[Belief, Decision]:
-    """Choose the rungs of the coming step from the outcome of the last one, and return the belief with them.
-
-    Args:
-        rule: that chooses.
-        game: as the robot believes it.
-        carry: into the step.
-        now: all cars.
-        unresponsive: see `responsive_rungs`; None without a belief.
-    """
-    carry = complete_outcome(game, carry, now, unresponsive is not None)
-    decision = chosen_by(rule, game, carry.memory, carry.outcome)
-    chosen = decision.memory.rungs
-    rungs = responsive_rungs(rule.ladder, chosen, carry.belief, unresponsive)
-    if not is_of_package(rule):  # what is no rung is refused afterwards, not replaced
-        rungs = jnp.where(in_ladder(rule, chosen), rungs, chosen)
-    return carry.belief, decision._replace(memory=decision.memory._replace(rungs=rungs))
-
-
-def continues_plan(ladder: tuple[HumanModel, ...], game: Game, rungs: Rungs, rest: Rest) -> bool:
-    """Return whether the coming plan starts from the rest of the last one, as the planner or a rung wants."""
-    warm = np.array([model.warm for model in ladder])
-    wanted = game.planner.solver.continues or bool(warm.all())
-    if not wanted and warm.any():
-        wanted = rungs.__array_namespace__().asarray(warm)[rungs].any()
-    return wanted & (rest.steps > 0)
-
-
-# Following a plan, or what takes its place
-
-
-def fallback_status(finite: bool | Flag, left: Index, horizon: int) -> tuple[Any, Any]:
-    """Return the number of this step's status, and how many controls are then left, this one included.
-
-    Args:
-        finite: whether this step's plan is finite.
-        left: number of controls left of the last finite plan, the executed one included; 0 without a plan.
-        horizon: number of controls of a plan.
-    """
-    goes_on, failed = left > 1, 1 - finite  # arithmetic, which is the same for numbers and for arrays of JAX
-    return failed * (BRAKING - goes_on * (BRAKING - PREVIOUS_PLAN)), finite * horizon + failed * goes_on * (left - 1)
-
-
-def no_rest(horizon: int, humans: int) -> Rest:
-    """Return the `Rest` before the first plan: no control is left."""
+def no_plan(horizon: int, humans: int) -> RemainingPlan:
+    """Return what is left before the first plan: no control."""
     still = np.zeros((1 + humans, horizon, 2), np.float32)
     nothing = Plan(still[0], still[1:])
-    return Rest(nothing, np.int32(0), np.zeros(humans, np.int32), nothing)
+    return RemainingPlan(nothing, np.int32(0), np.zeros(humans, np.int32), nothing)
 
 
-def follow(plan: Plan, rungs: Rungs, before: Rest, late: bool = False) -> Followed:
-    """Choose the plan that drives in a step; where none is left, `or_brake` brakes.
+# Choosing the models
+
+
+def choose(
+    game: Game,
+    models: tuple[HumanModel, ...],
+    unresponsive: int | None,
+    decide: Callable[[Memory, Outcome], Decision],
+    carry: Carry,
+    now: State,
+) -> Choice:
+    """Complete the outcome of the last step and the belief, and choose a model for each human.
 
     Args:
-        plan: of this step, scaled.
-        rungs: of every human in it.
-        before: what the last step kept.
-        late: whether the plan is too late for this step; a finite one is kept for the next step.
+        game: as the robot believes it.
+        models: which rungs name.
+        unresponsive: rung that predicts humans who do not respond; None to count on everybody, without a belief.
+        decide: chooses rungs by the outcome, see `ms_highway.choice.rule.decide`.
+        carry: into the step.
+        now: all cars.
     """
-    xp, left, later_start = plan.robot.__array_namespace__(), one_step_later(before.plan), one_step_later(before.start)
+    # Observe the humans' controls, and what the step has earned.
+    outcome = carry.outcome
+    before = outcome.before
+    players = slice(1, 1 + game.number)
+    controls = recover_control(game.world, before[players], now[players]) / game.planner.control_scale
+    outcome = outcome._replace(after=now, humans=controls, reward=reward(game.scene, game.robot, now))
+
+    # Without a belief, count on what the rule chose.
+    if unresponsive is None:
+        decision = decide(carry.memory, outcome)
+        return Choice(carry.belief, decision, decision.memory.rungs)
+
+    # Infer who responds; before the first step, nothing is seen of the humans.
+    moved = jnp.any(before != now)
+    belief = jnp.where(moved, infer(game, carry.belief, before, now, outcome.plan.robot), carry.belief)
+    decision = decide(carry.memory, outcome)
+    responds = jnp.array([model.responds for model in models])
+    ignored = responds[decision.memory.rungs] & ~counted_on(belief)
+    rungs = jnp.where(ignored, unresponsive, decision.memory.rungs).astype(jnp.int32)
+    return Choice(belief, decision, rungs)
+
+
+# Planning, and following a plan or what takes its place
+
+
+def plan_start(models: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, last: RemainingPlan) -> Plan:
+    """Return the scaled plan from which the coming one starts.
+
+    It is the rest of the last plan for all who continue it, if the planner or their model
+    wants that: the humans under such a model, and the robot if there is one. All others
+    start cold.
+
+    Args:
+        models: that rungs name.
+        game: of the robot.
+        state: all cars now.
+        rungs: of every human in the coming plan.
+        last: the plan to fall back on.
+    """
+    cold = cold_start(game, state)
+    warm = np.array([game.planner.solver.continues or model.warm for model in models])
+    if not warm.any():
+        return cold
+    rest = last.warm_start.later()
+    xp = rungs.__array_namespace__()  # of NumPy or JAX
+    continues = xp.asarray(warm)[rungs] & (last.steps > 0)
+    robot = xp.where(continues.any(), rest.robot, cold.robot)
+    humans = xp.where(continues[:, None, None], rest.humans, cold.humans)
+    return Plan(robot, humans)
+
+
+def follow(
+    planned: NewPlan,
+    rungs: Rungs,
+    last: RemainingPlan,
+    now: Any,
+    brake: Callable[[RemainingPlan, Any], RemainingPlan],
+    late: bool = False,
+) -> tuple[RemainingPlan, RemainingPlan, Index]:
+    """Follow a plan or, if it is late or not finite, the last one, and brake where nothing is left of that.
+
+    Args:
+        planned: of this step.
+        rungs: of every human in it.
+        last: plan to fall back on in this step.
+        now: all cars.
+        brake: see `Parts`.
+        late: whether the plan is too late for this step; a finite one is followed from the next step on.
+
+    Returns:
+        What drives, the plan to fall back on in the next step, and the number of the status.
+    """
+    plan = planned.plan
+    xp = plan.robot.__array_namespace__()
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
-    def choose(follows: Flag) -> tuple[Index, Rest]:
-        status, steps = fallback_status(follows, before.steps, len(plan.robot))
-        chosen, start = (jax.tree.map(partial(xp.where, follows), plan, old) for old in (left, later_start))
-        own = xp.where(follows | (steps == 0), rungs, before.rungs)
-        return status, Rest(chosen, steps, own, start)
+    def new() -> tuple[RemainingPlan, int]:
+        return RemainingPlan(plan, len(plan.robot), rungs, planned.warm_start), PLANNED
 
-    status, kept = choose(finite)
+    def old() -> tuple[RemainingPlan, Index]:
+        return fall_back(last, rungs, now, brake)
+
+    # A plan in time drives now, and is what the next step falls back on.
+    fallback, status = branch(finite, new, old)
     if not late:
-        return Followed(kept, kept, status)
-    return Followed(choose(finite & False)[1], kept, LATE if finite else status)
+        return fallback, fallback, status
+
+    # A late one has to wait for the next step.
+    driven, failed = old()
+    return driven, fallback, branch(finite, lambda: LATE, lambda: failed)
 
 
-def or_brake(game: Game, car: Car, followed: Followed) -> Followed:
-    """Let a car brake in its lane where no plan is left to follow."""
-    now, braking = followed.now, braking_control(game, car) / game.planner.control_scale
-    robot = braking.__array_namespace__().where(now.steps == 0, braking, now.plan.robot)
-    return followed._replace(now=now._replace(plan=now.plan._replace(robot=robot)))
+def fall_back(
+    last: RemainingPlan, rungs: Rungs, now: Any, brake: Callable[[RemainingPlan, Any], RemainingPlan]
+) -> tuple[RemainingPlan, Index]:
+    """Go on with the last plan, or brake where nothing is left of it; return what drives and its status, see `follow`.
+
+    Braking counts under the models of the step's own plan.
+    """
+    left = last.later()
+    stopping = left._replace(rungs=rungs)
+    return branch(left.steps > 0, lambda: (left, PREVIOUS_PLAN), lambda: (brake(stopping, now), BRAKING))
 
 
-def follow_escape(followed: Followed, escape: Escape) -> Followed:
-    """Follow and keep an escape that replaces the control.
+def follow_escape(
+    driven: RemainingPlan, fallback: RemainingPlan, status: Index, escape: Escape
+) -> tuple[RemainingPlan, RemainingPlan, Index]:
+    """Follow an escape, and fall back on it, if it replaces the control; return the same as `follow`.
 
     Late and failed plans keep their status. The rungs remain those of the plan, although an escape counts on nobody.
     """
-    xp, (now, kept, status) = escape.controls.__array_namespace__(), followed
-    own = Rest(now.plan._replace(robot=escape.controls), len(escape.controls), now.rungs, kept.start)
-    now, kept = (jax.tree.map(partial(xp.where, escape.replaces), own, rest) for rest in (now, kept))
-    return Followed(now, kept, xp.where(escape.replaces & (status == PLANNED), WAY_OUT, status))
+    plan = driven.plan._replace(robot=escape.controls)
+    own = RemainingPlan(plan, len(escape.controls), driven.rungs, fallback.warm_start)
+    replaced = escape.replaces & (status == PLANNED)
+    status = branch(replaced, lambda: WAY_OUT, lambda: status)
+    return *branch(escape.replaces, lambda: (own, own), lambda: (driven, fallback)), status
+
+
+def brake(game: Game, left: RemainingPlan, now: State) -> RemainingPlan:
+    """Return what is left of a plan, with braking in lane in place of the robot's controls."""
+    robot = left.plan.robot
+    xp = robot.__array_namespace__()
+    with np.errstate(over="ignore", invalid="ignore"):
+        braking = braking_control(game, now[0]) / game.planner.control_scale
+    return left._replace(plan=left.plan._replace(robot=xp.broadcast_to(braking, robot.shape)))
 
 
 def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:
@@ -217,25 +359,17 @@ def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, 
     It is finite in every finite state, even if friction or the acceleration that stops the car is not finite.
     """
     xp = car.__array_namespace__()
-    heading, speed = car[2], car[3]
+    heading = car[2]
+    speed = car[3]
+
+    # Turn towards the road's direction.
     turning = -xp.atan2(xp.sin(heading), xp.cos(heading)) / STRAIGHTENING_TIME
-    omega = turning / xp.maximum(xp.abs(speed), 1.0) if game.dynamics.steering == "curvature" else turning
+    curvature = turning / xp.maximum(xp.abs(speed), 1.0)
+    omega = curvature if game.dynamics.steering == "curvature" else turning
+
+    # Stop at the end of the step, or as soon as hard braking can.
     stop = keep_velocity(game.dynamics, car)[1] - speed / game.dynamics.time_step
     stop = xp.where(xp.isnan(stop), -xp.sign(speed) * DECELERATION, stop)
+    stop = xp.clip(stop, -DECELERATION, DECELERATION)
     limit = xp.asarray(game.planner.control_limit)
-    return xp.clip(xp.stack([omega, xp.clip(stop, -DECELERATION, DECELERATION)]), -limit, limit)
-
-
-def advance(carry: Carry, decision: Decision, followed: Followed, state: State) -> Carry:
-    """Return what is carried into the next step; there, `complete_outcome` completes the outcome of this one.
-
-    Args:
-        carry: into this step.
-        decision: of this step.
-        followed: what drives in this step.
-        state: all cars before this step.
-    """
-    driven = followed.now
-    memory = decision.memory._replace(rungs=driven.rungs, step=carry.memory.step + 1)
-    outcome = carry.outcome._replace(before=state, after=state, robot=driven.plan.robot[0], plan=driven.plan)
-    return carry._replace(memory=memory, outcome=outcome)
+    return xp.clip(xp.stack([omega, stop]), -limit, limit)

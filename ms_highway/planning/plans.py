@@ -1,8 +1,7 @@
 """Define plans and their solutions: where plans start from, what they maximise, and their limits."""
 
-from collections.abc import Iterable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -46,6 +45,12 @@ class Plan(NamedTuple):
     robot: Controls
     humans: HumansControls
 
+    def later(self) -> "Plan":
+        """Return the rest of the plan a step later; its last controls are repeated."""
+        xp = self.robot.__array_namespace__()  # of NumPy or JAX
+        robot = xp.concat([self.robot[1:], self.robot[-1:]])
+        return Plan(robot, xp.concat([self.humans[:, 1:], self.humans[:, -1:]], axis=1))
+
 
 class Solution(NamedTuple):
     """What a planner returns.
@@ -61,12 +66,6 @@ class Solution(NamedTuple):
     converged: Flag
 
 
-def one_step_later(plan: Plan) -> Plan:
-    """Return the rest of a plan after its first step; its last controls are repeated."""
-    xp = plan.robot.__array_namespace__()  # of NumPy or JAX
-    return Plan(*(xp.concat([side[..., 1:, :], side[..., -1:, :]], axis=-2) for side in plan))
-
-
 def cold_start(game: Game, state: State) -> Plan:
     """Return the plan from which planning starts without a last plan.
 
@@ -78,11 +77,6 @@ def cold_start(game: Game, state: State) -> Plan:
     else:
         controls = np.zeros((cars, game.planner.horizon, 2), np.float32)
     return Plan(controls[0], controls[1:])
-
-
-def may_continue(models: Iterable[Any], game: Game) -> bool:
-    """Return whether plans under these human models may start from the rest of the last plan."""
-    return game.planner.solver.continues or any(model.warm for model in models)
 
 
 def driving(game: Game, car: Car, others: Trajectories) -> Objective:

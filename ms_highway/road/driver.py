@@ -1,22 +1,39 @@
-"""Drive on a road: choose a model for each car, plan, then follow the plan or fall back."""
+"""Drive on a stock road, by the step of all robots (`ms_highway.loop.step`), with proposals as plans.
+
+The evidence for the choice of models is what the best proposal could gain from a better prediction of each car, see
+`ms_highway.road.settings`. So the robot proposes when it looks, before it chooses; planning is then to let others
+respond to the best proposals.
+"""
 
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from ms_highway.choice.budget import deciding_in
-from ms_highway.choice.rule import Rule, decide_on, first_memory
+from ms_highway.choice.rule import Outcome, Rule, decide_on, first_memory
 from ms_highway.loop.controller import ControlStep
-from ms_highway.loop.step import LATE, PLANNED, STATUSES, fallback_status
+from ms_highway.loop.step import (
+    LATE,
+    PLANNED,
+    STATUSES,
+    Carry,
+    Choice,
+    NewPlan,
+    Parts,
+    RemainingPlan,
+    StepResult,
+    step,
+)
 from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.manoeuvres import MAX_BRAKING
+from ms_highway.planning.plans import Plan
 from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
-from ms_highway.road.plan import RoadPlan, no_plan, propose_road, respond_road
+from ms_highway.road.plan import Proposed, RoadPlan, no_plan, propose_road, respond_road
 from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
 from ms_highway.runtime.arrays import Controls, PerHuman, Rungs
 from ms_highway.runtime.compilation import jit_quickly, timed, warm_up
@@ -24,6 +41,9 @@ from ms_highway.runtime.process import refuse_after_fork
 
 SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]), MODELS)
 """Planning time if all cars are naive, and the time that each car adds under each model, measured on one core [s]."""
+
+UNKNOWN_WORTH = np.zeros(TRAFFIC, np.float32)
+"""What a better prediction of each of the others may gain, before anything is proposed."""
 
 BRAKING_SHARE = 0.95  # share of the grip above which the deceleration of a broken plan counts as braking
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
@@ -35,6 +55,20 @@ proposed_for, responded_to, decided = jit_quickly(propose_road), jit_quickly(res
 def plan_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, models: Rungs, last: LastPlan) -> RoadPlan:
     """Return the best plan, given the number of the model of each of the others."""
     return responded_to(proposed_for(scene, planning, weights, models, last), models)
+
+
+class Look(NamedTuple):
+    """What the robot sees before it chooses models.
+
+    Attributes:
+        scene: with the mean accelerations of others since the last step.
+        models: number of the model of each of the others in the proposals.
+        proposed: the best proposals if nobody responds.
+    """
+
+    scene: RoadScene
+    models: Rungs
+    proposed: Proposed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,60 +117,120 @@ class RoadDriver:
     budget: float = np.inf
 
     def __post_init__(self) -> None:
-        self._memory = first_memory(self.rule, TRAFFIC)
-        self._last = no_plan(self.planning)
-        self._left = 0  # remaining controls of the last plan, the executed one included
-        self._speeds: dict[int, float] = {}  # of others at the last look, by number
+        self._carry: Carry | None = None  # before the first step
+        self._proposing = self._responding = self._deciding = 0.0  # seconds of the last step
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Choose the models, plan, and return the record of this step."""
         refuse_after_fork()
-        start = perf_counter()
-        scene = self._with_accelerations(scene)
-        rule, memory, gains = self.rule, self._memory, np.full((TRAFFIC, len(MODELS)), np.nan)
-        compiling = warm_up(plan_of, scene, self.planning, self.weights, np.zeros(TRAFFIC, np.int32), self._last)
-        if rule.estimates:
-            compiling += warm_up(decided, rule, memory, np.zeros(TRAFFIC, np.float32))
+        carry = self._carry or self._begin(scene)
+        nobody = np.zeros(TRAFFIC, np.int32)
+        compiling = warm_up(plan_of, scene, self.planning, self.weights, nobody, carry.fallback.warm_start)
+        if self.rule.estimates:
+            compiling += warm_up(decided, self.rule, carry.memory, UNKNOWN_WORTH)
+        self._started = perf_counter()
+        is_late = self._is_late if np.isfinite(self.budget) else None
+        self._carry, result = step(carry, scene, Parts(self._choose, self._plan, self._brake, is_late))
+        return self._record(result, compiling)
+
+    def _begin(self, scene: RoadScene) -> Carry:
+        """Return what the robot carries into its first step, as after a step in which nobody moved."""
+        last = no_plan(self.planning)
+        memory = first_memory(self.rule, TRAFFIC)
+        none = RemainingPlan(_alone(last.controls), 0, memory.rungs, last)
+        outcome = Outcome(scene, scene, last.controls[0], None, None, none.plan)
+        return Carry(memory, outcome, None, none)
+
+    def _record(self, result: StepResult, compiling: float) -> RoadStep:
+        """Return the record of a step, given what happened and the seconds of compilation."""
+        plan: RoadPlan = result.planned.details
+        look: Look = result.choice.evidence
+        controls = result.driven.plan.robot
+        finite = result.status in (PLANNED, LATE)
+        path = plan.path[: len(controls) if finite else 0]
+
+        # Where the best plan does not drive, the last one does, or braking, which a plan may also be.
+        hardest = plan.broken and plan.controls[0, 1] < -BRAKING_SHARE * self.planning.grip
+        if result.status != PLANNED:
+            source = "last plan" if result.driven.steps > 0 else "braking"
         else:
-            memory = decide_on(rule, memory, np.zeros(TRAFFIC, np.float32)).memory
-        first = models = self._models(scene, memory.rungs)
-        proposed, proposing = timed(proposed_for, scene, self.planning, self.weights, first, self._last)
-        if rule.estimates:
-            rule = deciding_in(rule, lambda: perf_counter() - start - compiling - proposing)
-            gains[:, NAIVE + 1 :] = np.asarray(proposed.worth)[:, None]
-            models = self._models(scene, np.asarray(decided(rule, memory, proposed.worth).memory.rungs))
-        plan, answering = proposed.plan, 0.0
-        if (models != first).any() or (models == TOM).any():  # the proposals have to be scored again
-            plan, answering = timed(responded_to, proposed, models)
-        plan = jax.tree.map(np.asarray, plan)
-        planning = proposing + answering
-        deciding = perf_counter() - start - compiling - planning
-        controls, status, source = self._followed(plan, deciding + planning > self.budget)
-        path = plan.path[: len(controls) if status in (PLANNED, LATE) else 0]
-        predicted = scene.present & (len(path) > 0)
-        self._memory = self._memory._replace(step=self._memory.step + 1)
+            source = "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
+
+        # Paths without a car have no prediction, and so no model.
+        predicted = look.scene.present & finite
+        models = np.array(MODELS)[self._models(look.scene, result.choice.rungs)]
+        gains = np.full((TRAFFIC, len(MODELS)), np.nan)
+        if self.rule.estimates:
+            gains[:, NAIVE + 1 :] = np.asarray(look.proposed.worth)[:, None]
+
         return RoadStep(
-            controls[0].astype(float),
-            controls,
-            plan.predictions[:, : len(path)],
-            tuple(np.where(predicted, np.array(MODELS)[models], "").tolist()),
-            planning,
-            deciding,
-            compiling,
-            MODELS,
-            gains,
-            status=STATUSES[status],
+            control=controls[0].astype(float),
+            plan=controls,
+            humans=plan.predictions[:, : len(path)],
+            models=tuple(np.where(predicted, models, "").tolist()),
+            planning_seconds=self._proposing + self._responding,
+            decision_seconds=self._deciding,
+            compile_seconds=compiling,
+            ladder=MODELS,
+            gains=gains,
+            status=STATUSES[result.status],
             path=path,
-            owners=np.asarray(scene.owners),
+            owners=np.asarray(look.scene.owners),
             source=source,
             broken=bool(plan.broken),
         )
 
-    def _with_accelerations(self, scene: RoadScene) -> RoadScene:
-        """Return the scene with the mean accelerations of others since the last look."""
-        owners, before = scene.owners.tolist(), self._speeds
-        self._speeds = speeds = dict(zip(owners, scene.states[:, 3].tolist(), strict=True))
-        changes = [speeds[owner] - before.get(owner, speeds[owner]) for owner in owners]
+    # Parts of a step
+
+    def _choose(self, carry: Carry, scene: RoadScene) -> Choice:
+        """Look at the road, propose plans, and choose a model for each car by what it could gain."""
+        scene = self._with_accelerations(carry.outcome.before, scene)
+        rule = self.rule
+        memory = carry.memory
+        decision = None
+        if not rule.estimates:
+            decision = decide_on(rule, memory, UNKNOWN_WORTH)
+
+        # Propose with the chosen models or, if they are yet to be chosen, with the first one.
+        rungs = np.zeros(TRAFFIC, np.int32) if decision is None else decision.memory.rungs
+        first = self._models(scene, rungs)
+        last = carry.fallback.warm_start.later()
+        proposed, self._proposing = timed(proposed_for, scene, self.planning, self.weights, first, last)
+
+        if decision is None:
+            rule = deciding_in(rule, lambda: perf_counter() - self._started - self._proposing)
+            decision = jax.tree.map(np.asarray, decided(rule, memory, proposed.worth))
+        self._deciding = perf_counter() - self._started - self._proposing
+        return Choice(None, decision, decision.memory.rungs, Look(scene, first, proposed))
+
+    def _plan(self, scene: RoadScene, choice: Choice, last: RemainingPlan) -> NewPlan:
+        """Return the best proposal, once others have responded where a model says so."""
+        look: Look = choice.evidence
+        models = self._models(look.scene, choice.rungs)
+        plan = look.proposed.plan
+        self._responding = 0.0
+        if (models != look.models).any() or (models == TOM).any():  # the proposals have to be scored again
+            plan, self._responding = timed(responded_to, look.proposed, models)
+        plan = jax.tree.map(np.asarray, plan)
+        return NewPlan(_alone(plan.controls), plan.last(), details=plan)
+
+    def _brake(self, left: RemainingPlan, scene: RoadScene) -> RemainingPlan:
+        """Brake straight on, by the whole grip; nothing is left for the next plan to start from."""
+        braking = np.full_like(left.plan.robot, [0.0, -self.planning.grip])
+        return left._replace(plan=_alone(braking), warm_start=no_plan(self.planning)._replace(controls=braking))
+
+    def _is_late(self) -> bool:
+        """Return whether the budget is spent."""
+        return perf_counter() - self._started > self.budget
+
+    # What others do
+
+    def _with_accelerations(self, before: RoadScene, scene: RoadScene) -> RoadScene:
+        """Return the scene with the mean accelerations of others since the scene of the last step."""
+        owners = scene.owners.tolist()
+        speeds = scene.states[:, 3].tolist()
+        last = dict(zip(before.owners.tolist(), before.states[:, 3].tolist(), strict=True))
+        changes = [speed - last.get(owner, speed) for owner, speed in zip(owners, speeds, strict=True)]
         accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
         return replace(scene, accelerations=accelerations.clip(-MAX_BRAKING, MAX_BRAKING).astype(np.float32))
 
@@ -145,16 +239,7 @@ class RoadDriver:
         numbers = np.array([MODELS.index(model.name) for model in self.rule.ladder], np.int32)
         return np.where(scene.moving, numbers[rungs], NAIVE).astype(np.int32)
 
-    def _followed(self, plan: RoadPlan, late: bool) -> tuple[Controls, int, str]:
-        """Return the controls to follow, the number of their status and their source; keep the rest for later steps."""
-        wanted, grip = plan.controls, self.planning.grip
-        if self._left > 1:
-            rest, source = self._last, "last plan"
-        else:
-            rest, source = no_plan(self.planning)._replace(controls=np.full_like(wanted, [0.0, -grip])), "braking"
-        status, self._left = fallback_status(bool(np.isfinite(wanted).all()), self._left, len(wanted))
-        self._last = plan.rest() if status == PLANNED else rest.later()
-        if status != PLANNED or late:
-            return rest.controls, LATE if status == PLANNED else status, source
-        hardest = plan.broken and wanted[0, 1] < -BRAKING_SHARE * grip
-        return wanted, status, "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
+
+def _alone(controls: Controls) -> Plan:
+    """Return a plan of the robot that expects no controls of others, whose positions are predicted instead."""
+    return Plan(controls, np.zeros((0, *np.shape(controls)), np.float32))

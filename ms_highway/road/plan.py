@@ -60,9 +60,9 @@ class RoadPlan(NamedTuple):
     side: Index
     broken: Flag
 
-    def rest(self) -> LastPlan:
-        """Return the rest of the plan a step later, for the next plan."""
-        return LastPlan(self.controls, self.path[-1, :2], self.side).later()
+    def last(self) -> LastPlan:
+        """Return what the next plan may start from, a step later."""
+        return LastPlan(self.controls, self.path[-1, :2], self.side)
 
 
 class Proposed(NamedTuple):

@@ -36,7 +36,7 @@ def game(played):
 
 def decided(rule, game, error=0.0, before=0):
     """Return the decision after plans with these rungs, with an error added to the state."""
-    memory, outcome, _ = begin(rule, game, STATE + error)
+    memory, outcome, *_ = begin(rule, game, STATE + error)
     return decide_quickly(rule, game, memory._replace(rungs=np.int32(memory.rungs + before)), outcome)
 
 

@@ -1,4 +1,4 @@
-"""Live drives agree with batches, with one human and with two: models, rules, beliefs, ways out."""
+"""The one step of all robots does the same live and in batches, whatever drives, among one human and among three."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 import pytest
-from driving import COSTS, LADDER, SCENES, Brakes, drive, simulated
+from driving import COSTS, LADDER, Brakes, drive, episodes_of, move, simulated
 from jax import numpy as jnp
 
 from ms_highway.choice.belief import RESPONDING
@@ -19,10 +19,12 @@ from ms_highway.envs.controllers import ModelOrder, Outside
 from ms_highway.envs.registry import CONTROLLERS, controller_settings
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_roles
+from ms_highway.loop.batch import batch_parts
 from ms_highway.loop.controller import FunctionDriver, always_yields, never_yields
 from ms_highway.loop.driver import Driver
-from ms_highway.loop.records import PLANS, Loop
+from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Loop
 from ms_highway.loop.step import STATUSES, begin
+from ms_highway.loop.step import step as one_step
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
@@ -113,10 +115,12 @@ def test_the_parts_of_all_controllers_are_tested():
         assert pair.estimator is None or name in estimators
 
 
-@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[1, pytest.param(3, marks=pytest.mark.slow)])
 def scene(request, played):
     """A game, and two starts; the number of humans is that of the game."""
-    games, starts = zip(*(played(SCENES[request.param], seed) for seed in range(2)), strict=True)
+    humans = request.param
+    scenario = "merger" if humans == 1 else "dense_merge"
+    games, starts = zip(*(played(scenario, seed, humans=humans) for seed in range(2)), strict=True)
     return games[0], np.array(starts)
 
 
@@ -135,10 +139,11 @@ def agree(records, episode, live, models):
 @pytest.mark.parametrize("humans", [1, 3])
 def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(played, humans):
     """Gains do not depend on the chooser either, where the same rungs are in use; the first rung gains 0."""
-    options = {} if humans == 1 else {"humans": humans}
+    scenario = "merger" if humans == 1 else "dense_merge"
     seeds = range(2 if humans == 1 else 1)
-    games, starts = zip(*(played(SCENES[min(humans, 2)], seed, **options) for seed in seeds), strict=True)
-    game, starts = games[0], np.array(starts)
+    drawn = [played(scenario, seed, humans=humans) for seed in seeds]
+    game, _ = drawn[0]
+    starts = np.array([start for _, start in drawn])
     choosers, estimators = (tuple(each.values()) for each in parts(humans))
     costs = Costs.of(COSTS.seconds, humans)
     chosen = set()
@@ -166,7 +171,7 @@ def test_gains_depend_neither_on_the_price_nor_on_the_costs(scene, name):
     humans = game.number
     start = Start(LADDER, Costs.of(COSTS.seconds, humans), "paper", humans, 5, np.random.default_rng(0))
     rule = controller_settings(name).rule(start)
-    memory, outcome, _ = begin(rule, game, starts[0])
+    memory, outcome, *_ = begin(rule, game, starts[0])
     memory = memory._replace(step=np.int32(1))
     dear = at_price(replace(rule, costs=replace(rule.costs, base=0.0, each=100 * COSTS.each)), np.float32(3.0))
     found = [decide_quickly(each, game, memory, outcome) for each in (rule, dear)]
@@ -198,9 +203,9 @@ def weaves(game, state):
 
 MODELS = (*ladder(["naive", "idm", "turn", "tom@3+warm"]), Brakes(2.0), Failing())
 NAIVE, TOM, FAILING = 0, 3, 5  # among these
-ALWAYS_TOM = [[TOM, TOM]] * 9
-MIXED = [[0, 2], [1, 0], [2, 3], [3, 3], [3, 1], [4, 0], [1, 4], [3, 2], [4, 3]]
-FAILS = [[rung, rung] for rung in (NAIVE, *[FAILING] * 6, NAIVE, FAILING)]
+ALWAYS_TOM = [[TOM] * 3] * 9
+MIXED = [[0, 2, 3], [1, 0, 0], [2, 3, 1], [3, 3, 3], [3, 1, 4], [4, 0, 2], [1, 4, 0], [3, 2, 2], [4, 3, 1]]
+FAILS = [[rung] * 3 for rung in (NAIVE, *[FAILING] * 6, NAIVE, FAILING)]
 DRIVERS = never_yields, always_yields, weaves
 EPISODES = {  # number of the start, models of the humans in each step, and what drives the humans
     "planning humans": (0, ALWAYS_TOM, None),
@@ -210,16 +215,16 @@ EPISODES = {  # number of the start, models of the humans in each step, and what
     "weaving": (1, ALWAYS_TOM, weaves),
     "many models": (0, MIXED, None),  # plans start from the rest of the last one only if a model in use says so
     "failing plans": (0, FAILS, None),
-    "no plan": (0, [[FAILING, FAILING]] * 9, None),
+    "no plan": (0, [[FAILING] * 3] * 9, None),
 }
 
 
 @pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
-def test_models_failures_beliefs_ways_out_and_drivers_of_humans_are_alike_live_and_in_batches(scene):
+def test_a_step_is_the_same_live_and_in_batches_whatever_drives_robot_and_humans(scene):
     game, starts = scene
     places, schedules, functions = zip(*EPISODES.values(), strict=True)
     schedules = np.array(schedules)[:, :, : game.number]
-    drivers = [[1 + DRIVERS.index(function) if function else PLANS] * game.number for function in functions]
+    drivers = [[1 + DRIVERS.index(function) if function else HUMAN_PLANS] * game.number for function in functions]
     loop = Loop(game, in_order(schedules[0], MODELS), way_out=True, belief=True, drivers=DRIVERS)
     with pytest.warns(UserWarning, match="human model 'failing' predicts"):
         records = simulated(loop, starts[[*places]], 9, schedules, drivers)
@@ -231,13 +236,49 @@ def test_models_failures_beliefs_ways_out_and_drivers_of_humans_are_alike_live_a
         live = drive(driver, starts[places[episode]], 9, humans)
         agree(records, episode, live, MODELS)
         driven[name] = live[1]
+    statuses = {step.status for steps in driven.values() for step in steps}
+    assert statuses == {*STATUSES} - {"late"}
     assert "way out" in [step.status for step in driven["way out"]]
     assert {step.status for step in driven["no plan"]} == {"braking"}
     failing = [step.status for step in driven["failing plans"]]
-    after = "planned" if game.number == 1 else "way out"  # as one of two humans comes close to the braking robot
-    assert failing == ["planned", *["previous plan"] * 4, "braking", "braking", after, "previous plan"]
+    assert failing == ["planned", *["previous plan"] * 4, "braking", "braking", "planned", "previous plan"]
     for name in ("planning humans", "never", "always"):
         last = driven[name][-1]
         ignored = last.belief[:, RESPONDING].sum(axis=1) < 0.3
-        assert ignored.any() == (name != "planning humans")
+        assert not ignored.all() if name == "planning humans" else ignored.any()
         assert {model for model, alone in zip(last.models, ignored, strict=True) if alone} <= {"naive"}
+
+
+@pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
+def test_a_late_plan_is_followed_a_step_later_live_and_in_jax(scene):
+    """Late are the first plan, two that follow each other, one that is not finite, and one after braking."""
+    game, (state, _) = scene
+    models = (*ladder(["naive+warm"]), Failing())
+    late = [True, False, True, True, False, True, *[False] * 5, True, False]
+    rungs = [0, 0, 0, 0, 0, 1, *[1] * 5, 0, 0]
+    order = in_order(np.repeat(np.array(rungs)[:, None], game.number, axis=1), models)
+    driver = Driver(game, order)
+    loop = Loop(game, order, chunk=1)
+    own = jax.tree.map(lambda part: part[0], episodes_of(loop, state[None]))
+
+    @partial(jax.jit, static_argnums=2)
+    def in_jax(carry, now, is_late):
+        scheduled = np.full(game.number, DECIDES)
+        return one_step(carry, now, batch_parts(loop, own, scheduled)._replace(is_late=lambda: is_late))
+
+    carry = begin(order, game, np.float32(state))
+    statuses = []
+    for is_late in late:
+        driver.budget = 0.0 if is_late else None
+        live = driver.step(state)
+        carry, result = in_jax(carry, np.float32(state), is_late)
+        steps = int(result.driven.steps) or None
+        assert STATUSES[result.status] == live.status
+        assert tuple(models[rung].name for rung in result.driven.rungs) == live.models
+        controls = result.driven.plan.robot[:steps] * game.planner.control_scale
+        np.testing.assert_allclose(controls, live.plan, atol=1e-4)
+        statuses.append(live.status)
+        keeps = np.asarray(keep_velocity(game.world, state[1 : 1 + game.number]))
+        state = move(game, state, [live.control, *keeps])
+    failed = ["previous plan"] * 4 + ["braking"] * 2
+    assert statuses == ["late", "planned", "late", "late", "planned", *failed, "late", "planned"]

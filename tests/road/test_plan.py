@@ -93,7 +93,7 @@ def test_the_robot_passes_an_obstacle_in_a_bend_on_the_shorter_side_and_returns_
         assert not plan.broken
         driven.append(scene.robot)
         states, *_ = execute(scene, UNHURRIED, plan.controls)
-        scene, last = replace(scene, robot=np.asarray(states)[0]), plan.rest()
+        scene, last = replace(scene, robot=np.asarray(states)[0]), plan.last().later()
     s, d, *_ = np.array(driven).T
     assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
     assert s[-1] > 40.0
