@@ -40,7 +40,7 @@ class Curve:
         x, y: position of the samples [m].
         heading: of the curve, unwrapped [rad].
         curvature: of the curve, positive to the right [1/m].
-        start: s of the first sample [m] (static).
+        start: s of the first sample [m] (static); in NumPy, several curves may have one each, [curves, 1].
         spacing: distance between samples [m] (static).
     """
 
@@ -48,7 +48,7 @@ class Curve:
     y: Knots
     heading: Knots
     curvature: Knots
-    start: float = field(default=-BEHIND, metadata={"static": True})
+    start: Numbers = field(default=-BEHIND, metadata={"static": True})
     spacing: float = field(default=SPACING, metadata={"static": True})
 
     @classmethod
@@ -60,7 +60,7 @@ class Curve:
         return cls(x, y, heading, np.gradient(heading, spacing), 0.0, spacing)
 
     @property
-    def end(self) -> float:
+    def end(self) -> Numbers:
         """Return s of the last sample [m]."""
         return self.start + (np.shape(self.x)[-1] - 1) * self.spacing
 
@@ -144,14 +144,14 @@ def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]
     return x * cosine + y * sine, y * cosine - x * sine
 
 
-def interpolate(values: Knots, s: Numbers, start: float = -BEHIND, spacing: float = SPACING) -> Numbers:
+def interpolate(values: Knots, s: Numbers, start: Numbers = -BEHIND, spacing: float = SPACING) -> Numbers:
     """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep the outermost beyond the ends."""
     low, share = _between(np.shape(values)[-1], s, start, spacing)
     values = namespace(values, s).asarray(values)
     return values[..., low] * (1 - share) + values[..., low + 1] * share
 
 
-def _between(samples: int, s: Numbers, start: float, spacing: float) -> tuple[Numbers, Numbers]:
+def _between(samples: int, s: Numbers, start: Numbers, spacing: float) -> tuple[Numbers, Numbers]:
     """Return the number of the sample before s, and the share of the way from it to the next one."""
     xp = namespace(s)
     position = xp.minimum(xp.maximum((s - start) / spacing, 0.0), samples - 1.0)
