@@ -55,7 +55,8 @@ class Curve:
     def through(cls, x: Knots, y: Knots, spacing: float) -> "Curve":
         """Return the curve from s = 0 through evenly spaced positions; see `resample`."""
         order: Literal[1, 2] = 2 if len(x) > 2 else 1  # two points have one slope
-        along, aside = (np.gradient(values, edge_order=order) for values in (x, y))
+        along = np.gradient(x, edge_order=order)
+        aside = np.gradient(y, edge_order=order)
         heading = np.unwrap(np.arctan2(aside, along))
         return cls(x, y, heading, np.gradient(heading, spacing), 0.0, spacing)
 
@@ -83,7 +84,9 @@ class Curve:
         position.
         """
         xp = namespace(self.x, x, y)
-        own_x, own_y = (values[:, None] if values.ndim > 1 else values for values in (self.x, self.y))
+        several = self.x.ndim > 1
+        own_x = self.x[:, None] if several else self.x
+        own_y = self.y[:, None] if several else self.y
         nearest = xp.argmin((x[..., None] - own_x) ** 2 + (y[..., None] - own_y) ** 2, axis=-1)
         s = nearest * self.spacing + self.start
         for _ in range(STEPS):
@@ -123,7 +126,10 @@ class Curve:
 
 def namespace(*arrays: Any) -> ModuleType:
     """Return ``jax.numpy`` if any of the arrays is JAX's, ``numpy`` otherwise."""
-    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
+    for array in arrays:
+        if isinstance(array, jax.Array):
+            return jnp
+    return np
 
 
 def wrapped(angle: Any) -> Any:

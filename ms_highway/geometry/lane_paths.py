@@ -100,9 +100,9 @@ def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
     before = np.floor(places / FINE).astype(int)
     share = places / FINE - before
     sides = np.stack([before, before + 1], axis=1)
-    found = [
-        curve.rows.take(own, axis=1, mode="clip") for curve, own in zip(curves, sides, strict=True)
-    ]  # for each curve, [4, 2, knots]
+    found = []
+    for curve, own in zip(curves, sides, strict=True):
+        found.append(curve.rows.take(own, axis=1, mode="clip"))  # [4, 2, knots]
     left, right = np.stack(found, axis=1).swapaxes(0, 2)  # [curves, 4, knots]
 
     # Interpolate between them.
@@ -157,8 +157,10 @@ def join_lanes(
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
 
     # Bends of the lanes themselves are to be followed, kinks at joints to be smoothed.
-    turns = [np.abs(wrapped(np.diff(headings))) for _, _, headings in parts]
-    sharpest = max(turn.max(initial=0.0) for turn in turns) / COARSE
+    sharpest = 0.0
+    for _, _, headings in parts:
+        turns = np.abs(wrapped(np.diff(headings)))
+        sharpest = max(sharpest, turns.max(initial=0.0) / COARSE)
     found = None
     for width in widths:
         smooth, moved = _smooth(raw, width)

@@ -166,11 +166,13 @@ class Chain:
 
     Attributes:
         lanes: in order.
+        indices: of the lanes in the network.
         starts: ways at which the lanes begin, and at which the last one ends.
     """
 
     def __init__(self, lanes: Lanes) -> None:
         self.lanes = lanes
+        self.indices = tuple(lane.index for lane in lanes)
         self.starts = [0.0, *accumulate(lane.length for lane in lanes)]
 
     def leg(self, way: float) -> int:
@@ -264,15 +266,13 @@ class Goal:
         needed, until = self.demand(own)
 
         # From a side where there is no lane, as from the own lane.
-        demands = {0: (needed, until)}
-        for side in (-1, 1):
+        changes = [needed + 1, needed, needed - 1]
+        for place, side in ((0, -1), (2, 1)):
             lane = own.beside(side)
-            demands[side] = self.demand(lane) if lane else (needed - side, inf)
-
-        if not needed:
-            until = min(end for _, end in demands.values())
-        room = until - (way - chain.starts[leg])
-        return [demands[side][0] for side in (-1, 0, 1)], max(room, 0.0)
+            if lane:
+                changes[place], end = self.demand(lane)
+                until = until if needed else min(until, end)
+        return changes, max(until - (way - chain.starts[leg]), 0.0)
 
 
 class RoadMap:
@@ -303,8 +303,11 @@ class RoadMap:
 
     def branches(self, spots: Sequence[tuple[Lane, float]]) -> list[list[Chain]]:
         """Return, for each place on a lane [m], the chains from there on, one for each branch."""
-        rests = [max(lane.length - place, 0.0) for lane, place in spots]
-        return [lane.branches(int(rest // TENS)) for (lane, _), rest in zip(spots, rests, strict=True)]
+        found = []
+        for lane, place in spots:
+            rest = max(lane.length - place, 0.0)
+            found.append(lane.branches(int(rest // TENS)))
+        return found
 
     def curves(self, spots: Sequence[tuple[Chain, float]]) -> list[LaneCurve]:
         """Return the curve along each chain of lanes near a way along it [m]."""

@@ -188,7 +188,7 @@ def observe_road(
         ride = Ride(chain, way, around, _pose_on(around, rear, vehicle, way))
     chain, way, around, (s, d, heading) = ride
     memory.goal = wanted
-    memory.lanes = tuple(lane.index for lane in chain.lanes)
+    memory.lanes = chain.indices
     memory.way = way
 
     route = paths_from([around.curve], np.array([s]), KNOTS)
@@ -237,7 +237,7 @@ def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> Rid
     pose = _pose_on(around, rear, vehicle, memory.way)
     way = around.curve.way(pose[0])
     leg = chain.leg(way + vehicle.LENGTH / 2)
-    near = [lane.index for lane in chain.lanes[max(leg - 1, 0) : leg + 2]]
+    near = chain.indices[max(leg - 1, 0) : leg + 2]
     index = vehicle.lane_index
     if index not in near and any(other[:2] == index[:2] for other in near):
         return None

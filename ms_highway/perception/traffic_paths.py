@@ -1,10 +1,12 @@
 """Find the paths that other vehicles may take, and the car ahead on each of them."""
 
+from collections.abc import Sequence
 from math import cos, dist, sin
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
@@ -42,6 +44,10 @@ class Way(NamedTuple):
     moves: bool
     chain: Chain | None
     place: float
+
+
+Option: TypeAlias = tuple[int, float, Chain]
+"""The rank of a branch, smoothest first, the place where it begins along its lanes [m], and its lanes."""
 
 
 def traffic_of(vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool) -> dict[str, Any]:
@@ -95,7 +101,7 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int],
             ahead = LINE - BEHIND
             knots[0, place] = x + ahead * np.cos(heading)
             knots[1, place] = y + ahead * np.sin(heading)
-            knots[2:3, place] = heading
+            knots[2, place] = heading
             knots[3, place] = 0.0
             limits[place] = max(speeds[place], MIN_SPEED)
 
@@ -140,40 +146,43 @@ def _ways(cars: list[RoadObject], numbers: dict[RoadObject, int], roads: RoadMap
     """
     # Places on the lanes that each vehicle may be following; none for those that follow no lanes.
     spots: list[tuple[Lane, float]] = []
-    spots_of: list[range] = []
+    seen: list[tuple[RoadObject, bool, range]] = []
     for car in cars:
+        drives = isinstance(car, Vehicle) and not car.crashed
         first = len(spots)
         if getattr(car, "follows_lanes", True):
             own = roads.lanes[car.lane_index]
-            for lane in _begun(car, own) if _drives(car) else [own]:
-                spots.append((lane, float(lane.shape.local_coordinates(car.position)[0])))
-        spots_of.append(range(first, len(spots)))
+            for lane in _begun(car, own) if drives else [own]:
+                place, _ = lane.shape.local_coordinates(car.position)
+                spots.append((lane, float(place)))
+        seen.append((car, drives, range(first, len(spots))))
     branches = roads.branches(spots)
 
+    # The smoothest branches of each vehicle.
     found = []
-    for car, own_spots in zip(cars, spots_of, strict=True):
+    for car, drives, own_spots in seen:
         number = numbers.setdefault(car, len(numbers))
-        drives = _drives(car)
         if not own_spots:  # such as a pedestrian
             found.append(Way(number, car, drives, None, 0.0))
             continue
-        options = [(rank, spots[spot][1], chain) for spot in own_spots for rank, chain in enumerate(branches[spot])]
-
-        # Keep those that share most with a known route, the smoothest ones first.
-        route = (intentions and getattr(car, "route", None)) or ()
-        legs = {leg[:2] for leg in route}
-        shared = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in options]
-        most = max(shared)
-        options = [option for option, count in zip(options, shared, strict=True) if count == most]
+        options: list[Option] = []
+        for spot in own_spots:
+            for rank, chain in enumerate(branches[spot]):
+                options.append((rank, spots[spot][1], chain))
+        if intentions:
+            options = _along_route(options, getattr(car, "route", None) or ())
         options.sort(key=itemgetter(0))
         for _, place, chain in options[: MAX_WAYS if drives else 1]:
             found.append(Way(number, car, drives, chain, place))
     return found
 
 
-def _drives(car: RoadObject) -> bool:
-    """Return whether this is a vehicle that can move."""
-    return isinstance(car, Vehicle) and not car.crashed
+def _along_route(options: list[Option], route: Sequence[LaneIndex]) -> list[Option]:
+    """Return the options that share most of their roads with a route."""
+    legs = {leg[:2] for leg in route}
+    shared = [sum(index[:2] in legs for index in chain.indices) for *_, chain in options]
+    most = max(shared)
+    return [option for option, count in zip(options, shared, strict=True) if count == most]
 
 
 def _begun(car: Vehicle, own: Lane) -> list[Lane]:
