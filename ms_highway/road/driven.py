@@ -202,7 +202,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         missing = ceil(frames / frames_of_plan) - len(seconds)
         counts = Counter(name for step in robot.steps for name in step.models)
         last = robot.last_step
-        gains = last.gains if last else NO_GAINS
+        gains = NO_GAINS if last is None or last.gains is None else last.gains
 
         # The action that does the same, if there is one; with several robots, one for each.
         kinds = kind.agents_action_types if isinstance(kind, MultiAgentAction) else [kind]
