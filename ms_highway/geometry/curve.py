@@ -137,12 +137,6 @@ def wrapped(angle: Any) -> Any:
     return (angle + pi) % (2 * pi) - pi
 
 
-def without_turns(angle: Any) -> Any:
-    """Return an angle without whole turns, in [-pi, pi]; unlike `wrapped`, it keeps all digits of one in that range."""
-    turns = namespace(angle).round(angle / (2 * pi))
-    return angle - 2 * pi * turns
-
-
 def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]:
     """Return the components of a vector along a heading and to the right of it."""
     xp = namespace(x, y, heading)
