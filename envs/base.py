@@ -1,7 +1,7 @@
 """Define the environment of all scenarios: a road, humans, a robot, and what drives them."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from typing import Any, ClassVar
 
 import jax
@@ -174,8 +174,13 @@ class InteractionEnv(GameEnv):
 
     def _read(self) -> None:
         super()._read()
-        self.game, self._counted = self.settings.game(self.scenario), self.settings.seconds
-        self.seconds = {} if self.settings.measures else self._counted
+        settings = self.settings
+        self.game = settings.game(self.scenario)
+        self._rungs = [model.name for model in settings.models]
+        self._measures = settings.measures
+        self._budgets = settings.controller.budget is not None
+        self._counted = settings.seconds
+        self.seconds = {} if self._measures else self._counted
 
     def _reset(self) -> None:
         """Build the road, place the cars, and give them drivers."""
@@ -247,19 +252,20 @@ class InteractionEnv(GameEnv):
 
     def measure(self) -> None:
         """Measure T(M) of the ladder with the cars where they are: the median, or the 99 % quantile for budgets."""
-        settings, models = self.settings, self.settings.models
-        quantile = 0.5 if settings.controller.budget is None else 0.99
-        costs = measure_costs(self.game, models, self.car_states, quantile=quantile, way_out=settings.way_out)
+        settings = self.settings
+        quantile = 0.99 if self._budgets else 0.5
+        costs = measure_costs(self.game, settings.models, self.car_states, quantile=quantile, way_out=settings.way_out)
         seconds = (costs.base + np.asarray(costs.each)).tolist()
-        self.seconds = dict(zip((model.name for model in models), seconds, strict=True))
+        self.seconds = dict(zip(self._rungs, seconds, strict=True))
         self._counted = self._counted or self.seconds
 
     def counted_seconds(self, names: Sequence[str]) -> float | None:
         """Return T of a plan that predicts the humans by these models [s]; None where it is not known."""
         if not self._counted.keys() >= {*names}:
             return None
-        base = self._counted[self.settings.models[0].name] if len(names) > 1 else 0.0
-        return float(base + sum(self._counted[name] - base for name in names))
+        base = self._counted[self._rungs[0]] if len(names) > 1 else 0.0
+        added = [self._counted[name] - base for name in names]
+        return float(base + sum(added))
 
     @property
     def robot(self) -> RobotVehicle:
@@ -296,7 +302,9 @@ class InteractionEnv(GameEnv):
 
     def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step, see ``notebooks/REFERENCE.md``; keys, types and shapes are the same after a reset."""
-        info, settings, streams = super()._info(obs, action), self.settings, bool(self.scenario.streams)
+        info = super()._info(obs, action)
+        settings = self.settings
+        streams = bool(self.scenario.streams)
         info["human_status"] = tuple(map(_status, self.humans))
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
@@ -308,23 +316,28 @@ class InteractionEnv(GameEnv):
         step = self.robot.last_step
         controller = settings.controller
         asked = isinstance(self.action_type, HumanModelAction)
-        info |= {name: getattr(step, name, value) for name, value in UNTIL_FIRST.items()}
-        info["models"] = step.models if step else ("",) * settings.humans
-        info["timing"] = Timing(*(float(getattr(step, each.name, 0.0)) for each in fields(Timing)))
+        if step:
+            info |= {"model": step.model, "status": step.status, "choice_failed": step.choice_failed}
+            info["models"] = step.models
+            times = step.planning_seconds, step.decision_seconds, step.compile_seconds
+        else:
+            info |= UNTIL_FIRST
+            info["models"] = ("",) * settings.humans
+            times = 0.0, 0.0, 0.0
+        info["timing"] = Timing(*map(float, times))
         if controller.predicts:
             info["counted_seconds"] = self.counted_seconds(step.thought) if step else 0.0
         if controller.belief:
             info["belief"] = read_only(step.belief if step else first_belief(settings.humans))
 
         # Estimates of the rule, and whether measured times had a say.
-        rungs = [model.name for model in settings.models]
         chooses = controller.chooses and not asked
         estimated = step.highest_gains() if step else {}
-        info["gains"] = dict.fromkeys(rungs, NOT_ESTIMATED) | estimated if chooses else {}
-        clocked = settings.measures and (asked or controller.chooses)
-        info["clocked"] = clocked or (not asked and controller.budget is not None)
+        info["gains"] = dict.fromkeys(self._rungs, NOT_ESTIMATED) | estimated if chooses else {}
+        clocked = self._measures and (asked or controller.chooses)
+        info["clocked"] = clocked or (not asked and self._budgets)
         if streams:
-            info |= {f"humans_{name}": info["models"].count(name) for name in rungs[1:]}
+            info |= {f"humans_{name}": info["models"].count(name) for name in self._rungs[1:]}
         return info
 
 
