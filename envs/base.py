@@ -1,6 +1,6 @@
 """Define the environment of all scenarios: a road, humans, a robot, and what drives them."""
 
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from typing import Any, ClassVar
 
 import jax
@@ -179,9 +179,13 @@ class InteractionEnv(GameEnv):
 
     def _read(self) -> None:
         super()._read()
-        self.game = self.settings.game(self.scenario)
-        self.counted = self.settings.counted
-        self.costs = UNKNOWN if self.settings.measures else self.counted
+        settings = self.settings
+        self.game = settings.game(self.scenario)
+        self.counted = settings.counted
+        self.costs = UNKNOWN if settings.measures else self.counted
+        self._rungs = [model.name for model in settings.models]
+        self._measures = settings.measures
+        self._budgets = settings.controller.budget is not None
 
     def _reset(self) -> None:
         """Build the road, place the cars, and give them drivers."""
@@ -262,7 +266,7 @@ class InteractionEnv(GameEnv):
     def measure(self) -> None:
         """Measure T(M) of the ladder with the cars where they are: the median, or the 99 % quantile for budgets."""
         settings = self.settings
-        quantile = 0.5 if settings.controller.budget is None else 0.99
+        quantile = 0.99 if self._budgets else 0.5
         self.costs = measure_costs(self.game, settings.models, self.car_states, quantile, settings.way_out)
         if settings.costs == "measured":
             self.counted = self.costs
@@ -308,7 +312,9 @@ class InteractionEnv(GameEnv):
 
     def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step, see ``notebooks/REFERENCE.md``; keys, types and shapes are the same after a reset."""
-        info, settings, streams = super()._info(obs, action), self.settings, bool(self.scenario.streams)
+        info = super()._info(obs, action)
+        settings = self.settings
+        streams = bool(self.scenario.streams)
         info["human_status"] = tuple(map(_status, self.humans))
         if streams:
             info["distance_to_cones"] = self.distance_to_cones
@@ -320,23 +326,28 @@ class InteractionEnv(GameEnv):
         step = self.robot.last_step
         controller = settings.controller
         asked = isinstance(self.action_type, HumanModelAction)
-        info |= {name: getattr(step, name, value) for name, value in UNTIL_FIRST.items()}
-        info["models"] = step.models if step else ("",) * settings.humans
-        info["timing"] = Timing(*(float(getattr(step, each.name, 0.0)) for each in fields(Timing)))
+        if step:
+            info |= {"model": step.model, "status": step.status, "choice_failed": step.choice_failed}
+            info["models"] = step.models
+            times = step.planning_seconds, step.decision_seconds, step.compile_seconds
+        else:
+            info |= UNTIL_FIRST
+            info["models"] = ("",) * settings.humans
+            times = 0.0, 0.0, 0.0
+        info["timing"] = Timing(*map(float, times))
         if controller.predicts:
             info["counted_seconds"] = self.counted.of_models(step.counted_models) if step else 0.0
         if controller.belief:
             info["belief"] = read_only(step.belief if step else first_belief(settings.humans))
 
         # Estimates of the rule, and whether measured times had a say.
-        rungs = [model.name for model in settings.models]
         chooses = controller.chooses and not asked
         estimated = step.highest_gains() if step else {}
-        info["gains"] = dict.fromkeys(rungs, NOT_ESTIMATED) | estimated if chooses else {}
-        clocked = settings.measures and (asked or controller.chooses)
-        info["clocked"] = clocked or (not asked and controller.budget is not None)
+        info["gains"] = dict.fromkeys(self._rungs, NOT_ESTIMATED) | estimated if chooses else {}
+        clocked = self._measures and (asked or controller.chooses)
+        info["clocked"] = clocked or (not asked and self._budgets)
         if streams:
-            info |= {f"humans_{name}": info["models"].count(name) for name in rungs[1:]}
+            info |= {f"humans_{name}": info["models"].count(name) for name in self._rungs[1:]}
         return info
 
 

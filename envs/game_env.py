@@ -78,7 +78,10 @@ class GameEnv(ConfiguredEnv):
         """Put cars on the road; actions drive the first one."""
         for car in cars:
             car.solid = False  # a collision is noticed, but has no effect
-        self.road.vehicles, self.controlled_vehicles, self.collision = cars, cars[:1], False
+        self.road.vehicles = cars
+        self.controlled_vehicles = cars[:1]
+        self.collision = False
+        self._bodies_collide = self.game.scene.bodies_collide
         self._terms = dict.fromkeys(self.game.robot.names, 0.0)
 
     @property
@@ -98,9 +101,10 @@ class GameEnv(ConfiguredEnv):
             car.hit = False
         super()._simulate(action)
         robot = self.game.robot
-        phi = np.asarray(compiled_features(self.game.scene, robot, self.car_states.astype(np.float32)))
+        states = self.car_states
+        phi = np.asarray(compiled_features(self.game.scene, robot, states.astype(np.float32)))
         if robot.own and not np.isfinite(phi).all():
-            check_own_features(self.game.scene, robot, 0, self.car_states, gradients=False)
+            check_own_features(self.game.scene, robot, 0, states, gradients=False)
         self._terms = dict(zip(robot.names, (phi * np.asarray(robot.weights)).tolist(), strict=True))
         self.collision = bool(phi[robot.names.index("collision")])
 
@@ -119,23 +123,21 @@ class GameEnv(ConfiguredEnv):
     def _info(self, obs: Any, action: Any = None) -> Config:
         """Describe the last step; after a reset, the reward and its terms are 0."""
         # The paper's indicator misses overlaps of bodies that highway-env notices.
-        crashed = self.collision if self.game.scene.bodies_collide else bool(self.vehicle.hit)
-        given = action if self.steps else None  # highway-env draws one for a reset
+        crashed = self.collision if self._bodies_collide else bool(self.vehicle.hit)
+
+        # The action with the type of those in the action space; NaN or -1 where none is given. highway-env draws one
+        # for a reset.
+        given = action if self.steps else None
+        space = self.action_space
+        if not isinstance(space, spaces.Tuple):
+            missing = np.nan if isinstance(space, spaces.Box) else -1
+            given = np.asarray(np.full(space.shape, missing) if given is None else given, space.dtype)[()]
         return {
             "speed": float(self.vehicle.speed),
             "collision_effect": "reward only",
             "collision": self.collision,
             "crashed": crashed,
             "control": {name: float(value) for name, value in self.vehicle.action.items()},
-            "action": self._as_in_space(given),
+            "action": given,
             "rewards": self._rewards(action),
         }
-
-    def _as_in_space(self, action: Any) -> Any:
-        """Return an action with the type of those in the action space; NaN or -1 where none is given."""
-        space = self.action_space
-        if isinstance(space, spaces.Tuple):
-            return action
-        missing = np.nan if isinstance(space, spaces.Box) else -1
-        given = np.full(space.shape, missing) if action is None else action
-        return np.asarray(given, space.dtype)[()]

@@ -12,9 +12,8 @@ from highway_env.envs.common.graphics import EnvViewer
 from highway_env.envs.common.observation import GrayscaleObservation
 from highway_env.road.graphics import WorldSurface
 
-from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.dynamics import keep_velocity, without_turns
 from ms_highway.game.game import Game
-from ms_highway.geometry.curve import without_turns
 from ms_highway.planning.ladders import MODELS, human_model, is_model
 from ms_highway.runtime.arrays import Control, State
 

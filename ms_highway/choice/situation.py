@@ -6,11 +6,11 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
+from ms_highway.game.dynamics import without_turns
 from ms_highway.game.features import features
 from ms_highway.game.game import Game, others_of, pair
 from ms_highway.game.reward import PAPER_FEATURES, Reward
 from ms_highway.game.scene import headways, neighbours
-from ms_highway.geometry.curve import without_turns
 from ms_highway.runtime.arrays import Array, Index, Rungs, State
 
 LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, during which all cars keep their velocity

@@ -12,6 +12,7 @@ vehicles (float64, NumPy) and planners (float32, JAX) share the equations.
 """
 
 from dataclasses import dataclass, field
+from math import pi
 from typing import Literal, NamedTuple
 
 import jax
@@ -19,7 +20,6 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.geometry.curve import without_turns
 from ms_highway.runtime.arrays import Array, SameArray, Scalar
 
 
@@ -63,8 +63,17 @@ def observe(states: Float[Array, "*shape 4"]) -> Motion:
     return Motion(x, y, jnp.cos(heading), jnp.sin(heading), speed)
 
 
+def without_turns(angle: Float[SameArray, "*shape"]) -> Float[SameArray, "*shape"]:
+    """Return an angle without whole turns, in [-pi, pi].
+
+    Unlike `ms_highway.geometry.curve.wrapped`, it keeps all digits of an angle in that range.
+    """
+    turns = (angle / (2 * pi)).round()
+    return angle - 2 * pi * turns
+
+
 def facing(states: Float[np.ndarray, "*shape 4"]) -> Float[np.ndarray, "*shape 4"]:
-    """Return states whose headings have no whole turns, see `ms_highway.geometry.curve.without_turns`.
+    """Return states whose headings have no whole turns, see `without_turns`.
 
     A car that has turned once faces as before. Single precision would lose digits of its heading.
     """

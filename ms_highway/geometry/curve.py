@@ -40,7 +40,7 @@ class Curve:
         x, y: position of the samples [m].
         heading: of the curve, unwrapped [rad].
         curvature: of the curve, positive to the right [1/m].
-        start: s of the first sample [m] (static).
+        start: s of the first sample [m] (static); in NumPy, several curves may have one each, [curves, 1].
         spacing: distance between samples [m] (static).
     """
 
@@ -48,19 +48,20 @@ class Curve:
     y: Knots
     heading: Knots
     curvature: Knots
-    start: float = field(default=-BEHIND, metadata={"static": True})
+    start: Numbers = field(default=-BEHIND, metadata={"static": True})
     spacing: float = field(default=SPACING, metadata={"static": True})
 
     @classmethod
     def through(cls, x: Knots, y: Knots, spacing: float) -> "Curve":
         """Return the curve from s = 0 through evenly spaced positions; see `resample`."""
         order: Literal[1, 2] = 2 if len(x) > 2 else 1  # two points have one slope
-        along, aside = (np.gradient(values, edge_order=order) for values in (x, y))
+        along = np.gradient(x, edge_order=order)
+        aside = np.gradient(y, edge_order=order)
         heading = np.unwrap(np.arctan2(aside, along))
         return cls(x, y, heading, np.gradient(heading, spacing), 0.0, spacing)
 
     @property
-    def end(self) -> float:
+    def end(self) -> Numbers:
         """Return s of the last sample [m]."""
         return self.start + (np.shape(self.x)[-1] - 1) * self.spacing
 
@@ -83,7 +84,9 @@ class Curve:
         position.
         """
         xp = namespace(self.x, x, y)
-        own_x, own_y = (values[:, None] if values.ndim > 1 else values for values in (self.x, self.y))
+        several = self.x.ndim > 1
+        own_x = self.x[:, None] if several else self.x
+        own_y = self.y[:, None] if several else self.y
         nearest = xp.argmin((x[..., None] - own_x) ** 2 + (y[..., None] - own_y) ** 2, axis=-1)
         s = nearest * self.spacing + self.start
         for _ in range(STEPS):
@@ -123,18 +126,15 @@ class Curve:
 
 def namespace(*arrays: Any) -> ModuleType:
     """Return ``jax.numpy`` if any of the arrays is JAX's, ``numpy`` otherwise."""
-    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
+    for array in arrays:
+        if isinstance(array, jax.Array):
+            return jnp
+    return np
 
 
 def wrapped(angle: Any) -> Any:
     """Return an angle in [-pi, pi)."""
     return (angle + pi) % (2 * pi) - pi
-
-
-def without_turns(angle: Any) -> Any:
-    """Return an angle without whole turns, in [-pi, pi]; unlike `wrapped`, it keeps all digits of one in that range."""
-    turns = namespace(angle).round(angle / (2 * pi))
-    return angle - 2 * pi * turns
 
 
 def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]:
@@ -144,14 +144,14 @@ def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]
     return x * cosine + y * sine, y * cosine - x * sine
 
 
-def interpolate(values: Knots, s: Numbers, start: float = -BEHIND, spacing: float = SPACING) -> Numbers:
+def interpolate(values: Knots, s: Numbers, start: Numbers = -BEHIND, spacing: float = SPACING) -> Numbers:
     """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep the outermost beyond the ends."""
     low, share = _between(np.shape(values)[-1], s, start, spacing)
     values = namespace(values, s).asarray(values)
     return values[..., low] * (1 - share) + values[..., low + 1] * share
 
 
-def _between(samples: int, s: Numbers, start: float, spacing: float) -> tuple[Numbers, Numbers]:
+def _between(samples: int, s: Numbers, start: Numbers, spacing: float) -> tuple[Numbers, Numbers]:
     """Return the number of the sample before s, and the share of the way from it to the next one."""
     xp = namespace(s)
     position = xp.minimum(xp.maximum((s - start) / spacing, 0.0), samples - 1.0)

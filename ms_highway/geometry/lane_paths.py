@@ -5,6 +5,7 @@ Lanes may have gaps and jumps of curvature where one continues the other; curves
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from highway_env.road.lane import AbstractLane
@@ -42,31 +43,74 @@ class LaneCurve:
     curve: Curve
     ways: Row
 
-    def path(self, s: float, knots: int) -> Curve:
-        """Return the curve with s = 0 at a distance from this one's beginning [m]; its heading there is wrapped."""
+    @cached_property
+    def rows(self) -> Rows:
+        """x, y, heading and curvature of the samples, [4, samples]."""
         own = self.curve
-        places = s - BEHIND + SPACING * np.arange(knots)
-        x, y, heading, curvature = own.interpolate(np.stack([own.x, own.y, own.heading, own.curvature]), places)
-        here = heading[int(BEHIND / SPACING)]
-        return Curve(*np.stack([x, y, heading + wrapped(here) - here, curvature]).astype(np.float32))
-
-    def project(self, position: Point, heading: float, way: float) -> tuple[float, float, float]:
-        """Return s, d and the heading of a car relative to the curve.
-
-        Args:
-            position: of the car [m].
-            heading: of the car [rad].
-            way: approximate way of the car [m], since lanes may cross themselves.
-        """
-        low = min(int(np.searchsorted(self.ways, way - NEAR)), self.ways.size - 2)
-        high = max(int(np.searchsorted(self.ways, way + NEAR)), low + 2)
-        x, y = position
-        s, d, turned = self.curve.part(low, high).project(x, y, heading)
-        return float(s), float(d), float(turned)
+        return np.stack([own.x, own.y, own.heading, own.curvature])
 
     def way(self, s: float) -> float:
         """Return the way at a distance from the curve's beginning [m]."""
-        return float(self.curve.interpolate(self.ways, s))
+        return float(np.interp(s, FINE * np.arange(self.ways.size), self.ways))
+
+
+def project_cars(
+    curves: Sequence[LaneCurve],
+    positions: Points,
+    headings: Row,
+    ways: Row,
+) -> tuple[Row, Row, Row]:
+    """Return s, d and the relative heading of cars, each on its own curve.
+
+    Args:
+        curves: one for each car.
+        positions: of the cars [m].
+        headings: of the cars [rad].
+        ways: approximate ways of the cars [m], since lanes may cross themselves.
+    """
+    # The part of each curve near its car, all parts of the same length.
+    number = int(2 * NEAR / FINE) + 1
+    first = np.zeros(len(curves), dtype=int)
+    parts = np.zeros((4, len(curves), number))
+    for place, (curve, way) in enumerate(zip(curves, ways, strict=True)):
+        low = int(np.searchsorted(curve.ways, way - NEAR))
+        first[place] = min(low, curve.ways.size - number)
+        parts[:, place] = curve.rows[:, first[place] : first[place] + number]
+
+    # Project each car on its own part.
+    x, y = positions.T[:, :, None]
+    own_x, own_y, along, bend = parts
+    near = Curve(own_x, own_y, along, bend, FINE * first[:, None], FINE)
+    s, d, turned = near.project(x, y, headings[:, None])
+    return s[:, 0], d[:, 0], turned[:, 0]
+
+
+def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
+    """Return curves with s = 0 at the given s, arrays [curves, knots] of single precision.
+
+    Their headings at s = 0 are wrapped. Beyond the ends of a curve, its outermost sample is repeated.
+
+    Args:
+        curves: along lanes.
+        s: distance from the beginning of each curve [m].
+        knots: number of samples of each path, every `SPACING` metres from `BEHIND` metres behind on.
+    """
+    # The samples of the curves before and after each knot, and the share of the way between them.
+    places = s[:, None] - BEHIND + SPACING * np.arange(knots)
+    before = np.floor(places / FINE).astype(int)
+    share = places / FINE - before
+    sides = np.stack([before, before + 1], axis=1)
+    found = []
+    for curve, own in zip(curves, sides, strict=True):
+        found.append(curve.rows.take(own, axis=1, mode="clip"))  # [4, 2, knots]
+    left, right = np.stack(found, axis=1).swapaxes(0, 2)  # [curves, 4, knots]
+
+    # Interpolate between them.
+    share = share[:, None]
+    x, y, heading, curvature = (left * (1 - share) + right * share).swapaxes(0, 1)
+    here = heading[:, int(BEHIND / SPACING), None]
+    heading = heading + wrapped(here) - here
+    return Curve(*np.stack([x, y, heading, curvature]).astype(np.float32))
 
 
 def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
@@ -113,8 +157,10 @@ def join_lanes(
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
 
     # Bends of the lanes themselves are to be followed, kinks at joints to be smoothed.
-    turns = [np.abs(wrapped(np.diff(headings))) for _, _, headings in parts]
-    sharpest = max(turn.max(initial=0.0) for turn in turns) / COARSE
+    sharpest = 0.0
+    for _, _, headings in parts:
+        turns = np.abs(wrapped(np.diff(headings)))
+        sharpest = max(sharpest, turns.max(initial=0.0) / COARSE)
     found = None
     for width in widths:
         smooth, moved = _smooth(raw, width)

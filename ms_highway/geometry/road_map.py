@@ -1,7 +1,7 @@
 """Map a highway-env network: which lanes continue each other, and how to reach a goal. Results are cached."""
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, wraps
 from itertools import accumulate, islice
 from math import cos, inf, sin
@@ -42,6 +42,10 @@ SHARPEST_TURN = 2.0  # rad, at a joint
 TURN = 5.0  # lateral gap that counts like a turn of 1 rad at a joint [m]
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
 MAX_ROADS = 50  # that a goal looks ahead
+CROOKED = 0.8  # widths of a lane: others take joints that the robot does not, such as exits from inner lanes
+BRANCHING_DISTANCE = 60.0  # m ahead within which paths of others may branch
+PATH_LENGTH = 140.0  # m, of paths of others
+TENS = 10.0  # m, resolution of the rest of a lane
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -115,6 +119,20 @@ class Lane:
         before = self.preceding
         return (*before.behind(length - before.length), before) if before and length > 0 else ()
 
+    @kept
+    def branches(self, tens: int) -> "list[Chain]":
+        """Return the chains from some tens of metres before the lane's end on, one for each branch."""
+        found: list[Chain] = []
+        open_ends: list[tuple[Lanes, float]] = [((self,), TENS * tens)]
+        for lanes, covered in open_ends:
+            nexts = lanes[-1].following(CROOKED) if covered < PATH_LENGTH else ()
+            onward = nexts if covered < BRANCHING_DISTANCE else nexts[:1]
+            for following in onward:
+                open_ends.append(((*lanes, following), covered + following.length))
+            if not nexts:
+                found.append(self.roads.chain(lanes))
+        return found
+
 
 Lanes: TypeAlias = tuple[Lane, ...]
 
@@ -148,11 +166,13 @@ class Chain:
 
     Attributes:
         lanes: in order.
+        indices: of the lanes in the network.
         starts: ways at which the lanes begin, and at which the last one ends.
     """
 
     def __init__(self, lanes: Lanes) -> None:
         self.lanes = lanes
+        self.indices = tuple(lane.index for lane in lanes)
         self.starts = [0.0, *accumulate(lane.length for lane in lanes)]
 
     def leg(self, way: float) -> int:
@@ -232,6 +252,28 @@ class Goal:
                 break
         return 0, inf
 
+    def changes(self, chain: Chain, way: float) -> tuple[list[int], float]:
+        """Return the lane changes to the right that the goal asks for from three lanes, and the room for them.
+
+        The lanes are those to the left, of the chain itself, and to the right.
+
+        Args:
+            chain: lanes that a car follows.
+            way: position of the car along them [m].
+        """
+        leg = chain.leg(way)
+        own = chain.lanes[leg]
+        needed, until = self.demand(own)
+
+        # From a side where there is no lane, as from the own lane.
+        changes = [needed + 1, needed, needed - 1]
+        for place, side in ((0, -1), (2, 1)):
+            lane = own.beside(side)
+            if lane:
+                changes[place], end = self.demand(lane)
+                until = until if needed else min(until, end)
+        return changes, max(until - (way - chain.starts[leg]), 0.0)
+
 
 class RoadMap:
     """The lanes of a network.
@@ -258,6 +300,18 @@ class RoadMap:
     def goal(self, destination: Destination) -> Goal:
         """Return the goal of a destination."""
         return Goal(self, destination)
+
+    def branches(self, spots: Sequence[tuple[Lane, float]]) -> list[list[Chain]]:
+        """Return, for each place on a lane [m], the chains from there on, one for each branch."""
+        found = []
+        for lane, place in spots:
+            rest = max(lane.length - place, 0.0)
+            found.append(lane.branches(int(rest // TENS)))
+        return found
+
+    def curves(self, spots: Sequence[tuple[Chain, float]]) -> list[LaneCurve]:
+        """Return the curve along each chain of lanes near a way along it [m]."""
+        return [chain.curve(way // BLOCK) for chain, way in spots]
 
 
 _maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # copies of a network get maps of their own

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.game.dynamics import without_turns
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.learned_reward import LearnedReward, shipped_drivers
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.geometry.curve import without_turns
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import predict_with
 from ms_highway.irl.snapshots import Snapshots

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import inf
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.road.road import LaneIndex
@@ -12,7 +12,7 @@ from highway_env.vehicle.objects import RoadObject
 from jaxtyping import Bool
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Rows
-from ms_highway.geometry.lane_paths import COARSE, FINE, LaneCurve, Point, Row, samples
+from ms_highway.geometry.lane_paths import COARSE, FINE, LaneCurve, Point, Row, paths_from, project_cars, samples
 from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, kept, road_map
 from ms_highway.perception.scene import KNOTS, LANES, RoadScene
 from ms_highway.perception.traffic_paths import traffic_of
@@ -172,19 +172,29 @@ def observe_road(
         intentions: whether the ``route`` of each of the others is known, as from indicators.
     """
     roads = road_map(vehicle.road.network)
+    memory = vars(vehicle).setdefault("road_memory", Memory())
     followed = tuple((start, end) for start, end, _ in getattr(vehicle, "route", None) or ())
     wanted = destination or followed or None
-    goal, memory = roads.goal(wanted), vars(vehicle).setdefault("road_memory", Memory())
+    goal = roads.goal(wanted)
     rear = vehicle.position - vehicle.LENGTH / 2 * vehicle.direction
-    ride = _continued(vehicle, rear, goal, memory) if memory.lanes and memory.goal == wanted else None
-    chain, way = ride or _begun(vehicle, rear, goal)
-    memory.goal, memory.lanes, memory.way = wanted, tuple(lane.index for lane in chain.lanes), way
-    around = corridor(chain, goal, way // BLOCK)
-    s, d, heading = around.curve.project(rear, vehicle.heading, way)
-    route = around.curve.path(s, KNOTS)
-    changes, room = _changes(chain, goal, way + vehicle.LENGTH / 2)
+
+    # The lanes to follow, and the robot's place on the curve along them.
+    ride = None
+    if memory.lanes and memory.goal == wanted:
+        ride = _continued(vehicle, rear, goal, memory)
+    if ride is None:
+        chain, way = _begun(vehicle, rear, goal)
+        around = corridor(chain, goal, way // BLOCK)
+        ride = Ride(chain, way, around, _pose_on(around, rear, vehicle, way))
+    chain, way, around, (s, d, heading) = ride
+    memory.goal = wanted
+    memory.lanes = chain.indices
+    memory.way = way
+
+    route = paths_from([around.curve], np.array([s]), KNOTS)
+    changes, room = goal.changes(chain, way + vehicle.LENGTH / 2)
     return RoadScene(
-        route=route,
+        route=Curve(route.x[0], route.y[0], route.heading[0], route.curvature[0]),
         changes=np.array(changes, np.float32),
         room=np.array(room, np.float32),
         robot=np.array([0.0, d, heading, vehicle.speed], np.float32),
@@ -195,21 +205,53 @@ def observe_road(
     )
 
 
-def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> tuple[Chain, float] | None:
-    """Return the lanes to follow and the present way along them; None if the robot has changed lanes."""
+class Ride(NamedTuple):
+    """The lanes that the robot follows, and where it is on them.
+
+    Attributes:
+        chain: lanes to follow.
+        way: position of the rear axle along them [m].
+        around: the road around them.
+        pose: s, d and relative heading on the curve of ``around``.
+    """
+
+    chain: Chain
+    way: float
+    around: Corridor
+    pose: tuple[float, float, float]
+
+
+def _pose_on(around: Corridor, rear: Point, vehicle: Vehicle, way: float) -> tuple[float, float, float]:
+    """Return s, d and the relative heading of the rear axle on the curve of a route."""
+    own = rear[None], np.array([vehicle.heading], dtype=float), np.array([way])
+    (s,), (d,), (turned,) = project_cars([around.curve], *own)
+    return float(s), float(d), float(turned)
+
+
+def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> Ride | None:
+    """Return the lanes to follow and the place on them; None if the robot has changed lanes."""
+    # Where the robot is on the lanes that it has followed so far.
     chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
-    curve = corridor(chain, goal, memory.way // BLOCK).curve
-    s, _, _ = curve.project(rear, vehicle.heading, memory.way)
-    way = curve.way(s)
+    block = memory.way // BLOCK
+    around = corridor(chain, goal, block)
+    pose = _pose_on(around, rear, vehicle, memory.way)
+    way = around.curve.way(pose[0])
     leg = chain.leg(way + vehicle.LENGTH / 2)
-    near, index = [lane.index for lane in chain.lanes[max(leg - 1, 0) : leg + 2]], vehicle.lane_index
+    near = chain.indices[max(leg - 1, 0) : leg + 2]
+    index = vehicle.lane_index
     if index not in near and any(other[:2] == index[:2] for other in near):
         return None
-    if chain.starts[-1] - way > NEEDED:
-        return chain, way
-    first = chain.leg(way - KEPT_BEHIND)
-    lanes = chain.lanes[first:leg] + goal.ahead(chain.lanes[leg], PLANNED + way - chain.starts[leg])
-    return goal.roads.chain(lanes), way - chain.starts[first]
+
+    # Extend the lanes before they end.
+    if chain.starts[-1] - way <= NEEDED:
+        first = chain.leg(way - KEPT_BEHIND)
+        onward = goal.ahead(chain.lanes[leg], PLANNED + way - chain.starts[leg])
+        way -= chain.starts[first]
+        chain = goal.roads.chain(chain.lanes[first:leg] + onward)
+    elif way // BLOCK == block:
+        return Ride(chain, way, around, pose)
+    around = corridor(chain, goal, way // BLOCK)
+    return Ride(chain, way, around, _pose_on(around, rear, vehicle, way))
 
 
 def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
@@ -219,20 +261,3 @@ def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
     behind = lane.behind(KEPT_BEHIND - place)
     chain = goal.roads.chain(behind + goal.ahead(lane, PLANNED + place))
     return chain, chain.starts[len(behind)] + place
-
-
-def _changes(chain: Chain, goal: Goal, way: float) -> tuple[list[int], float]:
-    """Return the lane changes to the right that the goal asks for from three lanes (left, own, right), and their room.
-
-    Args:
-        chain: lanes of the robot.
-        goal: of the robot.
-        way: position of the robot along its lanes [m].
-    """
-    leg = chain.leg(way)
-    own, place = chain.lanes[leg], way - chain.starts[leg]
-    needed, room = goal.demand(own)
-    beside = [(own.beside(step), step) for step in (-1, 0, 1)]
-    demands = [goal.demand(lane) if lane else (needed - step, inf) for lane, step in beside]
-    room = room if needed else min(until for _, until in demands)
-    return [changes for changes, _ in demands], max(room - place, 0.0)

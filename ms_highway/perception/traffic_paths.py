@@ -1,65 +1,53 @@
 """Find the paths that other vehicles may take, and the car ahead on each of them."""
 
-from math import dist, sin
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from math import cos, dist, sin
+from operator import itemgetter
+from typing import Any, NamedTuple, TypeAlias
 
-import jax
 import numpy as np
+from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.geometry.curve import BEHIND, SPACING, Curve, wrapped
-from ms_highway.geometry.lane_paths import Points, Row
-from ms_highway.geometry.road_map import BLOCK, LIMIT, Chain, Lane, Lanes, RoadMap, kept
+from ms_highway.geometry.curve import BEHIND, SPACING, Curve
+from ms_highway.geometry.lane_paths import Points, Row, paths_from, project_cars
+from ms_highway.geometry.road_map import LIMIT, Chain, Lane, RoadMap
 from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 
 AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, range of sight: ahead, for oncoming vehicles, and behind
 MAX_VEHICLES, MAX_WAYS = 16, 3
-BRANCHING_DISTANCE = 60.0  # m ahead within which paths may branch
 ONCOMING_COSINE = -0.7  # cosine of the angle between headings below which a vehicle is oncoming
-PATH_LENGTH = 140.0  # m
-TENS = 10.0  # m, resolution of the rest of a lane
-CROOKED = 0.8  # widths of a lane: others take joints that the robot does not, such as exits from inner lanes
-ON_LANE, ALONG = 1.0, 0.3  # m and rad, offsets up to which a vehicle may follow a lane that begins where its own does
+ON_LANE = 1.0  # m beside a lane that begins where the vehicle's own does, up to which it may follow that lane
+ALONG_COSINE = cos(0.3)  # cosine of the angle to such a lane, above which the vehicle may follow it
 IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m, lateral and longitudinal distance up to which a vehicle leads another
 MIN_SPEED = 0.1  # m/s, lowest speed limit of pedestrians
 FAR = -1e4  # m, coordinates of unused paths
+UNUSED_SIZE = (5.0, 2.0)  # m, length and width of what has no path
 LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
 
 
 class Way(NamedTuple):
-    """A path that a vehicle may take.
+    """A path that a vehicle or an obstacle may take.
 
     Attributes:
-        owner: number of the vehicle or obstacle, -1 without one.
-        position: of its centre [m].
-        size: length and width [m].
+        owner: number of the vehicle or obstacle.
+        car: vehicle or obstacle.
         moves: whether it can move.
-        path: along its lanes.
-        state: on the path.
-        limit: speed limit [m/s].
+        chain: lanes that it follows; None for one that goes straight on, such as a pedestrian.
+        place: its way along these lanes [m].
     """
 
     owner: int
-    position: Any
-    size: tuple[float, float]
+    car: Any
     moves: bool
-    path: Curve
-    state: Any
-    limit: float
+    chain: Chain | None
+    place: float
 
 
-NO_WAY = Way(
-    -1,
-    (FAR, FAR),
-    (5.0, 2.0),
-    False,
-    Curve(LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE),
-    (0.0, 0.0, 0.0, 0.0),
-    LIMIT,
-)
-"""An unused path."""
+Option: TypeAlias = tuple[int, float, Chain]
+"""The rank of a branch, smoothest first, the place where it begins along its lanes [m], and its lanes."""
 
 
 def traffic_of(vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool) -> dict[str, Any]:
@@ -71,20 +59,61 @@ def traffic_of(vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int],
         numbers: of all vehicles seen so far; new vehicles are added.
         intentions: whether the routes of others are known.
     """
-    ways = []
-    for car in _in_sight(vehicle):
-        ways += _ways(car, numbers.setdefault(car, len(numbers)), roads, intentions)
-    ways = [*ways, *[NO_WAY] * TRAFFIC][:TRAFFIC]
-    owners, positions, sizes, moving, paths, states, limits = zip(*ways, strict=True)
-    curves, numbered = jax.tree.map(lambda *knots: np.stack(knots), *paths), np.array(owners, np.int32)
-    leaders, gaps = _leaders_of(curves, np.array(positions), numbered)
+    ways = _ways(_in_sight(vehicle), numbers, roads, intentions)[:TRAFFIC]
+    used = len(ways)
+    cars = [way.car for way in ways]
+    speeds = [car.speed for car in cars]
+
+    # What is known without a path; unused paths are far away.
+    owners = np.full(TRAFFIC, -1, np.int32)
+    moving = np.zeros(TRAFFIC, dtype=bool)
+    positions = np.full((TRAFFIC, 2), FAR)
+    sizes = np.full((TRAFFIC, 2), UNUSED_SIZE, np.float32)
+    limits = np.full(TRAFFIC, LIMIT, np.float32)
+    states = np.zeros((TRAFFIC, 4), np.float32)
+    owners[:used] = [way.owner for way in ways]
+    moving[:used] = [way.moves for way in ways]
+    positions[:used] = np.reshape([car.position for car in cars], (used, 2))
+    sizes[:used] = np.reshape([(car.LENGTH, car.WIDTH) for car in cars], (used, 2))
+    states[:used, 3] = speeds
+
+    # Those on lanes: the curves along these, and the cars' places there.
+    unused = LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE
+    knots = np.repeat(np.array(unused)[:, None], TRAFFIC, axis=1)  # [4, paths, knots]
+    on_lanes = [place for place, way in enumerate(ways) if way.chain]
+    spots = [(way.chain, way.place) for way in ways if way.chain]
+    if spots:
+        curves = roads.curves(spots)
+        headings = np.array([cars[place].heading for place in on_lanes], dtype=float)
+        along = np.array([way for _, way in spots])
+        s, d, turned = project_cars(curves, positions[on_lanes], headings, along)
+        path = paths_from(curves, s, TRAFFIC_KNOTS)
+        knots[:, on_lanes] = path.x, path.y, path.heading, path.curvature
+        states[on_lanes, 1] = d
+        states[on_lanes, 2] = turned
+        limits[on_lanes] = [chain.lanes[0].limit for chain, _ in spots]
+
+    # Those that go straight on.
+    for place, way in enumerate(ways):
+        if way.chain is None:
+            x, y = cars[place].position
+            heading = cars[place].heading
+            ahead = LINE - BEHIND
+            knots[0, place] = x + ahead * np.cos(heading)
+            knots[1, place] = y + ahead * np.sin(heading)
+            knots[2, place] = heading
+            knots[3, place] = 0.0
+            limits[place] = max(speeds[place], MIN_SPEED)
+
+    paths = Curve(*knots)
+    leaders, gaps = _leaders_of(paths, positions, owners)
     return {
-        "paths": curves,
-        "states": np.array(states, np.float32),
-        "sizes": np.array(sizes, np.float32),
-        "limits": np.array(limits, np.float32),
-        "owners": numbered,
-        "moving": np.array(moving),
+        "paths": paths,
+        "states": states,
+        "sizes": sizes,
+        "limits": limits,
+        "owners": owners,
+        "moving": moving,
         "leaders": leaders,
         "gaps": gaps,
         "accelerations": np.zeros(TRAFFIC, np.float32),
@@ -95,45 +124,65 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     """Return vehicles and solid objects in sight, nearest first."""
     others = [car for car in vehicle.road.vehicles if car is not vehicle]
     others += [item for item in vehicle.road.objects if not isinstance(item, Landmark)]
-
-    def distance(car: RoadObject) -> float:
-        return dist(car.position, vehicle.position)
-
-    def in_sight(car: RoadObject) -> bool:
+    seen = []
+    for car in others:
+        distance = dist(car.position, vehicle.position)
         if (car.position - vehicle.position) @ vehicle.direction <= 0:
-            return distance(car) < BEHIND_SIGHT
-        oncoming = isinstance(car, Vehicle) and car.direction @ vehicle.direction < ONCOMING_COSINE
-        return distance(car) < (ONCOMING if oncoming else AHEAD)
+            reach = BEHIND_SIGHT
+        elif isinstance(car, Vehicle) and car.direction @ vehicle.direction < ONCOMING_COSINE:
+            reach = ONCOMING
+        else:
+            reach = AHEAD
+        if distance < reach:
+            seen.append((distance, car))
+    seen.sort(key=itemgetter(0))
+    return [car for _, car in seen[:MAX_VEHICLES]]
 
-    return sorted(filter(in_sight, others), key=distance)[:MAX_VEHICLES]
 
-
-def _ways(car: RoadObject, number: int, roads: RoadMap, intentions: bool) -> list[Way]:
-    """Return the paths that a vehicle may take, given its position, heading and lane.
+def _ways(cars: list[RoadObject], numbers: dict[RoadObject, int], roads: RoadMap, intentions: bool) -> list[Way]:
+    """Return the paths that each vehicle may take, given its position, heading and lane.
 
     If its route is known, these are the paths that share most of its roads with the route.
     """
-    found, own, drives = [], roads.lanes[car.lane_index], isinstance(car, Vehicle) and not car.crashed
-    seen = number, car.position, (car.LENGTH, car.WIDTH), drives
-    if not getattr(car, "follows_lanes", True):  # such as a pedestrian, who goes straight on
-        x, y = car.position[:, None] + (LINE - BEHIND) * np.array([[np.cos(car.heading)], [np.sin(car.heading)]])
-        path = Curve(*np.stack([x, y, np.full_like(x, car.heading), 0 * x]).astype(np.float32))
-        return [Way(*seen, path, (0.0, 0.0, 0.0, car.speed), max(car.speed, MIN_SPEED))]
-    for lane in _begun(car, own) if drives else [own]:
-        place = float(lane.shape.local_coordinates(car.position)[0])
-        chains = _chains_from(lane, int(max(lane.length - place, 0.0) // TENS))
-        found += [(rank, place, chain) for rank, chain in enumerate(chains)]
-    legs = {leg[:2] for leg in (intentions and getattr(car, "route", None)) or ()}
-    shared = [sum(lane.index[:2] in legs for lane in chain.lanes) for *_, chain in found]
-    found = [item for item, roads_shared in zip(found, shared, strict=True) if roads_shared == max(shared)]
-    found.sort(key=lambda item: item[0])
-    ways = []
-    for _, place, chain in found[: MAX_WAYS if drives else 1]:
-        curve = chain.curve(place // BLOCK)
-        s, d, heading = curve.project(car.position, car.heading, place)
-        state = 0.0, d, heading, car.speed
-        ways.append(Way(*seen, curve.path(s, TRAFFIC_KNOTS), state, chain.lanes[0].limit))
-    return ways
+    # Places on the lanes that each vehicle may be following; none for those that follow no lanes.
+    spots: list[tuple[Lane, float]] = []
+    seen: list[tuple[RoadObject, bool, range]] = []
+    for car in cars:
+        drives = isinstance(car, Vehicle) and not car.crashed
+        first = len(spots)
+        if getattr(car, "follows_lanes", True):
+            own = roads.lanes[car.lane_index]
+            for lane in _begun(car, own) if drives else [own]:
+                place, _ = lane.shape.local_coordinates(car.position)
+                spots.append((lane, float(place)))
+        seen.append((car, drives, range(first, len(spots))))
+    branches = roads.branches(spots)
+
+    # The smoothest branches of each vehicle.
+    found = []
+    for car, drives, own_spots in seen:
+        number = numbers.setdefault(car, len(numbers))
+        if not own_spots:  # such as a pedestrian
+            found.append(Way(number, car, drives, None, 0.0))
+            continue
+        options: list[Option] = []
+        for spot in own_spots:
+            for rank, chain in enumerate(branches[spot]):
+                options.append((rank, spots[spot][1], chain))
+        if intentions:
+            options = _along_route(options, getattr(car, "route", None) or ())
+        options.sort(key=itemgetter(0))
+        for _, place, chain in options[: MAX_WAYS if drives else 1]:
+            found.append(Way(number, car, drives, chain, place))
+    return found
+
+
+def _along_route(options: list[Option], route: Sequence[LaneIndex]) -> list[Option]:
+    """Return the options that share most of their roads with a route."""
+    legs = {leg[:2] for leg in route}
+    shared = [sum(index[:2] in legs for index in chain.indices) for *_, chain in options]
+    most = max(shared)
+    return [option for option, count in zip(options, shared, strict=True) if count == most]
 
 
 def _begun(car: Vehicle, own: Lane) -> list[Lane]:
@@ -148,27 +197,14 @@ def _begun(car: Vehicle, own: Lane) -> list[Lane]:
         if end != own.end:
             other = own.roads.lanes[own.start, end, min(own.number, len(lanes) - 1)]
             s, d = other.shape.local_coordinates(car.position)
-            turned = wrapped(car.heading - other.shape.heading_at(s))
-            if s >= -1.0 and abs(d) < max(ON_LANE, abs(aside)) and abs(turned) < ALONG:
+            cosine = cos(car.heading - other.shape.heading_at(s))
+            near = s >= -1.0 and abs(d) < max(ON_LANE, abs(aside))
+            if near and cosine > ALONG_COSINE:
                 found.append(other)
-    drift = aside + car.speed * sin(wrapped(car.heading - own.shape.heading_at(place)))
+    drift = aside + car.speed * sin(car.heading - own.shape.heading_at(place))
     changes = abs(drift) > own.shape.width_at(place) / 2
     neighbour = own.beside(1 if drift > 0 else -1) if changes else own.refuge
     return [*found, neighbour] if neighbour else found
-
-
-@kept
-def _chains_from(lane: Lane, tens: int) -> list[Chain]:
-    """Return the chains of lanes from some tens of metres before a lane's end on, one for each branch."""
-    found: list[Chain] = []
-    open_ends: list[tuple[Lanes, float]] = [((lane,), TENS * tens)]
-    for lanes, covered in open_ends:
-        nexts = lanes[-1].following(CROOKED) if covered < PATH_LENGTH else ()
-        onward = nexts if covered < BRANCHING_DISTANCE else nexts[:1]
-        open_ends += [((*lanes, following), covered + following.length) for following in onward]
-        if not nexts:
-            found.append(lane.roads.chain(lanes))
-    return found
 
 
 def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row]:

@@ -29,7 +29,6 @@ from ms_highway.road.graphics import show
 from ms_highway.road.robot import PERIOD, RoadRobot
 from ms_highway.road.settings import RoadSettings
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
-from ms_highway.road.timed_goal import destination_for
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
 UNTIL_FIRST = {
@@ -149,7 +148,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         except ValueError:
             check_drivable(self.env)
             raise
-        base = self._base
+        base: Any = self.unwrapped
         if enable_pictures(base) and self.env.observation_space == base.observation_space:
             observation = base.observation_type.observe()  # the first picture was black
         frame = 1 / base.config["simulation_frequency"]
@@ -170,14 +169,14 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         Raises:
             ResetNeeded: if this wrapper has not been reset, or the environment below it has been since.
         """
-        if not self.robots or self._base.controlled_vehicles != self.robots:
+        base: Any = self.unwrapped
+        if not self.robots or base.controlled_vehicles != self.robots:
             raise gym.error.ResetNeeded(
                 "the robot is not in the car; call reset of the driven environment, not of an inner one"
             )
         for robot in self.robots:
             robot.forget()
-        kind = self._base.action_type
-        *outcome, info = self.env.step(placeholder_action(kind))
+        *outcome, info = self.env.step(placeholder_action(base.action_type))
         return *outcome, self._described(info)
 
     def render(self) -> Any:
@@ -185,30 +184,35 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         show(self.env)
         return self.env.render()
 
-    @property
-    def _base(self) -> Any:
-        return self.unwrapped
-
     def _described(self, info: dict[str, Any]) -> dict[str, Any]:
-        """Return ``info`` with the driver's part; highway-env returns some speeds as whole numbers after a reset."""
-        speed = {"speed": float(info["speed"])} if "speed" in info else {}
-        return {**info, **speed, **self._road_info()}
+        """Return ``info`` with the driver's part, whose shapes and types are the same before and after the first step.
 
-    def _road_info(self) -> dict[str, Any]:
-        """Return the driver's part of ``info``; shapes and types are the same before and after the first step."""
-        robot, base, kind, reached = self.robots[0], self._base, self._base.action_type, success(self._base)
+        highway-env returns some speeds as whole numbers after a reset; they become decimal numbers.
+        """
+        robot = self.robots[0]
+        base: Any = self.unwrapped
+        kind = base.action_type
+        reached = success(base)
+
+        # Plans of this step; those that were not made leave their places empty.
         frequency = base.config["simulation_frequency"]
-        frames, frames_of_plan = frequency // base.config["policy_frequency"], max(1, round(PERIOD * frequency))
+        frames = frequency // base.config["policy_frequency"]
+        frames_of_plan = max(1, round(PERIOD * frequency))
         seconds = [step.planning_seconds + step.decision_seconds for step in robot.steps]
         missing = ceil(frames / frames_of_plan) - len(seconds)
-        gains = getattr(robot.last_step, "gains", NO_GAINS)
         counts = Counter(name for step in robot.steps for name in step.models)
-        executed: Any = tuple(map(executed_action, getattr(kind, "agents_action_types", [kind]), self.robots))
+        last = robot.last_step
+        gains = NO_GAINS if last is None or last.gains is None else last.gains
+
+        # The action that does the same, if there is one; with several robots, one for each.
+        kinds = kind.agents_action_types if isinstance(kind, MultiAgentAction) else [kind]
+        executed: Any = tuple(map(executed_action, kinds, self.robots))
         if frames > frames_of_plan or any(each is None for each in executed):
             executed = None
         elif not isinstance(kind, MultiAgentAction):
             executed = executed[0]
-        road = {name: getattr(robot.last_step, name, value) for name, value in UNTIL_FIRST.items()} | {
+
+        road = {name: getattr(last, name, value) for name, value in UNTIL_FIRST.items()} | {
             "gains": dict(zip(MODELS, gains.T, strict=True)),
             "decisions": np.array(seconds + [np.nan] * missing),
             "sources": (*(step.source for step in robot.steps), *[""] * missing),
@@ -216,11 +220,16 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             "model_counts": {name: counts[name] for name in MODELS},
             "acceleration": float(max(robot.accelerations, default=0.0)),
             "jerk": float(max(robot.jerks, default=0.0)),
-            "destination": destination_for(robot.goal),
+            "destination": robot.goal_place,
             "success": reached,
             "action": executed,
         }
-        return {"road": road} | ({} if reached is None else {"is_success": reached})
+        described = {**info, "road": road}
+        if "speed" in info:
+            described["speed"] = float(info["speed"])
+        if reached is not None:
+            described["is_success"] = reached
+        return described
 
 
 def placeholder_action(action_type: ActionType) -> Any:

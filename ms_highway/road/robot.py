@@ -17,7 +17,7 @@ from ms_highway.perception.scene import RoadScene
 from ms_highway.road.added import AddedRoadDriver
 from ms_highway.road.driver import RoadDriver, RoadStep
 from ms_highway.road.simulation import MAX_SLIP_SINE
-from ms_highway.road.timed_goal import RobotGoal, TimedGoal, destination_for
+from ms_highway.road.timed_goal import RobotGoal, TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.road_view import at_constant_speed
 
@@ -90,6 +90,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     Attributes:
         driver: makes the plans; without one, the car keeps its velocity.
         goal: node of the road network to drive to, a goal in time, or None.
+        goal_place: node of the road network or spot on a lane where the goal is, or None.
         grip: largest total acceleration [m/s^2].
         intentions: whether the robot knows the routes of others.
         route: roads to follow, None without a route.
@@ -132,7 +133,12 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         intentions: bool = False,
     ) -> None:
         """Let a driver drive to a goal; see the attributes for the arguments."""
-        self.driver, self.goal, self.grip, self.intentions, self.time = driver, goal, grip, intentions, 0.0
+        self.driver = driver
+        self.goal = goal
+        self.goal_place = goal.spot if isinstance(goal, TimedGoal) else goal
+        self.grip = grip
+        self.intentions = intentions
+        self.time = 0.0
         if isinstance(driver, AddedRoadDriver):  # which straightens the road along the robot's way
             driver.robot = self
 
@@ -145,7 +151,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     def look(self) -> RoadScene:
         """Observe the road."""
-        return observe_road(self, destination_for(self.goal), self.applied, self.intentions)
+        return observe_road(self, self.goal_place, self.applied, self.intentions)
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if a plan is due; ignore actions."""

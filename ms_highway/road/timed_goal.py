@@ -101,11 +101,6 @@ RobotGoal: TypeAlias = str | TimedGoal | None
 """A node of the road network to drive to, a goal in time, or None."""
 
 
-def destination_for(goal: RobotGoal) -> str | Spot | None:
-    """Return the place of a goal, for `ms_highway.perception.observation.observe_road`."""
-    return goal.spot if isinstance(goal, TimedGoal) else goal
-
-
 def _follower_speed(vehicle: Vehicle) -> float:
     """Return the speed of a close follower in a vehicle's lane [m/s], 0 without one."""
     _, rear = vehicle.road.neighbour_vehicles(vehicle)

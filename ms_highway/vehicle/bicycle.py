@@ -11,10 +11,9 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.dynamics import keep_velocity, step
+from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.runtime.arrays import Car, Control, State
-from ms_highway.vehicle.road_view import states_of
 
 
 class OfferedSpeeds:
@@ -44,6 +43,8 @@ class BicycleVehicle(Vehicle):
     Attributes:
         dynamics: its friction alpha is 0.2 1/s by default.
         control: that is executed, ``(omega, acceleration)`` in the units of the dynamics.
+        grip: total acceleration that its tyres hold, within which it moves, without reversing [m/s^2]; None for no
+            limit.
     """
 
     WIDTH = 2.5  # m
@@ -57,13 +58,14 @@ class BicycleVehicle(Vehicle):
         super().__init__(road, position, heading, speed)
         self.dynamics = PAPER_DYNAMICS
         self.control = np.zeros(2)
+        self.grip: float | None = None
         if self.COLOR:
             self.color = self.COLOR
 
     @property
     def state(self) -> Car:
         """``(x, y, heading, speed)`` in metres, radians and metres per second."""
-        return states_of([self])[0]
+        return np.array([*self.position, self.heading, self.speed], dtype=float)
 
     @property
     def friction(self) -> float:
@@ -73,27 +75,30 @@ class BicycleVehicle(Vehicle):
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Execute an action until the next one; without an action, keep the last control."""
         if action:
-            omega = tan(float(action["steering"])) / self.LENGTH * self._omega_per_curvature
+            omega = tan(float(action["steering"])) / self.LENGTH
+            if self.dynamics.steering != "curvature":
+                omega *= self.speed
             self.execute(np.array([omega, float(action["acceleration"])]))
-
-    @property
-    def _omega_per_curvature(self) -> float:
-        return 1.0 if self.dynamics.steering == "curvature" else self.speed
 
     def execute(self, control: Control) -> None:
         """Execute a control ``(omega, acceleration)``, in the units of the dynamics, until the next one."""
-        self.control, scale = np.asarray(control, dtype=float), self._omega_per_curvature
+        self.control = np.asarray(control, dtype=float)
         omega, acceleration = self.control.tolist()
-        self.action = {"steering": atan((omega / scale if scale else 0.0) * self.LENGTH), "acceleration": acceleration}
+        curvature = omega
+        if self.dynamics.steering != "curvature":
+            curvature = omega / self.speed if self.speed else 0.0
+        self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": acceleration}
 
     def randomize_behavior(self) -> None:
         """Do nothing: highway-env randomises its drivers here, but this car has no random behaviour."""
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds; a crashed car brakes to a stop, as in highway-env."""
+        """Move for ``dt`` seconds, within the grip; a crashed car brakes to a stop, as in highway-env."""
+        dynamics = replace(self.dynamics, time_step=dt)
         if self.crashed:
             self.execute(np.array([0.0, -self.speed]))
-        dynamics = replace(self.dynamics, time_step=dt)
+        elif self.grip is not None:
+            self.execute(within_grip(dynamics, self.grip, np.asarray(self.speed), self.control))
         x, y, heading, speed = step(dynamics, self.state, self.control)
         self.position = np.array([x, y])
         self.heading, self.speed = float(heading), float(speed)

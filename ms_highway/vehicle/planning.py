@@ -1,7 +1,6 @@
 """Define vehicles that a controller drives in a game, and vehicles that drive like humans, for a learned reward."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
@@ -13,7 +12,6 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.dynamics import within_grip
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import shipped, shipped_drivers
 from ms_highway.game.scenario import driving_game
@@ -73,8 +71,11 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self._target_speed = speed
 
     def drive_with(self, controller: Controller | None, companions: Sequence[Vehicle] = ()) -> None:
-        """Let a controller drive, in its game with these other cars, the partner first."""
-        self.controller, self.companions = controller, list(companions)
+        """Let a controller drive, in its game with these other cars, the partner first, and within its grip."""
+        self.controller = controller
+        self.companions = list(companions)
+        grip = controller.game.planner.grip if controller else None
+        self.grip = None if grip is None else float(grip)
 
     def observe(self) -> State:
         """Return the states of this car and of its companions."""
@@ -97,14 +98,6 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
             self.last_state = self.observe()
             self.last_step = self.controller.step(self.last_state)
             self.execute(self.last_step.control)
-
-    def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds; with a ``grip``, within it and never backwards."""
-        grip = self.controller.game.planner.grip if self.controller else None
-        if grip is not None:
-            dynamics = replace(self.dynamics, time_step=dt)
-            self.execute(within_grip(dynamics, float(grip), np.asarray(self.speed), self.control))
-        super().step(dt)
 
     predict_trajectory_constant_speed = at_constant_speed
 
