@@ -178,7 +178,15 @@ class AgentDrives(gym.Wrapper):
 
     def _described(self, info: Config, model: str, status: str, seconds: float) -> Config:
         """Return ``info`` with all keys that it has under a controller; the agent's seconds are added to the times."""
-        usual = {"model": model, "models": (model,), "gains": {}, "status": status, "choice_failed": False}
+        usual = {
+            "model": model,
+            "models": (model,),
+            "gains": {},
+            "status": status,
+            "choice_failed": False,
+            "plan_steps": 0,
+            "converged": False,
+        }
         timing = info.get("timing", Timing(0.0, 0.0, 0.0))
         timing = replace(timing, decision_seconds=timing.decision_seconds + seconds)
         return {**usual, **info, "timing": timing}

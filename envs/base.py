@@ -34,7 +34,13 @@ BELIEFS_GONE = (
     "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several humans the reward that "
     "theirs are drawn around"
 )
-UNTIL_FIRST: Config = {"model": "", "status": "", "choice_failed": False}
+UNTIL_FIRST: Config = {
+    "model": "",
+    "status": "",
+    "choice_failed": False,
+    "plan_steps": 0,
+    "converged": False,
+}
 """What ``info`` says of the robot's last step, with the values before the first step."""
 
 
@@ -327,7 +333,13 @@ class InteractionEnv(GameEnv):
         controller = settings.controller
         asked = isinstance(self.action_type, HumanModelAction)
         if step:
-            info |= {"model": step.model, "status": step.status, "choice_failed": step.choice_failed}
+            info |= {
+                "model": step.model,
+                "status": step.status,
+                "choice_failed": step.choice_failed,
+                "plan_steps": step.plan_steps,
+                "converged": step.converged,
+            }
             info["models"] = step.models
             times = step.planning_seconds, step.decision_seconds, step.compile_seconds
         else:

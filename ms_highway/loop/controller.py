@@ -61,7 +61,7 @@ class ControlStep:
         planned: for every human, the name of its model in the plan of this step, which is not ``plan`` if it is late or
             failed.
         plan_steps: number of ascent steps of this plan.
-        converged: whether its ascent ended by itself, before its largest number of steps.
+        converged: whether the last of them hardly moved the plan.
     """
 
     control: Control
@@ -78,7 +78,7 @@ class ControlStep:
     belief: Belief | None = None
     planned: tuple[str, ...] = ()
     plan_steps: int = 0
-    converged: bool = True
+    converged: bool = False
 
     @property
     def model(self) -> str:

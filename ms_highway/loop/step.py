@@ -98,15 +98,15 @@ class NewPlan(NamedTuple):
     Attributes:
         plan: scaled; it fails if it is not finite.
         warm_start: where the next plan may start, if this one is followed.
-        steps: number of ascent steps that were taken.
-        converged: whether the ascent ended by itself.
+        steps: number of steps of the ascent; 0 if there was none.
+        converged: whether the last of them hardly moved the plan.
         details: what else belongs into the record of the step.
     """
 
     plan: Plan
     warm_start: Any
     steps: Index = 0
-    converged: Flag = True
+    converged: Flag = False
     details: Any = None
 
 
