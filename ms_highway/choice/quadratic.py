@@ -225,8 +225,6 @@ def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
     """Return the evidence in the game of the robot with one human, see `ms_highway.game.game.pair`."""
     game = evidence.game
     outcome = evidence.outcome
-    if game.number == 1:
-        return evidence
     alone, before = pair(game, outcome.before, human)
     _, after = pair(game, outcome.after, human)
     expected = jnp.asarray(outcome.plan.humans)[human][None]

@@ -190,7 +190,9 @@ class CompiledPlans:
     """
 
     def __init__(self, game: Game, ladder: Sequence[HumanModel]) -> None:
-        self.game, self.ladder = game, tuple(ladder)
+        self.game = game
+        self.ladder = tuple(ladder)
+        self._function_of_each = game.number == 1  # which is smaller than one for all
         self._placed = Placed(single(game))
 
     def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Solution, float]:
@@ -211,7 +213,7 @@ class CompiledPlans:
             start = cold_start(self.game, np.asarray(state))
         models = self.ladder
         places = np.asarray(rungs, np.int32)
-        if self.game.number == 1:  # each model has its own function, which is smaller
+        if self._function_of_each:
             models = (self.ladder[int(rungs[0])],)
             places = np.zeros(1, np.int32)
         arguments = self._placed.take(), state, places, start
@@ -221,10 +223,14 @@ class CompiledPlans:
         """Compile and run what has not run before: plans and, if wanted, the way out; return the seconds spent."""
         check_own_features(self.game.scene, self.game.robot, self.game.number, state)
         warn_of_limits(self.ladder, self.game, state)
-        several = self.game.number > 1
-        assignments = [[rung] * self.game.number for rung in range(1 if several else len(self.ladder))]
+
+        # Run each function once, with all humans on the same rung.
+        functions = len(self.ladder) if self._function_of_each else 1
+        assignments = [[rung] * self.game.number for rung in range(functions)]
         seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
-        return seconds + (warm_up(escape, self._placed.take(), state, np.zeros(2, np.float32)) if way_out else 0.0)
+        if way_out:
+            seconds += warm_up(escape, self._placed.take(), state, np.zeros(2, np.float32))
+        return seconds
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
         """Return the result of `ms_highway.planning.way_out.keep_way_out`, and the seconds that it took."""

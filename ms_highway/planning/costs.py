@@ -117,7 +117,8 @@ def measure_costs(
     times = [[once(rung) for _ in range(REPEATS)] for rung in rungs]
     whole = np.quantile(times, quantile, axis=1)
 
-    # What a human adds under each rung.
-    base = float(whole[0]) if game.number > 1 else 0.0
-    each = np.maximum(whole - base, 0.0) / game.number
-    return Costs(base, each, tuple(model.name for model in ladder))
+    # Seconds if only one human is on the rung; no rung takes less than the first one.
+    first = whole[0]
+    added = np.maximum(whole - first, 0.0) / game.number
+    seconds = dict(zip((model.name for model in ladder), first + added, strict=True))
+    return Costs.of(seconds, game.number)
