@@ -1,6 +1,6 @@
 """Drive among one human or several, live and in batches, without environments; share a ladder, a model and a game."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import jax
@@ -15,9 +15,11 @@ from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Episodes
+from ms_highway.numerics.solvers import Newton
 from ms_highway.planning.costs import Costs
-from ms_highway.planning.human_models import PredictedHuman
+from ms_highway.planning.human_models import PredictedHuman, TheoryOfMind
 from ms_highway.planning.ladders import ladder
+from ms_highway.planning.plans import Plan
 
 LADDER = ladder(("naive", "turn", "tom"))
 COSTS = Costs.of(PUBLISHED_COSTS, 1)
@@ -32,6 +34,30 @@ class Brakes(PredictedHuman):
 
     def predict(self, game, state, start=None):
         return [keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, self.deceleration])] * game.planner.horizon
+
+
+@dataclass(frozen=True)
+class Brief(TheoryOfMind):
+    """Theory of mind in fewer steps, which are longer under `Ascent`."""
+
+    name: ClassVar[str] = "brief"
+
+    def solver(self, game):
+        usual = game.planner.solver
+        if isinstance(usual, Newton):
+            return replace(usual, joint_steps=2)
+        return replace(usual, iterations=8, step_size=2 * usual.step_size)
+
+
+@dataclass(frozen=True)
+class Eager(TheoryOfMind):
+    """Theory of mind that begins with a robot and a human who brake."""
+
+    name: ClassVar[str] = "eager"
+
+    def start(self, game, state, last):
+        braking = np.float32([0.0, -0.2])
+        return Plan(last.robot + braking, last.humans + braking)
 
 
 def dense_merge(humans):

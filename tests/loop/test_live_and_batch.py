@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 import pytest
-from driving import COSTS, LADDER, Brakes, drive, episodes_of, move, simulated
+from driving import COSTS, LADDER, Brakes, Brief, Eager, drive, episodes_of, move, simulated
 from jax import numpy as jnp
 
 from ms_highway.choice.belief import RESPONDING
@@ -201,10 +201,10 @@ def weaves(game, state):
     return keep_velocity(game.world, state[0]) + jnp.stack([jnp.float32(0.03), 0.1 * (state[1, 0] - state[0, 0])])
 
 
-MODELS = (*ladder(["naive", "idm", "turn", "tom@3+warm"]), Brakes(2.0), Failing())
+MODELS = (*ladder(["naive", "idm", "turn", "tom@3+warm"]), Brakes(2.0), Failing(), Brief(), Eager())
 NAIVE, TOM, FAILING = 0, 3, 5  # among these
 ALWAYS_TOM = [[TOM] * 3] * 9
-MIXED = [[0, 2, 3], [1, 0, 0], [2, 3, 1], [3, 3, 3], [3, 1, 4], [4, 0, 2], [1, 4, 0], [3, 2, 2], [4, 3, 1]]
+MIXED = [[0, 2, 3], [1, 6, 0], [2, 3, 1], [6, 3, 7], [7, 1, 4], [4, 0, 2], [1, 7, 6], [3, 2, 2], [7, 6, 3]]
 FAILS = [[rung] * 3 for rung in (NAIVE, *[FAILING] * 6, NAIVE, FAILING)]
 DRIVERS = never_yields, always_yields, weaves
 EPISODES = {  # number of the start, models of the humans in each step, and what drives the humans

@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import ClassVar
 
 import numpy as np
 import pytest
-from driving import Brakes
+from driving import Brakes, Brief, Eager
 
 import ms_highway
 from ms_highway.game.game import pair
@@ -14,33 +13,8 @@ from ms_highway.numerics.solvers import Newton
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import TheoryOfMind
 from ms_highway.planning.ladders import MODELS, ladder
-from ms_highway.planning.plans import Plan
 
 FAR = 300.0  # m, at which nobody matters
-
-
-@dataclass(frozen=True)
-class Brief(TheoryOfMind):
-    """Theory of mind in fewer steps, which are longer under `Ascent`."""
-
-    name: ClassVar[str] = "brief"
-
-    def solver(self, game):
-        usual = game.planner.solver
-        if isinstance(usual, Newton):
-            return replace(usual, joint_steps=2)
-        return replace(usual, iterations=8, step_size=2 * usual.step_size)
-
-
-@dataclass(frozen=True)
-class Eager(TheoryOfMind):
-    """Theory of mind that begins with a robot and a human who brake."""
-
-    name: ClassVar[str] = "eager"
-
-    def start(self, game, state, last):
-        braking = np.float32([0.0, -0.2])
-        return Plan(last.robot + braking, last.humans + braking)
 
 
 OWN = (Brief(), Eager(), Brakes(3.0))
