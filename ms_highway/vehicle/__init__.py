@@ -1,11 +1,11 @@
-"""Provide highway-env vehicles, importable from here, and their view of a road.
+"""Provide highway-env vehicles, importable from here.
 
 Imports `ms_highway.loop` and the packages below it.
 """
 
-from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle
-from ms_highway.vehicle.planning import CommuterVehicle, HumanVehicle, PlanningVehicle, RobotVehicle
-from ms_highway.vehicle.road_view import states_of
+from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle, states_of
+from ms_highway.vehicle.commuter import CommuterVehicle
+from ms_highway.vehicle.planning import HumanVehicle, PlanningVehicle, RobotVehicle
 
 __all__ = [
     "BicycleVehicle",
@@ -16,7 +16,8 @@ __all__ = [
     "RoutedVehicle",
     "ScriptedVehicle",
     "bicycle",
+    "commuter",
     "planning",
-    "road_view",
+    "right_of_way",
     "states_of",
 ]

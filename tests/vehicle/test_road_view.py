@@ -5,9 +5,9 @@ import pytest
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
+from ms_highway.vehicle.road_view import look
 
 from ms_highway.vehicle import HumanVehicle
-from ms_highway.vehicle.road_view import look
 
 AROUND = {  # a lane of each shape, at some distance to the right of the road's middle
     "slanted": lambda side: StraightLane([-2.4 * side, 3.2 * side], [320 - 2.4 * side, 240 + 3.2 * side]),

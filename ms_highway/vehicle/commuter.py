@@ -1,0 +1,107 @@
+"""Drive on any highway-env road like the drivers recorded on US-101, who give way where ways meet."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
+
+from ms_highway.game.learned_drivers import RewardTraits
+from ms_highway.game.learned_reward import shipped_drivers
+from ms_highway.game.scene import Leader
+from ms_highway.geometry.road_map import LIMIT
+from ms_highway.planning.learned_driving import FREE_GAP, held_acceleration
+from ms_highway.vehicle.right_of_way import GIVING_WAY, highest_acceleration
+
+
+@dataclass(frozen=True)
+class Braking:
+    """How commuters brake where the learned reward, of dense traffic that hardly stops, tells little.
+
+    Attributes:
+        calm: necessary deceleration up to which the learned reward decides [m/s^2].
+        stopped: gap that is left behind a standing vehicle [m].
+        when_told: deceleration where a road makes a car yield [m/s^2].
+    """
+
+    calm: float = 1.5
+    stopped: float = 2.0
+    when_told: float = 5.0
+
+
+BRAKING = Braking()
+
+
+class CommuterVehicle(IDMVehicle):
+    """Drive like the drivers recorded on US-101, each car with traits of its own.
+
+    The acceleration maximises a reward learned from where those drivers were seconds later, see
+    `ms_highway.planning.learned_driving`. Desired speed, headway and patience are drawn for every car by the road's
+    random numbers. As dense traffic tells little about stopping, commuters also brake as hard as they have to, by
+    ``ACC_MAX`` at most.
+
+    Commuters steer and change lanes like highway-env's drivers (MOBIL). Where ways cross or meet, as in roundabouts,
+    they give way as `ms_highway.vehicle.right_of_way` says; on a ``RegulatedRoad``, the road tells them.
+    """
+
+    ACC_MAX = 8.0  # m/s^2, of braking; they accelerate by 4 at most
+
+    @cached_property
+    def traits(self) -> RewardTraits:
+        """Traits of this car, with the desired speed as a share of the speed limit; drawn when it first acts."""
+        return shipped_drivers().prior.draw(self.road.np_random, 1.0)
+
+    def act(self, action: Any = None) -> None:
+        """Decide what to do in the next step; never drive backwards."""
+        super().act(action)
+        if self.crashed:
+            return
+        acceleration = min(self.action["acceleration"], self.yielding_acceleration())
+        acceleration = max(acceleration, -self.ACC_MAX, -GIVING_WAY.holding * self.speed)
+        self.action["acceleration"] = float(acceleration)
+
+    def yielding_acceleration(self) -> float:
+        """Return the highest acceleration with which this car gives way, infinity if it need not [m/s^2]."""
+        if isinstance(self.road, RegulatedRoad):
+            return np.inf
+        return highest_acceleration(self)
+
+    def acceleration(
+        self, ego_vehicle: Vehicle | None, front_vehicle: RoadObject | None = None, rear_vehicle: Any = None
+    ) -> float:
+        """Return the acceleration of a vehicle behind another one, as if it had the traits of this car [m/s^2].
+
+        Args:
+            ego_vehicle: the vehicle; None and obstacles do not accelerate.
+            front_vehicle: the vehicle or obstacle ahead of it.
+            rear_vehicle: ignored.
+        """
+        if not isinstance(ego_vehicle, Vehicle):
+            return 0.0
+        speed = ego_vehicle.speed
+        limit = ego_vehicle.lane.speed_limit or LIMIT
+        wanted = min(getattr(ego_vehicle, "target_speed", limit), limit)
+        if wanted <= 0:  # the road makes the vehicle yield
+            return -min(speed, BRAKING.when_told)
+
+        # The leader, a gap between bumpers away.
+        gap = np.inf
+        leader_speed = speed
+        if front_vehicle:
+            lengths = ego_vehicle.LENGTH + front_vehicle.LENGTH
+            gap = ego_vehicle.lane_distance_to(front_vehicle) - lengths / 2
+            leader_speed = max(float(front_vehicle.velocity @ ego_vehicle.direction), 0.0)
+
+        # What the learned reward prefers, unless harder braking is necessary.
+        own = self.traits._replace(desired_speed=self.traits.desired_speed * wanted)
+        leader = Leader(min(gap, FREE_GAP), leader_speed, front_vehicle is not None)
+        wish = float(held_acceleration(shipped_drivers().weights, own, speed, leader))
+        if gap < BRAKING.stopped / 2:
+            return -self.ACC_MAX
+        room = max(gap - BRAKING.stopped, 0.1)
+        needed = max(speed**2 - leader_speed**2, 0.0) / (2 * room)
+        return min(wish, -needed) if needed > BRAKING.calm else wish
