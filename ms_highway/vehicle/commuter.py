@@ -5,7 +5,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
@@ -19,21 +18,24 @@ from ms_highway.vehicle.right_of_way import GIVING_WAY, highest_acceleration
 
 
 @dataclass(frozen=True)
-class Braking:
-    """How commuters brake where the learned reward, of dense traffic that hardly stops, tells little.
+class BesideReward:
+    """How commuters drive where the learned reward, of dense traffic that hardly stops, tells little.
 
     Attributes:
+        free: acceleration from standstill on a free road [m/s^2]. The learned one is below 0.2 without a car ahead, as
+            there nearly always was one.
         calm: necessary deceleration up to which the learned reward decides [m/s^2].
         stopped: gap that is left behind a standing vehicle [m].
         when_told: deceleration where a road makes a car yield [m/s^2].
     """
 
+    free: float = 2.0
     calm: float = 1.5
     stopped: float = 2.0
-    when_told: float = 5.0
+    when_told: float = 6.0
 
 
-BRAKING = Braking()
+BESIDE_REWARD = BesideReward()
 
 
 class CommuterVehicle(IDMVehicle):
@@ -45,7 +47,7 @@ class CommuterVehicle(IDMVehicle):
     ``ACC_MAX`` at most.
 
     Commuters steer and change lanes like highway-env's drivers (MOBIL). Where ways cross or meet, as in roundabouts,
-    they give way as `ms_highway.vehicle.right_of_way` says; on a ``RegulatedRoad``, the road tells them.
+    they give way as `ms_highway.vehicle.right_of_way` says, and stop where a ``RegulatedRoad`` tells them.
     """
 
     ACC_MAX = 8.0  # m/s^2, of braking; they accelerate by 4 at most
@@ -66,8 +68,6 @@ class CommuterVehicle(IDMVehicle):
 
     def yielding_acceleration(self) -> float:
         """Return the highest acceleration with which this car gives way, infinity if it need not [m/s^2]."""
-        if isinstance(self.road, RegulatedRoad):
-            return np.inf
         return highest_acceleration(self)
 
     def acceleration(
@@ -86,7 +86,7 @@ class CommuterVehicle(IDMVehicle):
         limit = ego_vehicle.lane.speed_limit or LIMIT
         wanted = min(getattr(ego_vehicle, "target_speed", limit), limit)
         if wanted <= 0:  # the road makes the vehicle yield
-            return -min(speed, BRAKING.when_told)
+            return -BESIDE_REWARD.when_told
 
         # The leader, a gap between bumpers away.
         gap = np.inf
@@ -96,12 +96,14 @@ class CommuterVehicle(IDMVehicle):
             gap = ego_vehicle.lane_distance_to(front_vehicle) - lengths / 2
             leader_speed = max(float(front_vehicle.velocity @ ego_vehicle.direction), 0.0)
 
-        # What the learned reward prefers, unless harder braking is necessary.
+        # What the learned reward prefers, unless there is nobody ahead or harder braking is necessary.
         own = self.traits._replace(desired_speed=self.traits.desired_speed * wanted)
         leader = Leader(min(gap, FREE_GAP), leader_speed, front_vehicle is not None)
         wish = float(held_acceleration(shipped_drivers().weights, own, speed, leader))
-        if gap < BRAKING.stopped / 2:
+        if not front_vehicle:
+            return max(wish, BESIDE_REWARD.free * (1 - (speed / wanted) ** 4))
+        if gap < BESIDE_REWARD.stopped / 2:
             return -self.ACC_MAX
-        room = max(gap - BRAKING.stopped, 0.1)
+        room = max(gap - BESIDE_REWARD.stopped, 0.1)
         needed = max(speed**2 - leader_speed**2, 0.0) / (2 * room)
-        return min(wish, -needed) if needed > BRAKING.calm else wish
+        return min(wish, -needed) if needed > BESIDE_REWARD.calm else wish

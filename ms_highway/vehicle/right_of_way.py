@@ -44,11 +44,11 @@ class GapAcceptance:
     reach: float = 60.0
     clearance: float = 2.8
     stop: float = 1.0
-    time: float = 0.7
-    headway: float = 1.5
+    time: float = 0.5
+    headway: float = 1.0
     starting: float = 2.0
-    comfortable: float = 2.0
-    calm: float = 1.5
+    comfortable: float = 3.0
+    calm: float = 2.0
     holding: float = 5.0
     firm: float = 4.0
 
