@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from highway_env.road.road import LaneIndex
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
@@ -12,9 +14,9 @@ from highway_env.vehicle.objects import RoadObject
 from ms_highway.game.learned_drivers import RewardTraits
 from ms_highway.game.learned_reward import shipped_drivers
 from ms_highway.game.scene import Leader
-from ms_highway.geometry.road_map import LIMIT
+from ms_highway.geometry.road_map import LIMIT, road_map
 from ms_highway.planning.learned_driving import FREE_GAP, held_acceleration
-from ms_highway.vehicle.right_of_way import GIVING_WAY, highest_acceleration
+from ms_highway.vehicle.right_of_way import GIVING_WAY, highest_acceleration, leaves_room, next_lane
 
 
 @dataclass(frozen=True)
@@ -62,13 +64,39 @@ class CommuterVehicle(IDMVehicle):
         super().act(action)
         if self.crashed:
             return
-        acceleration = min(self.action["acceleration"], self.yielding_acceleration())
+        acceleration = min(self.action["acceleration"], highest_acceleration(self), self._towards_route())
         acceleration = max(acceleration, -self.ACC_MAX, -GIVING_WAY.holding * self.speed)
         self.action["acceleration"] = float(acceleration)
 
-    def yielding_acceleration(self) -> float:
-        """Return the highest acceleration with which this car gives way, infinity if it need not [m/s^2]."""
-        return highest_acceleration(self)
+    def _towards_route(self) -> float:
+        """Return the highest acceleration with which this car can change to the lane that its route asks for [m/s^2].
+
+        It slows down, though not hard, behind the car ahead in the lane beside, until a change to it is safe.
+        """
+        start, end, number = self.target_lane_index
+        wanted = self.route[0] if self.route else None
+        if wanted is None or wanted[:2] != (start, end) or wanted[2] in (None, number):
+            return np.inf
+        beside = start, end, number + int(np.sign(wanted[2] - number))
+        ahead, _ = self.road.neighbour_vehicles(self, beside)
+        return max(self.acceleration(self, ahead), -BESIDE_REWARD.calm)
+
+    def mobil(self, lane_index: LaneIndex) -> bool:
+        """Return whether to change to a lane: if MOBIL says so, and nobody who enters it has to brake hard."""
+        return bool(super().mobil(lane_index)) and leaves_room(self, lane_index)
+
+    def follow_road(self) -> None:
+        """Go on to the next lane at the end of a lane; if the route begins too far aside, go on to plan another one."""
+        network = self.road.network
+        lane = road_map(network).lanes[self.target_lane_index]
+        if self.route and lane.shape.after_end(self.position):
+            following = next_lane(lane, tuple(self.route))
+            if following and all(leg[:2] != following.index[:2] for leg in self.route):
+                path = network.shortest_path(following.end, self.route[-1][1])
+                self.route = [following.index, *((start, end, None) for start, end in pairwise(path))]
+                self.target_lane_index = following.index
+                return
+        super().follow_road()
 
     def acceleration(
         self, ego_vehicle: Vehicle | None, front_vehicle: RoadObject | None = None, rear_vehicle: Any = None

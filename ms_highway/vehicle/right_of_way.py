@@ -30,6 +30,7 @@ class GapAcceptance:
 
     Attributes:
         reach: distance along the own way within which conflicts count [m]; more than it takes to stop from 20 m/s.
+        crossed: widths of a lane that drivers cross at most where their lane ends.
         clearance: distance of two ways below which vehicles on them would touch [m]: a width, and room for steering.
         stop: distance from a conflict at which drivers wait for it to be free [m].
         time: between one vehicle leaving a conflict and the other one entering it [s].
@@ -42,6 +43,7 @@ class GapAcceptance:
     """
 
     reach: float = 60.0
+    crossed: float = 1.5
     clearance: float = 2.8
     stop: float = 1.0
     time: float = 0.5
@@ -101,11 +103,16 @@ class Way:
         entering = self.line.entering
         return bool(np.any((entering > self.place - MERGING) & (entering <= SPACING * point + MERGING)))
 
+    def ends_at(self, point: int) -> bool:
+        """Return whether a point is the last one of the line, or the last one within reach."""
+        end = min(SPACING * (len(self.line.points) - 1), self.place + GIVING_WAY.reach)
+        return bool(SPACING * point > end - 2 * SPACING)
 
-def way_of(vehicle: Vehicle) -> Way:
-    """Return where a vehicle is going to drive."""
+
+def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
+    """Return where a vehicle is going to drive, if it went to another lane."""
     roads = road_map(vehicle.road.network)
-    target = getattr(vehicle, "target_lane_index", None) or vehicle.lane_index
+    target = target or getattr(vehicle, "target_lane_index", None) or vehicle.lane_index
     route = tuple(getattr(vehicle, "route", None) or ())
     lanes = _lanes_ahead(roads, target, route)
     if vehicle.lane_index[1] == target[0]:  # it goes over to the next road before its lane ends
@@ -117,11 +124,11 @@ def way_of(vehicle: Vehicle) -> Way:
 
 @kept
 def _lanes_ahead(roads: RoadMap, first: LaneIndex, route: tuple[Any, ...]) -> Lanes:
-    """Return a lane and the next ones on a route, as highway-env's vehicles choose them."""
+    """Return a lane and the next ones on a route over the reach beyond it."""
     lanes = [roads.lanes[first]]
     covered = 0.0
     while covered < GIVING_WAY.reach:
-        following = _next_lane(lanes[-1], route)
+        following = next_lane(lanes[-1], route)
         if following is None:
             break
         lanes.append(following)
@@ -129,22 +136,34 @@ def _lanes_ahead(roads: RoadMap, first: LaneIndex, route: tuple[Any, ...]) -> La
     return tuple(lanes)
 
 
-def _next_lane(lane: Lane, route: tuple[Any, ...]) -> Lane | None:
-    """Return the next lane on a route, without one the nearest; see highway-env's ``RoadNetwork.next_lane``."""
-    wanted = [leg for leg in route if leg[0] == lane.end]
-    ends = [wanted[0][1]] if wanted else list(lane.roads.graph.get(lane.end, {}))
+def next_lane(lane: Lane, route: tuple[Any, ...]) -> Lane | None:
+    """Return the next lane on a route, without one the nearest; None where the road ends.
+
+    It is the lane that highway-env's vehicles choose (``RoadNetwork.next_lane``), except where the route is missed,
+    because its next lane begins more than one lane aside: then it is the nearest one, too.
+    """
     last = lane.shape.position(lane.length, 0.0)
 
     def distance(other: Lane) -> float:
         return float(other.shape.distance(last))
 
-    nexts = []
-    for end in ends:
+    def aside(other: Lane) -> float:
+        return abs(float(other.shape.local_coordinates(last)[1]))
+
+    def continued(end: str, number: int | None) -> Lane:
         road = lane.roads.road(lane.end, end)
-        number = wanted[0][2] if wanted and wanted[0][2] is not None else lane.number
-        same = len(road) == len(lane.siblings)
-        nexts.append(road[number] if same else min(road, key=distance))
-    return min(nexts, key=distance, default=None)
+        if len(road) != len(lane.siblings):
+            return min(road, key=distance)
+        return road[lane.number if number is None else number]
+
+    for start, end, number in route:
+        if start == lane.end:
+            wanted = continued(end, number)
+            if aside(wanted) < GIVING_WAY.crossed * lane.shape.width_at(lane.length):
+                return wanted
+            break
+    ends = lane.roads.graph.get(lane.end, {})
+    return min((continued(end, None) for end in ends), key=distance, default=None)
 
 
 @kept
@@ -189,8 +208,24 @@ class Approach:
     @property
     def braking(self) -> float:
         """Deceleration that it takes to stop before the place [m/s^2]."""
-        room = max(self.distance - GIVING_WAY.stop, 0.1)
-        return float(self.vehicle.speed**2 / (2 * room))
+        return self._braking_to(0.0, self.distance)
+
+    def braking_for(self, other: "Approach") -> float:
+        """Return the deceleration that it takes to let another vehicle go first [m/s^2].
+
+        If both go on in the same lane and the other is far enough ahead, it is enough to become as slow as the other.
+        """
+        room = self.distance - other.distance
+        if other.distance > 0.0:
+            room -= other.vehicle.LENGTH
+        if np.isinf(self.length) and room > GIVING_WAY.stop:
+            return self._braking_to(other.vehicle.speed, room)
+        return self.braking
+
+    def _braking_to(self, speed: float, room: float) -> float:
+        """Return the deceleration to a speed [m/s] within some room [m], `GapAcceptance.stop` before its end."""
+        squares = max(self.vehicle.speed**2 - speed**2, 0.0)
+        return float(squares / (2 * max(room - GIVING_WAY.stop, 0.1)))
 
     def seconds(self, distance: float, acceleration: float = 0.0) -> float:
         """Return how long it takes to drive a distance [m], at constant speed or acceleration [s]."""
@@ -234,9 +269,14 @@ class Approach:
         return self.seconds(passed, GIVING_WAY.starting) + GIVING_WAY.time < other.enters
 
 
-def conflicts(vehicle: Vehicle) -> list[tuple[Approach, Approach]]:
-    """Return how a vehicle and others approach the places where its way meets theirs, a pair for each of the others."""
-    own = way_of(vehicle)
+def conflicts(vehicle: Vehicle, target: LaneIndex | None = None) -> list[tuple[Approach, Approach]]:
+    """Return how a vehicle and others approach the places where its way meets theirs, a pair for each of the others.
+
+    Args:
+        vehicle: whose way it is.
+        target: lane to which it goes; by default, the one to which it goes already.
+    """
+    own = way_of(vehicle, target)
     vehicles = vehicle.road.vehicles
     own_order = vehicles.index(vehicle)
     found = []
@@ -265,16 +305,21 @@ def _meeting(own: Way, other: Way, own_order: int, order: int) -> tuple[Approach
     both = (ahead >= -other.vehicle.LENGTH / 2) & (ahead < GIVING_WAY.reach)
     if not both.any():
         return None
-    points = np.unique(points[both])
-    other_points = np.unique(other_points[both])
+    points = points[both]
+    other_points = other_points[both]
 
     # Vehicles that stay on one road until then are not in conflict.
     own_lane = own.lane_at(points[0])
-    other_lane = other.lane_at(other_points[0])
+    other_lane = other.lane_at(other_points.min())
     roads = {own.vehicle.lane_index[:2], other.vehicle.lane_index[:2], own_lane.index[:2], other_lane.index[:2]}
     if len(roads) == 1:
         return None
-    return _approach(own, points, own_lane, own_order), _approach(other, other_points, other_lane, order)
+
+    # Ways that have not parted within reach go on in the same lane.
+    on_own = np.unique(points)
+    on_other = np.unique(other_points)
+    shared = own.ends_at(on_own[-1]) or other.ends_at(on_other[-1])
+    return _approach(own, on_own, own_lane, own_order, shared), _approach(other, on_other, other_lane, order, shared)
 
 
 @kept
@@ -291,13 +336,11 @@ def _close_points(line: Line, other: Line) -> tuple[Numbers, Numbers]:
     return close.row[order], close.col[order]
 
 
-def _approach(way: Way, points: Numbers, lane: Lane, order: int) -> Approach:
-    """Return how a vehicle approaches close points of its way."""
+def _approach(way: Way, points: Numbers, lane: Lane, order: int, shared: bool) -> Approach:
+    """Return how a vehicle approaches close points of its way; if they are not shared on, up to their first gap."""
     gaps = np.flatnonzero(np.diff(points) > 1)
-    length = SPACING * (points[gaps[0]] - points[0]) if len(gaps) else SPACING * (points[-1] - points[0])
-    last = SPACING * points[-1] - way.place > GIVING_WAY.reach - 2 * SPACING
-    if not len(gaps) and last:
-        length = np.inf
+    last = points[gaps[0]] if len(gaps) else points[-1]
+    length = SPACING * (last - points[0]) if len(gaps) or not shared else np.inf
     distance = max(SPACING * points[0] - way.place - way.vehicle.LENGTH / 2, 0.0)
     rank = float(lane.shape.priority or 0), not way.enters_before(points[0])
     return Approach(way.vehicle, float(distance), float(length), rank, order)
@@ -309,10 +352,21 @@ def highest_acceleration(vehicle: Vehicle) -> float:
     for own, other in conflicts(vehicle):
         if own.distance <= 0.0 or own.goes_before(other) or own.can_go_before(other):
             continue
-        if other.leaves + GIVING_WAY.time < own.seconds(own.distance):
+        if other.leaves + GIVING_WAY.time < own.enters:
             continue
-        if own.distance <= GIVING_WAY.stop:
+        needed = own.braking_for(other)
+        if needed > GIVING_WAY.calm:
+            highest = min(highest, -needed)
+        elif own.distance <= GIVING_WAY.stop:
             highest = min(highest, -GIVING_WAY.holding * vehicle.speed)
-        elif own.braking > GIVING_WAY.calm:
-            highest = min(highest, -own.braking)
     return highest
+
+
+def leaves_room(vehicle: Vehicle, target: LaneIndex) -> bool:
+    """Return whether nobody has to brake hard where ways meet, if a vehicle goes to another lane."""
+    for own, other in conflicts(vehicle, target):
+        first, second = (own, other) if own.goes_before(other) else (other, own)
+        apart = first.leaves + GIVING_WAY.time < second.enters
+        if not apart and second.braking_for(first) > GIVING_WAY.comfortable:
+            return False
+    return True
