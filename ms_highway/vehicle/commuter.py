@@ -16,6 +16,7 @@ from ms_highway.game.learned_reward import shipped_drivers
 from ms_highway.game.scene import Leader
 from ms_highway.geometry.road_map import LIMIT, road_map
 from ms_highway.planning.learned_driving import FREE_GAP, held_acceleration
+from ms_highway.planning.manoeuvres import idm_acceleration
 from ms_highway.vehicle.right_of_way import GIVING_WAY, highest_acceleration, leaves_room, next_lane
 
 
@@ -124,12 +125,25 @@ class CommuterVehicle(IDMVehicle):
             gap = ego_vehicle.lane_distance_to(front_vehicle) - lengths / 2
             leader_speed = max(float(front_vehicle.velocity @ ego_vehicle.direction), 0.0)
 
-        # What the learned reward prefers, unless there is nobody ahead or harder braking is necessary.
-        own = self.traits._replace(desired_speed=self.traits.desired_speed * wanted)
+        # What the learned reward prefers, or more where traffic is slow.
+        own = self.traits._replace(
+            desired_speed=self.traits.desired_speed * wanted,
+        )
         leader = Leader(min(gap, FREE_GAP), leader_speed, front_vehicle is not None)
-        wish = float(held_acceleration(shipped_drivers().weights, own, speed, leader))
-        if not front_vehicle:
-            return max(wish, BESIDE_REWARD.free * (1 - (speed / wanted) ** 4))
+        learned = float(held_acceleration(shipped_drivers().weights, own, speed, leader))
+        starting = idm_acceleration(
+            speed,
+            wanted,
+            gap,
+            leader_speed,
+            headway=own.headway,
+            standstill=BESIDE_REWARD.stopped,
+            strongest=BESIDE_REWARD.free,
+            braking=BESIDE_REWARD.calm,
+        )
+        wish = max(learned, float(starting))
+
+        # Brake as hard as it takes not to touch the leader.
         if gap < BESIDE_REWARD.stopped / 2:
             return -self.ACC_MAX
         room = max(gap - BESIDE_REWARD.stopped, 0.1)
