@@ -118,6 +118,8 @@ class CommuterVehicle(IDMVehicle):
             return -BESIDE_REWARD.when_told
 
         # The leader, a gap between bumpers away.
+        if front_vehicle and not _is_ahead(ego_vehicle, front_vehicle):
+            front_vehicle = None
         gap = np.inf
         leader_speed = speed
         if front_vehicle:
@@ -149,3 +151,15 @@ class CommuterVehicle(IDMVehicle):
         room = max(gap - BESIDE_REWARD.stopped, 0.1)
         needed = max(speed**2 - leader_speed**2, 0.0) / (2 * room)
         return min(wish, -needed) if needed > BESIDE_REWARD.calm else wish
+
+
+def _is_ahead(vehicle: Vehicle, front: RoadObject) -> bool:
+    """Return whether what highway-env finds ahead of a vehicle is ahead of it.
+
+    highway-env also searches lanes that are connected with the vehicle's lane. On their straight or circular
+    continuation it finds vehicles that are behind, and oncoming vehicles in the lane beside.
+    """
+    if vehicle.lane_distance_to(front) < -(vehicle.LENGTH + front.LENGTH) / 2:
+        return False
+    oncoming = float(vehicle.direction @ front.direction) < 0.0
+    return not oncoming or bool(vehicle.lane.on_lane(front.position, margin=1.0))
