@@ -17,7 +17,9 @@ __all__ = [
     "ScriptedVehicle",
     "bicycle",
     "commuter",
+    "idm",
     "planning",
     "right_of_way",
     "states_of",
+    "ways",
 ]
