@@ -1,7 +1,4 @@
-"""Drive on any highway-env road like the drivers recorded on US-101.
-
-Where ways meet, they give way.
-"""
+"""Follow like the drivers recorded on US-101, and drive so on any highway-env road."""
 
 from dataclasses import replace
 from functools import cached_property
@@ -31,21 +28,14 @@ WHEN_TOLD = 6.0
 """Deceleration where a road makes a commuter yield [m/s^2]."""
 
 
-class CommuterVehicle(IDMVehicle):
-    """Drive like the drivers recorded on US-101, each car with traits of its own.
+class FollowingVehicle(IDMVehicle):
+    """Follow like the drivers recorded on US-101, each car with traits of its own.
 
     The acceleration maximises a reward learned from where those drivers were seconds
     later, see `ms_highway.planning.learned_driving`. Desired speed, headway and
-    patience are drawn for every car by the road's random numbers.
-
-    Dense traffic tells little about starting off and stopping: with that reward, cars
-    crawl at low speeds. So commuters also accelerate as the Intelligent Driver Model
-    does with `ms_highway.vehicle.idm.COMMUTERS`, and brake as hard as they have to, by
-    ``ACC_MAX`` at most.
-
-    Commuters steer and change lanes like highway-env's drivers (MOBIL). Where ways
-    cross or meet, as in roundabouts, they give way as `ms_highway.vehicle.right_of_way`
-    says, and stop where a ``RegulatedRoad`` tells them.
+    patience are drawn for every car by the road's random numbers. As dense traffic
+    tells little about stopping, cars also brake as hard as they have to, by ``ACC_MAX``
+    at most. All else is as in highway-env's `IDMVehicle`.
     """
 
     ACC_MAX = 8.0  # m/s^2, of braking; they accelerate by 4 at most
@@ -63,6 +53,85 @@ class CommuterVehicle(IDMVehicle):
 
     def act(self, action: Any = None) -> None:
         """Decide what to do in the next step; never drive backwards."""
+        super().act(action)
+        slowest = -GIVING_WAY.holding * self.speed
+        self.action["acceleration"] = float(max(self.action["acceleration"], slowest))
+
+    def acceleration(
+        self,
+        ego_vehicle: Vehicle | None,
+        front_vehicle: RoadObject | None = None,
+        rear_vehicle: Any = None,
+    ) -> float:
+        """Return the acceleration of a vehicle behind another one [m/s^2].
+
+        It is as if the vehicle had the traits of this car.
+
+        Args:
+            ego_vehicle: the vehicle; None and obstacles do not accelerate.
+            front_vehicle: the vehicle or obstacle ahead of it.
+            rear_vehicle: ignored.
+        """
+        if not isinstance(ego_vehicle, Vehicle):
+            return 0.0
+        speed = ego_vehicle.speed
+        limit = ego_vehicle.lane.speed_limit or LIMIT
+        wanted = min(getattr(ego_vehicle, "target_speed", limit), limit)
+        if wanted <= 0:  # the road makes the vehicle yield
+            return -WHEN_TOLD
+
+        # The leader, a gap between bumpers away.
+        gap = np.inf
+        leader_speed = speed
+        if front_vehicle:
+            lengths = ego_vehicle.LENGTH + front_vehicle.LENGTH
+            gap = ego_vehicle.lane_distance_to(front_vehicle) - lengths / 2
+            onward = float(front_vehicle.velocity @ ego_vehicle.direction)
+            leader_speed = max(onward, 0.0)
+        wish = self.preferred_acceleration(speed, wanted, gap, leader_speed)
+
+        # Brake as hard as it takes not to touch the leader.
+        if gap < COMMUTERS.standstill / 2:
+            return -self.ACC_MAX
+        room = max(gap - COMMUTERS.standstill, 0.1)
+        squares = max(speed**2 - leader_speed**2, 0.0)
+        needed = squares / (2 * room)
+        return min(wish, -needed) if needed > COMMUTERS.braking else wish
+
+    def preferred_acceleration(
+        self,
+        speed: float,
+        wanted: float,
+        gap: float,
+        leader_speed: float,
+    ) -> float:
+        """Return what the learned reward prefers while braking is not urgent [m/s^2].
+
+        Args:
+            speed: of the follower [m/s].
+            wanted: the speed limit, or the follower's target speed if lower [m/s].
+            gap: to the leader, between bumpers [m]; infinite without one.
+            leader_speed: [m/s].
+        """
+        desired = self.traits.desired_speed * wanted
+        own = self.traits._replace(desired_speed=desired)
+        leader = Leader(min(gap, FREE_GAP), leader_speed, np.isfinite(gap))
+        return float(held_acceleration(shipped_drivers().weights, own, speed, leader))
+
+
+class CommuterVehicle(FollowingVehicle):
+    """Drive on any highway-env road, and follow like the drivers recorded on US-101.
+
+    The traffic there hardly stops, so that at low speeds its reward makes cars crawl:
+    commuters start off as the Intelligent Driver Model does, with
+    `ms_highway.vehicle.idm.COMMUTERS`. They steer and change lanes like highway-env's
+    drivers (MOBIL). Where ways cross or meet, as in roundabouts, they give way as
+    `ms_highway.vehicle.right_of_way` says, and stop where a ``RegulatedRoad`` tells
+    them.
+    """
+
+    def act(self, action: Any = None) -> None:
+        """Decide what to do in the next step; give way, and never drive backwards."""
         super().act(action)
         if self.crashed:
             return
@@ -119,51 +188,36 @@ class CommuterVehicle(IDMVehicle):
         front_vehicle: RoadObject | None = None,
         rear_vehicle: Any = None,
     ) -> float:
-        """Return the acceleration of a vehicle behind another one [m/s^2].
-
-        It is as if the vehicle had the traits of this car.
+        """Return the acceleration of a vehicle behind what is ahead of it [m/s^2].
 
         Args:
             ego_vehicle: the vehicle; None and obstacles do not accelerate.
-            front_vehicle: the vehicle or obstacle ahead of it.
+            front_vehicle: what highway-env has found ahead of it.
             rear_vehicle: ignored.
         """
-        if not isinstance(ego_vehicle, Vehicle):
-            return 0.0
-        speed = ego_vehicle.speed
-        limit = ego_vehicle.lane.speed_limit or LIMIT
-        wanted = min(getattr(ego_vehicle, "target_speed", limit), limit)
-        if wanted <= 0:  # the road makes the vehicle yield
-            return -WHEN_TOLD
-
-        # The leader, a gap between bumpers away.
-        if front_vehicle and not _is_ahead(ego_vehicle, front_vehicle):
+        known = isinstance(ego_vehicle, Vehicle) and front_vehicle is not None
+        if known and not _is_ahead(ego_vehicle, front_vehicle):
             front_vehicle = None
-        gap = np.inf
-        leader_speed = speed
-        if front_vehicle:
-            lengths = ego_vehicle.LENGTH + front_vehicle.LENGTH
-            gap = ego_vehicle.lane_distance_to(front_vehicle) - lengths / 2
-            onward = float(front_vehicle.velocity @ ego_vehicle.direction)
-            leader_speed = max(onward, 0.0)
+        return super().acceleration(ego_vehicle, front_vehicle)
 
-        # What the learned reward prefers, or more where that crawls.
-        desired = self.traits.desired_speed * wanted
-        own = self.traits._replace(desired_speed=desired)
-        leader = Leader(min(gap, FREE_GAP), leader_speed, front_vehicle is not None)
-        weights = shipped_drivers().weights
-        learned = float(held_acceleration(weights, own, speed, leader))
-        starting = replace(COMMUTERS, headway=float(own.headway))
-        free = starting.acceleration(speed, wanted, gap, leader_speed)
-        wish = max(learned, free)
+    def preferred_acceleration(
+        self,
+        speed: float,
+        wanted: float,
+        gap: float,
+        leader_speed: float,
+    ) -> float:
+        """Return what the learned reward prefers, or more where that crawls [m/s^2].
 
-        # Brake as hard as it takes not to touch the leader.
-        if gap < COMMUTERS.standstill / 2:
-            return -self.ACC_MAX
-        room = max(gap - COMMUTERS.standstill, 0.1)
-        squares = max(speed**2 - leader_speed**2, 0.0)
-        needed = squares / (2 * room)
-        return min(wish, -needed) if needed > COMMUTERS.braking else wish
+        Args:
+            speed: of the follower [m/s].
+            wanted: the speed limit, or the follower's target speed if lower [m/s].
+            gap: to the leader, between bumpers [m]; infinite without one.
+            leader_speed: [m/s].
+        """
+        learned = super().preferred_acceleration(speed, wanted, gap, leader_speed)
+        starting = replace(COMMUTERS, headway=float(self.traits.headway))
+        return max(learned, starting.acceleration(speed, wanted, gap, leader_speed))
 
 
 def _is_ahead(vehicle: Vehicle, front: RoadObject) -> bool:

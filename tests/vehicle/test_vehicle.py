@@ -80,6 +80,13 @@ def test_a_commuter_that_must_stop_brakes_within_its_grip_and_stands_until_it_ma
     assert drive(road, 15, 1 / 15)[-1] > 1.5
 
 
+def test_a_commuter_that_stands_far_behind_a_standing_car_drives_up_to_it():
+    cars = (CommuterVehicle, (0.0, 0.0), 0.0), (ScriptedVehicle, (35.0, 0.0), 0.0)
+    road, car, leader = road_with(*cars, lanes=1)
+    drive(road, 150, 1 / 15)
+    assert 1.0 < leader.position[0] - car.position[0] - car.LENGTH < 6.0
+
+
 def test_a_human_that_nobody_drives_says_who_does_on_any_road():
     road, _ = road_with((HumanVehicle, (0.0, 0.0), 15.0))
     with pytest.raises(ValueError, match=r"drive_with, or use ms_highway.vehicle.CommuterVehicle"):
