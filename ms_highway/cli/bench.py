@@ -100,9 +100,12 @@ def bench_road(options: argparse.Namespace) -> None:
     Drivers of this package are priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
     +intentions (such as priced+intentions), other cars that have a route show it, as by indicators. Your own are those
     that a module of --import adds: planners of add_driver, and agents of add_agent. Others are idm, highway-env's IDM
-    and MOBIL instead of the ego, and files of agents that stable-baselines3 has saved (it has to be installed), such as
-    those of notebooks/examples/train_peers.py: open only files that you trust, as they may hold any program. Drivers
-    above 10 m/s^2 are labelled unphysical.
+    and MOBIL instead of the ego; commuter, a CommuterVehicle instead of the ego; and files of agents that
+    stable-baselines3 has saved (it has to be installed), such as those of notebooks/examples/train_peers.py: open only
+    files that you trust, as they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
+
+    Collisions are the ego's; "with any collision" counts the episodes in which any vehicles touch, "others m/s" is the
+    mean speed of the other vehicles. To compare kinds of traffic, let the ego be of the same kind.
 
     The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package). If
     the vehicle of a problem was recorded, too, the ego takes its place, and a line says so.
@@ -120,6 +123,7 @@ def bench_road(options: argparse.Namespace) -> None:
       ms-highway bench road merge --drivers priced idm
       ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
       ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
+      ms-highway bench road roundabout-v1 exit-v1 --drivers commuter --traffic commuter --seeds 40
       ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
       ms-highway --import notebooks.examples.agents bench road merge-v0 --drivers merges idm
       ms-highway bench road recorded

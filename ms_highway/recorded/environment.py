@@ -150,8 +150,9 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
 
     * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz``, or ``"us101"``, which comes with the package.
     * ``traffic``: ``"learned"``, drivers that were learned on US-101, who react to the ego and each have traits of
-      their own (`ms_highway.CommuterVehicle`); ``"replay"``, every vehicle moves as it was recorded; ``"idm"``,
-      highway-env's drivers. Road users outside lanes, such as pedestrians and trains, are always replayed.
+      their own (`ms_highway.vehicle.FollowingVehicle`);
+      ``"replay"``, every vehicle moves as it was recorded; ``"idm"``, highway-env's drivers.
+      Road users outside lanes, such as pedestrians and trains, are always replayed.
     * ``ego``: ``"problem"`` for the first planning problem, or ``"problem:NUMBER"`` for any; or the number of a
       recorded vehicle: the ego starts in its place, and must be at its last position at most 2 s after it was there. If
       the vehicle of a planning problem was recorded, too, the ego takes its place; any other obstacle that overlaps the

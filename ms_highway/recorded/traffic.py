@@ -13,7 +13,7 @@ from ms_highway.geometry.bodies import nearest_ahead, separation
 from ms_highway.recorded.scenario import SPEED_LIMIT, RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.runtime.arrays import State
-from ms_highway.vehicle import CommuterVehicle, RoutedVehicle, states_of
+from ms_highway.vehicle import FollowingVehicle, RoutedVehicle, states_of
 
 EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
 ENTRY_GAP = 2.0  # m that must be free ahead of and behind a vehicle that enters or changes lanes
@@ -29,7 +29,7 @@ class ReplayedVehicle(RoutedVehicle):
     COLOR = None
 
 
-class LearnedVehicle(CommuterVehicle):
+class LearnedVehicle(FollowingVehicle):
     """A learned driver in the place of a recorded vehicle.
 
     It changes lanes where the recorded vehicle did, as soon as there is room. Without a leader it drives as fast as the
@@ -41,7 +41,6 @@ class LearnedVehicle(CommuterVehicle):
 
     road: "RecordedRoad"
     way: State
-    target_lane_index: LaneIndex
 
     def change_lane_policy(self) -> None:
         """Change towards the lane of the recorded vehicle, unless a change is going on or there is no room for one."""
@@ -63,7 +62,7 @@ class LearnedVehicle(CommuterVehicle):
         return bool(gap > ENTRY_GAP + GAP_TIME * max(-np.sign(distance) * relative_speed, 0.0))
 
     def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
-        """Return the acceleration of a vehicle behind another one [m/s^2], see `CommuterVehicle`."""
+        """Return the acceleration of a vehicle behind another one [m/s^2], see `FollowingVehicle`."""
         if front_vehicle:
             return super().acceleration(ego_vehicle, front_vehicle)
         x, *_, speed = self.road.states[self]

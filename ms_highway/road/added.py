@@ -14,8 +14,8 @@ from ms_highway.numerics.solvers import PlanningSettings
 from ms_highway.perception.scene import TRAFFIC, RoadScene
 from ms_highway.road.constants import MODELS, RoadPlanning, RoadWeights
 from ms_highway.road.driver import RoadStep
+from ms_highway.road.road_view import RoadView, look
 from ms_highway.runtime.names import PACKAGE_NAMES
-from ms_highway.vehicle.road_view import RoadView, look
 
 SOURCE = "driver"
 """What drives, in records."""
@@ -30,7 +30,7 @@ def added_drivers() -> list[str]:
 class AddedRoadDriver:
     """Drive a robot on any road, one step at a time, by a driver that is made for the games of this package.
 
-    The driver sees the road straightened along the robot's way, see `ms_highway.vehicle.road_view.look`: x along it,
+    The driver sees the road straightened along the robot's way, see `ms_highway.road.road_view.look`: x along it,
     from the robot's rear axle, and y to its right. Its game has the robot's lane and one to either side, the wanted
     lane as the target lane, the reward of `ms_highway.game.scenario.COMMON_WEIGHTS`, and steps as long as the robot
     holds a control. Its speed limit is the desired speed or, if that is lower, the lane's, which is reduced before

@@ -19,7 +19,7 @@ from ms_highway.road.driver import RoadDriver, RoadStep
 from ms_highway.road.simulation import MAX_SLIP_SINE
 from ms_highway.road.timed_goal import RobotGoal, TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
-from ms_highway.vehicle.road_view import at_constant_speed
+from ms_highway.vehicle.planning import at_constant_speed
 
 PERIOD = 0.2
 """Time between two plans [s], rounded to frames of the simulation."""

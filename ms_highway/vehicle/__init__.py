@@ -1,22 +1,26 @@
-"""Provide highway-env vehicles, importable from here, and their view of a road.
+"""Provide highway-env vehicles, importable from here.
 
 Imports `ms_highway.loop` and the packages below it.
 """
 
-from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle
-from ms_highway.vehicle.planning import CommuterVehicle, HumanVehicle, PlanningVehicle, RobotVehicle
-from ms_highway.vehicle.road_view import states_of
+from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle, states_of
+from ms_highway.vehicle.commuter import CommuterVehicle, FollowingVehicle
+from ms_highway.vehicle.planning import HumanVehicle, PlanningVehicle, RobotVehicle
 
 __all__ = [
     "BicycleVehicle",
     "CommuterVehicle",
+    "FollowingVehicle",
     "HumanVehicle",
     "PlanningVehicle",
     "RobotVehicle",
     "RoutedVehicle",
     "ScriptedVehicle",
     "bicycle",
+    "commuter",
+    "idm",
     "planning",
-    "road_view",
+    "right_of_way",
     "states_of",
+    "ways",
 ]

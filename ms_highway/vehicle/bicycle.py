@@ -1,6 +1,6 @@
 """Move highway-env vehicles like a bicycle with friction: by actions, on a script or along a route."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import atan, tan
 from typing import Any
@@ -14,6 +14,11 @@ from highway_env.vehicle.objects import RoadObject
 from ms_highway.game.dynamics import keep_velocity, step, within_grip
 from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.runtime.arrays import Car, Control, State
+
+
+def states_of(cars: Iterable[RoadObject]) -> State:
+    """Return ``(x, y, heading, speed)`` of highway-env vehicles [cars, 4]."""
+    return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
 
 
 class OfferedSpeeds:
@@ -65,7 +70,8 @@ class BicycleVehicle(Vehicle):
     @property
     def state(self) -> Car:
         """``(x, y, heading, speed)`` in metres, radians and metres per second."""
-        return np.array([*self.position, self.heading, self.speed], dtype=float)
+        x, y = self.position
+        return np.array([x, y, self.heading, self.speed], dtype=float)
 
     @property
     def friction(self) -> float:

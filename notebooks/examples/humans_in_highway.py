@@ -1,8 +1,7 @@
-"""Put humans on a stock highway-env road: they plan for their own reward and drive by themselves.
+"""Put humans on a stock highway-env road: commuters, who drive like the drivers recorded on US-101.
 
-They keep within what tyres hold, 8 m/s^2 in all, never reverse, and slow down for bends. They know no right of way and
-hardly change lanes: roundabouts among cars that brake for nobody are not for them (see `ms_highway.HumanVehicle`).
-Run::
+Every commuter has a desired speed, a headway and a patience of its own. Commuters change lanes as highway-env's drivers
+do, and give way where ways meet. Run::
 
     python notebooks/examples/humans_in_highway.py
 """
@@ -11,7 +10,7 @@ import gymnasium as gym
 
 import ms_highway  # noqa: F401  # registers its environments, and those of highway-env
 
-config = {"other_vehicles_type": "ms_highway.vehicle.HumanVehicle"}  # or CommuterVehicle, who follows as on US-101
+config = {"other_vehicles_type": "ms_highway.vehicle.CommuterVehicle"}
 env = gym.make("highway-v0", config={**config, "vehicles_count": 5, "duration": 3})
 env.reset(seed=0)
 done = False
@@ -19,4 +18,4 @@ while not done:
     *_, terminated, truncated, _ = env.step(1)  # the ego car, highway-env's own, keeps its lane
     done = terminated or truncated
 for vehicle in env.unwrapped.road.vehicles:
-    print(f"{type(vehicle).__name__:14} {vehicle.speed:.1f} m/s")
+    print(f"{type(vehicle).__name__:15} {vehicle.speed:.1f} m/s")

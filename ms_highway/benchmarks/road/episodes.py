@@ -17,7 +17,7 @@ import pandas as pd
 from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.peers import Agent, Human, Idm, Peer, RecordedStart
+from ms_highway.benchmarks.road.peers import Agent, Commuter, Human, Idm, Peer, RecordedStart
 from ms_highway.envs.agents import AGENTS, is_agent, policy_of
 from ms_highway.road import drive
 from ms_highway.road.graphics import show
@@ -33,7 +33,7 @@ MAX_DURATION = 60.0  # s, after which an episode ends in scenes without a time l
 FRAMES_PER_SECOND = 10  # of films, at most
 MAX_FILM_HEIGHT = 360  # px, as web pages load films
 
-OTHERS: dict[str, type[Peer]] = {"idm": Idm, HUMAN: Human}
+OTHERS: dict[str, type[Peer]] = {"idm": Idm, "commuter": Commuter, HUMAN: Human}
 """Wrappers of drivers from outside this package, by name."""
 
 
@@ -118,6 +118,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
           whether it left the road;
         * ``steps``, the number of the environment's steps; ``reward``, its sum over them;
         * figures of the motion until the end or a crash, see `ms_highway.benchmarks.road.measures.measured`;
+        * figures of the other vehicles, see `ms_highway.benchmarks.road.measures.OthersWatch.figures`;
         * ``late``, the number of plans that were not ready within their budget;
         * ``decisions``, the duration of each decision, without compilation [s]; ``sources``, the number of decisions by
           what drove, if the driver tells; ``rungs``, how many cars each rung predicted, summed over decisions.
@@ -149,6 +150,7 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         "steps": len(rewards),
         "reward": sum(rewards),
         **watch.motion(),
+        **watch.others.figures(),
         "decisions": [seconds for road in roads for seconds in road["decisions"] if seconds >= 0],
         "late": sum(road.get("late", 0) for road in roads),
         "sources": Counter(source for road in roads for source in road.get("sources", ()) if source),
@@ -237,6 +239,10 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
       [s];
     * ``sources``: shares of the decisions by what drove, if the driver tells;
     * ``rungs``: shares of the cars that each rung predicted;
+    * ``any_collisions``, ``others_collisions``: numbers of episodes in which any vehicles collided, and in which other
+      vehicles collided without the ego;
+    * ``others_speed``, ``others_arrived``: their mean speed [m/s], and how many of them arrive in an episode;
+    * ``others_braking``: their hardest braking in any frame [m/s^2];
     * ``episodes``: their number; ``seeds``: the first seed and how many; ``traffic``: type of the other vehicles;
       ``label``: ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL_ACCELERATION`.
     """
@@ -257,6 +263,11 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
         "p99_ms": 1e3 * p99,
         "late": of["late"].sum() / of["decisions"].map(len).sum(),
         "goal_seconds": None if reached.empty else reached.mean(),
+        "any_collisions": of["collided"].sum(),
+        "others_collisions": of["others_collided"].sum(),
+        "others_speed": of["others_speed"].mean(),
+        "others_arrived": of["others_arrived"].mean(),
+        "others_braking": of["others_braking"].max(),
         "sources": _shares(of["sources"]),
         "rungs": _shares(of["rungs"]),
         "episodes": len(episodes),

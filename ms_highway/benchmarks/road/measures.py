@@ -1,4 +1,4 @@
-"""Measure the motion of the ego in every frame of the simulation, and its fault in collisions."""
+"""Measure the motion of the ego and of others in every frame of the simulation, and the ego's fault in collisions."""
 
 from collections import deque
 from collections.abc import Callable, Collection
@@ -7,6 +7,8 @@ from math import cos
 from typing import Any, TypeAlias
 
 import numpy as np
+
+from ms_highway.geometry.bodies import separation
 
 LOOK_BACK = 1.0  # s before a collision
 GAP = 0.5  # m, largest gap between lanes where roads meet
@@ -57,6 +59,7 @@ class Watch:
         *then: functions to call after every frame.
 
     Attributes:
+        others: what the other vehicles have done.
         crashed: whether the ego has crashed.
         at_fault: whether the ego has crashed by its own fault, see `is_at_fault`.
         off_road: whether its centre has been off its lane by more than `GAP`, before a crash.
@@ -67,12 +70,14 @@ class Watch:
         self._env, self._time_step = env, 1 / env.config["simulation_frequency"]
         self._states: list[Any] = []
         self._lanes = deque[Lane](maxlen=max(1, round(LOOK_BACK / self._time_step)))
+        self.others = OthersWatch(env)
         self._see()
         self.off_road = False
         step = env.road.step
 
         def watched(dt: float) -> None:
             step(dt)
+            self.others.see()
             if not self.crashed:
                 self._see()
             for each in then:
@@ -96,6 +101,86 @@ class Watch:
         _, offset = ego.lane.local_coordinates(ego.position)
         self._lanes.append(ego.lane_index if abs(offset) < LANE_OFFSET and ego.speed > STANDING_SPEED else None)
         self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
+
+
+class OthersWatch:
+    """Watch all vehicles but the ego of a highway-env environment in every frame of the simulation.
+
+    Vehicles collide if highway-env says so, or if their bodies overlap: in some scenes, as in highway-fast-v0,
+    highway-env looks for collisions of the ego only.
+
+    Args:
+        env: the environment, unwrapped, just reset.
+
+    Attributes:
+        collided: whether any two vehicles, or a vehicle and an obstacle, have collided.
+        others_collided: whether two of the others, or one of them and an obstacle, have collided before the ego did.
+    """
+
+    def __init__(self, env: Any) -> None:
+        self.collided = self.others_collided = False
+        self._env = env
+        self._arrived: set[int] = set()
+        self._distance = 0.0
+        self._frames = 0
+        self._hardest_braking = 0.0
+        self._speeds: dict[int, float] = {}
+        self._seen: list[Any] = []  # vehicles that have been seen: keeps their ids unique
+        self.see()
+
+    def figures(self) -> dict:
+        """Return the figures of the others until now.
+
+        * ``collided``, ``others_collided``: as above;
+        * ``others_speed``: mean over all of the others and all frames [m/s];
+        * ``others_braking``: hardest deceleration of any of the others that has not collided [m/s^2];
+        * ``others_arrived``: number of the others that have reached the last road of their routes.
+        """
+        return {
+            "collided": self.collided,
+            "others_collided": self.others_collided,
+            "others_speed": self._distance / max(self._frames, 1),
+            "others_braking": self._hardest_braking,
+            "others_arrived": len(self._arrived),
+        }
+
+    def see(self) -> None:
+        """Look at all vehicles in this frame."""
+        ego = self._env.vehicle
+        road = self._env.road
+        others = [vehicle for vehicle in road.vehicles if vehicle is not ego]
+        if not self.collided:
+            ego_touches, others_touch = self._touching(ego, others)
+            self.others_collided = others_touch
+            self.collided = ego_touches or others_touch
+
+        # How fast the others drive, how hard they brake, and who has arrived.
+        time_step = 1 / self._env.config["simulation_frequency"]
+        for vehicle in others:
+            self._distance += abs(vehicle.speed)
+            self._frames += 1
+            braking = (self._speeds.get(id(vehicle), vehicle.speed) - vehicle.speed) / time_step
+            if not vehicle.crashed:
+                self._hardest_braking = max(self._hardest_braking, braking)
+            if id(vehicle) not in self._speeds:
+                self._seen.append(vehicle)
+            self._speeds[id(vehicle)] = vehicle.speed
+            route = getattr(vehicle, "route", None)
+            if route and len(route) == 1 and vehicle.lane_index[:2] == route[0][:2]:
+                self._arrived.add(id(vehicle))
+
+    def _touching(self, ego: Any, others: list[Any]) -> tuple[bool, bool]:
+        """Return whether the ego collides in this frame, and whether others collide without it."""
+        crashed = [vehicle for vehicle in others if vehicle.crashed]
+        if ego.crashed:
+            crashed = [vehicle for vehicle in crashed if _gap(ego, vehicle) > COLLISION_REACH]
+        vehicles = [ego, *others]
+        poses = np.array([(*vehicle.position, vehicle.heading) for vehicle in vehicles]).T
+        sizes = np.array([(vehicle.LENGTH, vehicle.WIDTH) for vehicle in vehicles])
+        first, second = np.triu_indices(len(vehicles), 1)
+        overlap = separation(tuple(poses[:, first]), sizes[first], tuple(poses[:, second]), sizes[second]) < 0
+        ego_touches = ego.crashed or bool(overlap[first == 0].any())
+        return ego_touches, bool(crashed) or bool(overlap[first > 0].any())
 
 
 def _gap(one: Any, other: Any) -> float:

@@ -8,7 +8,7 @@ from copy import deepcopy
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -25,6 +25,7 @@ from ms_highway.recorded.traffic import ReplayedVehicle
 from ms_highway.road.driven import placeholder_action
 from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego
 from ms_highway.road.timed_goal import TimedGoal
+from ms_highway.vehicle import CommuterVehicle
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 
 
@@ -94,8 +95,8 @@ class Agent(Peer):
         return self.policy(deepcopy(self.seen))  # which others hold, too
 
 
-class IdmEgo(OfferedSpeeds, IDMVehicle):
-    """highway-env's IDM and MOBIL as the ego, with the attributes of an `MDPVehicle` that rewards read.
+class PeerEgo(OfferedSpeeds, IDMVehicle):
+    """A car of highway-env's IDM and MOBIL as the ego, with the attributes of an `MDPVehicle` that rewards read.
 
     Attributes:
         decisions: list to which the ego appends the duration of each of its decisions [s].
@@ -111,18 +112,27 @@ class IdmEgo(OfferedSpeeds, IDMVehicle):
             self.decisions.append(perf_counter() - start)
 
 
+class CommuterEgo(PeerEgo, CommuterVehicle):
+    """A `ms_highway.CommuterVehicle` as the ego."""
+
+
 class Idm(Peer):
     """Let highway-env's IDM and MOBIL drive the ego, on a route to the goal if there is one.
 
     They decide in every frame. The desired speed is that of `ms_highway.road.stock.desired_speed_of`, as for this
     package's drivers; IDM obeys the speed limits of lanes by itself. A timed goal overrides the desired speed.
+
+    Attributes:
+        ego_type: class of the ego.
     """
 
+    ego_type: ClassVar[type[PeerEgo]] = PeerEgo
+
     def begin(self) -> None:
-        """Replace the ego by an `IdmEgo`."""
+        """Replace the ego by one that drives itself."""
         speed = desired_speed_of(self.env)
         ego: Any = replace_ego(
-            self.env, lambda old: IdmEgo(old.road, old.position, old.heading, old.speed, target_speed=speed)
+            self.env, lambda old: self.ego_type(old.road, old.position, old.heading, old.speed, target_speed=speed)
         )
         ego.target_speeds = np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
         ego.decisions, goal = self.decisions, destination_of(self.inner)
@@ -139,6 +149,12 @@ class Idm(Peer):
         if isinstance(goal, TimedGoal):
             self.inner.vehicle.target_speed = goal.desired_speed(self.inner.vehicle, self.inner.time)
         return super().choose()
+
+
+class Commuter(Idm):
+    """Let a `ms_highway.CommuterVehicle` drive the ego, as `Idm` does with highway-env's."""
+
+    ego_type = CommuterEgo
 
 
 class Human(Peer):

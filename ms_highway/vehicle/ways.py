@@ -1,0 +1,179 @@
+"""Say where vehicles are going to drive: along their lane, and then along their route.
+
+Ways are known, as drivers show them by indicators.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from highway_env.road.road import LaneIndex
+from highway_env.vehicle.kinematics import Vehicle
+
+from ms_highway.geometry.lane_paths import Points, Row
+from ms_highway.geometry.road_map import Lane, Lanes, RoadMap, kept, road_map
+
+SPACING = 1.5
+"""Distance between the points of a way [m]."""
+
+REACH = 60.0
+"""Distance ahead that ways show [m]: more than it takes to stop from 20 m/s."""
+
+MERGING = 6.0
+"""Distance in which a vehicle covers all but a third of the way to another lane [m]."""
+
+CROSSED = 1.5
+"""Widths of a lane that drivers cross at most where their lane ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """The middle line of some lanes that are driven one after the other.
+
+    Attributes:
+        lanes: in order.
+        starts: distances at which they begin [m].
+        points: every `SPACING` metres [points, 2]; the line moves gradually from lane
+            to lane.
+        entering: distances at which the line leaves its lane for another one, or comes
+            from a smaller road [m].
+    """
+
+    lanes: Lanes
+    starts: Row
+    points: Points
+    entering: Row
+
+
+@dataclass(frozen=True)
+class Way:
+    """Where a vehicle is going to drive.
+
+    Attributes:
+        vehicle: that drives there.
+        line: of the lanes that it follows.
+        place: of the vehicle on the line [m].
+    """
+
+    vehicle: Vehicle
+    line: Line
+    place: float
+
+    def lane_at(self, point: int) -> Lane:
+        """Return the lane at a point of the line."""
+        after = np.searchsorted(self.line.starts, SPACING * point, side="right")
+        return self.line.lanes[max(int(after) - 1, 0)]
+
+    def enters_before(self, point: int) -> bool:
+        """Return whether the vehicle enters another lane or road on its way to a point.
+
+        It does if it leaves its lane, or comes from a smaller road.
+        """
+        # A vehicle beside the middle of its lane is changing lanes now.
+        lane = self.line.lanes[0].shape
+        _, aside = lane.local_coordinates(self.vehicle.position)
+        if abs(aside) > lane.width_at(0.0) / 4 and self.place < lane.length:
+            return True
+
+        entering = self.line.entering
+        not_passed = entering > self.place - MERGING
+        not_later = entering <= SPACING * point + MERGING
+        return bool(np.any(not_passed & not_later))
+
+    def ends_at(self, point: int) -> bool:
+        """Return whether a point is the last one of the line, or of those in reach."""
+        length = SPACING * (len(self.line.points) - 1)
+        end = min(length, self.place + REACH)
+        return bool(SPACING * point > end - 2 * SPACING)
+
+
+def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
+    """Return where a vehicle is going to drive.
+
+    Args:
+        vehicle: any of highway-env's vehicles.
+        target: lane to which it goes; by default, the one to which it goes already.
+    """
+    roads = road_map(vehicle.road.network)
+    target = target or getattr(vehicle, "target_lane_index", None) or vehicle.lane_index
+    route = tuple(getattr(vehicle, "route", None) or ())
+    lanes = _lanes_ahead(roads, target, route)
+
+    # Before its lane ends, a vehicle may already have the next one as its target.
+    if vehicle.lane_index[1] == target[0]:
+        lanes = (roads.lanes[vehicle.lane_index], *lanes)
+
+    line = _line(roads, lanes)
+    place, _ = line.lanes[0].shape.local_coordinates(vehicle.position)
+    return Way(vehicle, line, float(place))
+
+
+@kept
+def _lanes_ahead(roads: RoadMap, first: LaneIndex, route: tuple[Any, ...]) -> Lanes:
+    """Return a lane and the next ones on a route over the reach beyond it."""
+    lanes = [roads.lanes[first]]
+    covered = 0.0
+    while covered < REACH:
+        following = next_lane(lanes[-1], route)
+        if following is None:
+            break
+        lanes.append(following)
+        covered += following.length
+    return tuple(lanes)
+
+
+def next_lane(lane: Lane, route: tuple[Any, ...]) -> Lane | None:
+    """Return the next lane on a route, without one the nearest; None at a road's end.
+
+    It is the lane that highway-env's vehicles choose (``RoadNetwork.next_lane``). Only
+    where the route's next lane begins more than one lane aside, the route is missed,
+    and it is the nearest lane, too.
+    """
+    last = lane.shape.position(lane.length, 0.0)
+
+    def distance(other: Lane) -> float:
+        return float(other.shape.distance(last))
+
+    def continued(end: str, number: int | None) -> Lane:
+        road = lane.roads.road(lane.end, end)
+        if len(road) != len(lane.siblings):
+            return min(road, key=distance)
+        return road[lane.number if number is None else number]
+
+    # The lane of the route, unless it is too far aside.
+    for start, end, number in route:
+        if start == lane.end:
+            wanted = continued(end, number)
+            _, aside = wanted.shape.local_coordinates(last)
+            if abs(aside) < CROSSED * lane.shape.width_at(lane.length):
+                return wanted
+            break
+
+    ends = lane.roads.graph.get(lane.end, {})
+    return min((continued(end, None) for end in ends), key=distance, default=None)
+
+
+@kept
+def _line(roads: RoadMap, lanes: Lanes) -> Line:
+    """Return the line along lanes."""
+    # Points on the middle of each lane.
+    starts = np.cumsum([0.0, *(lane.length for lane in lanes[:-1])])
+    places = np.arange(0.0, starts[-1] + lanes[-1].length, SPACING)
+    numbers = np.searchsorted(starts, places, side="right") - 1
+    points = np.zeros((len(places), 2))
+    for point, number in enumerate(numbers):
+        along = places[point] - starts[number]
+        points[point] = lanes[number].shape.position(along, 0.0)
+
+    # Where a lane does not begin at the end of the one before, move over gradually.
+    entering = []
+    for start, before, after in zip(starts[1:], lanes, lanes[1:], strict=False):
+        end = before.shape.position(before.length, 0.0)
+        jump = after.shape.position(0.0, 0.0) - end
+        later = places >= start
+        share_left = np.exp(-(places[later] - start) / MERGING)
+        points[later] -= jump * share_left[:, None]
+        changes_lane = np.hypot(*jump) > before.shape.width_at(0.0) / 2
+        if changes_lane or len(after.siblings) > len(before.siblings):
+            entering.append(start)
+    return Line(lanes, starts, points, np.array(entering))
