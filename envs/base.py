@@ -354,8 +354,9 @@ class InteractionEnv(GameEnv):
 
         # Estimates of the rule, and whether measured times had a say.
         chooses = controller.chooses and not asked
-        estimated = step.highest_gains() if step else {}
-        info["gains"] = dict.fromkeys(self._rungs, NOT_ESTIMATED) | estimated if chooses else {}
+        info["gains"] = dict.fromkeys(self._rungs, NOT_ESTIMATED) if chooses else {}
+        if chooses and step:
+            info["gains"] |= step.highest_gains()
         clocked = self._measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and self._budgets)
         if streams:

@@ -134,13 +134,9 @@ class Driver:
         self._warm = False
 
     def _place(self) -> None:
-        """Hold the numbers of rule and game that decisions take."""
+        """Hold what decisions take: the numbers of rule and game, and whether they depend on the last step."""
         self._placed = Placed((self.rule, single(self.game)))
-
-    @property
-    def looks_back(self) -> bool:
-        """Whether choices depend on the last step."""
-        return self._rule.estimates or self.infers
+        self._looks_back = self._rule.estimates or self.infers
 
     def reset(self) -> None:
         """Forget the past, before a new episode."""
@@ -204,7 +200,7 @@ class Driver:
 
     def _choose(self, carry: Carry, now: State) -> Choice:
         """Choose the models; see `ms_highway.loop.step.Parts`."""
-        if not self.looks_back:
+        if not self._looks_back:
             decision = chosen_by(self._rule, self._game, carry.memory, carry.outcome)
             decision = jax.tree.map(np.asarray, decision)
             return Choice(carry.belief, decision, decision.memory.rungs)
@@ -240,7 +236,7 @@ class Driver:
         refuse_after_fork()  # later, every compiled function refuses
         self._warm = True
         seconds = self._plans.warm_up(state, self.way_out)
-        if self.looks_back:
+        if self._looks_back:
             seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
             rule, measuring = timed(deciding_in, self.rule, lambda: self._deciding_seconds(state))
             if rule is not self._rule:

@@ -64,8 +64,10 @@ class Costs:
 
     def of_models(self, names: Sequence[str]) -> float | None:
         """Return T of a plan that predicts the humans by these models; None if unknown."""
-        each = self.select(names).each.tolist()
-        total = float(self.base + sum(each))
+        each = dict(zip(self.names, np.asarray(self.each).tolist(), strict=True))
+        if not each.keys() >= {*names}:
+            return None
+        total = float(self.base + sum(map(each.__getitem__, names)))
         return None if np.isnan(total) else total
 
     def total(self, rungs: Any) -> Any:
