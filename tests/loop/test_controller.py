@@ -77,7 +77,7 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
     """Another driver, whose game and rule have other numbers, compiles nothing either."""
     game, states = moments
     other = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
-    controllers = Driver(game, SWITCHING), Driver(other, replace(SWITCHING, price=3.0))
+    controllers = Driver(game, SWITCHING), Driver(other, at_price(SWITCHING, 3.0))
     steps = [controller.step(state) for controller in controllers for state in states]
     assert not any(step.compile_seconds for step in steps[1:])
     assert len({step.model for step in steps}) > 1
