@@ -120,8 +120,8 @@ class InteractionEnv(GameEnv):
         game: that the robot believes in; robot and humans play a game that is assigned from the next reset on.
         weights: of every human's own reward.
         costs: T(M), by which rules choose; of no model until it is measured.
-        counted: T(M), which counts for the plans of episodes; the same, except that with
-            ``"shipped"`` costs budgets choose by measured times.
+        counted: T(M) that episodes are charged for. It differs from ``costs`` only with
+            ``"shipped"`` costs and a budget, which chooses by measured times.
         seconds: T(M) of ``costs`` by model [s].
         history: the record of every step, None where the robot does not plan, and its reward.
     """

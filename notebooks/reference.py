@@ -25,7 +25,7 @@ INFO = {
     "models": "name of every human's model in it",
     "status": "what drives: the step's plan (`planned`); the `previous plan`, where that failed; `braking`, where both "
     "did; the previous plan again, as the new one came `late`; or a `way out` from humans who do not yield",
-    "choice_failed": "whether no model could be chosen, so that the last ones stayed",
+    "choice_failed": "whether a gain that the rule asked for could not be computed",
     "plan_steps": "number of steps of the ascent that led to this step's plan; 0 if nothing was planned",
     "converged": "whether the last of these steps hardly moved the plan",
     "timing": "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]",

@@ -29,10 +29,8 @@ Humans = Annotated[int, Meta(ge=0, description="it must be a number of humans, 0
 class Price(Priced[object]):
     """Take, for each human, the most expensive rung that is worth more than the rung in use, or else stay.
 
-    The worth of a rung is its gain less the price of its time. Of rungs that are worth the same, the more expensive
-    one counts as worth more. So Algorithm 1 goes to the top rung if that is worth more, or else one rung down if that
-    is, as it estimates no other rung. On stock roads, where the first rung is always the one in use, it is the most
-    expensive rung that gains its price.
+    The worth of a rung is its gain less the price of its time. So Algorithm 1 goes to the top rung if that is worth
+    more, or else one rung down if that is, as it estimates no other rung.
 
     Attributes:
         price: lambda, reward per second of planning.
@@ -54,9 +52,28 @@ class Price(Priced[object]):
         known = gains > NOT_ESTIMATED
         gained = jnp.where(known, gains, own) - own
         worth = gained - self.price * (each - each[in_use])
-        better = known & ((worth > 0) | ((worth == 0) & (places > in_use)))
-        best = jnp.where(better, places, -1).max(axis=1)
+        best = jnp.where(known & (worth > 0), places, -1).max(axis=1)
         return jnp.where(best >= 0, best, in_use[:, 0])
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class PriceFromFirst(Priced[object]):
+    """Take, for each human, the most expensive rung whose gain over the first one is worth its whole time.
+
+    The rung in use does not matter: where humans come and go, as on stock roads, it may be another one's.
+
+    Attributes:
+        price: lambda, reward per second of planning.
+    """
+
+    price: NotNegative
+
+    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
+        """See `ms_highway.choice.rule.Chooser.choose`; without such a rung, it is the first one."""
+        prices = self.price * jnp.asarray(costs.each)
+        places = jnp.arange(gains.shape[1])
+        return jnp.where(gains >= prices, places, 0).max(axis=1)
 
 
 @jax.tree_util.register_dataclass
@@ -79,7 +96,7 @@ class PriceTogether(Priced[GameEvidence]):
         rank = nearness(evidence.game, evidence.outcome.after)
         nearest = jnp.argsort(rank)[:TOGETHER]
         gained = gains[nearest]
-        known = jnp.isfinite(gained).all(axis=1, keepdims=True)
+        known = jnp.isfinite(gained - jnp.asarray(costs.each)).all(axis=1, keepdims=True)
 
         # What each rung is worth more than the first one, for each and for all nearer humans.
         values = jnp.where(known, gained, 0.0) - self.price * jnp.asarray(costs.each)

@@ -61,7 +61,8 @@ class StepSeconds:
     Attributes:
         choosing: of choosing the models, with the belief; 0 if nothing is chosen or inferred.
         planning: of the plan.
-        checking: of the search for a way out, which comes after the plan; before it, of the last step's search.
+        checking: of the search for a way out; until this step has searched, the last step's, by which a plan counts
+            as late.
     """
 
     choosing: float = 0.0

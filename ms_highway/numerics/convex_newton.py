@@ -28,7 +28,7 @@ theory of mind, for 95 % of 100 starts that are 10 um apart: two seconds later, 
 with four such steps, 2.0 mm with six and 13 mm with eight. With naive plans of eight steps, they are within 0.27 mm."""
 
 EASE = 5.0
-"""Usual ease of a planner, see `ms_highway.numerics.solvers.Planner`: braking by 4 m/s^2 costs 0.04 per step.
+"""Usual ease of `ms_highway.numerics.solvers.Newton`: braking by 4 m/s^2 costs 0.04 per step.
 
 Measured in 60 starts of Dense Merge under theory of mind, with an earlier damping of 10: 6.06 per step and 3 collisions
 at 2, 6.63 and none at 5, 6.33 and 1 at 10."""

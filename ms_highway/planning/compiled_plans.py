@@ -16,6 +16,7 @@ from ms_highway.planning.human_models import (
     HumanModel,
     Naive,
     own_solver,
+    own_start,
     scaled_prediction,
     warn_of_limits,
     within,
@@ -70,7 +71,7 @@ def plan_for(
         chosen = None if len(models) == 1 else rungs == rung
         if model.responds:
             if type(model).start is not HumanModel.start:
-                begin = _started(model, chosen, game, state, begin)
+                begin = _started(model, chosen, game, state, last, begin)
         elif type(model) is not Naive:
             expected = _predicted(model, chosen, game, state, last, expected)
 
@@ -121,18 +122,27 @@ def _started(
     chosen: Bool[Array, "humans"] | None,
     game: Game,
     state: State,
+    last: Plan,
     start: Plan,
 ) -> Plan:
     """Replace the start of a plan by a model's own start, for the chosen humans and the robot.
 
-    The robot takes the model's start for the first chosen human. The arguments are those of `_predicted`.
+    The robot takes the model's start for the first chosen human.
+
+    Args:
+        model: that responds.
+        chosen: whether each human is predicted by the model; None for all.
+        game: that is played.
+        state: all cars now.
+        last: scaled plan that the model starts from.
+        start: scaled plan from which the others start.
     """
 
     def begin(human: Index) -> Plan:
         own_game, own_state = pair(game, state, human)
-        last = Plan(start.robot, start.humans[human][None])
-        own = model.start(own_game, own_state, last)
-        return Plan(jnp.asarray(own.robot), jnp.asarray(own.humans)[0])
+        rest = Plan(last.robot, last.humans[human][None])
+        own = own_start(model, own_game, own_state, rest)
+        return Plan(own.robot, own.humans[0])
 
     starts = for_numbers(game.number, begin)
     if chosen is None:

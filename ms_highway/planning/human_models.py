@@ -12,7 +12,7 @@ does both.
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 from warnings import warn
 
@@ -23,7 +23,7 @@ from jax import numpy as jnp
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, bounded, constant_velocity, pair, swap_players
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.numerics.solvers import Solver, longest_step
+from ms_highway.numerics.solvers import Ascent, Solver, longest_step
 from ms_highway.planning.joint import Interaction, KnownResponders, ascend, plan_against
 from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration
 from ms_highway.planning.plans import Plan, Solution, cold_start
@@ -61,8 +61,9 @@ class HumanModel:
     def solver(self, game: Game) -> Solver:
         """Return the solver of plans under this model: the planner's, in the model's number of steps.
 
-        A model of one's own may return the planner's solver with other numbers, but no solver of
-        another type.
+        A model of one's own may return the planner's solver with other steps: `Ascent` with
+        other ``iterations`` and ``step_size``, `Newton` with other ``steps`` and
+        ``joint_steps``. Everything else belongs to the robot's plan, which all humans share.
         """
         usual = game.planner.solver
         if self.steps is None:
@@ -71,7 +72,10 @@ class HumanModel:
         return usual.with_steps(self.steps, longest)
 
     def start(self, game: Game, state: State, last: Plan) -> Plan:
-        """Return the scaled plan that plans under this model improve, for the robot and this human.
+        """Return the scaled plan from which plans under this model start, of robot and human.
+
+        Only models that respond have a start of their own. Among several humans, the robot
+        starts as the most expensive of these models in use wants.
 
         Args:
             game: of the robot and this human.
@@ -113,7 +117,8 @@ class HumanModel:
         """
         if not self.responds:
             raise NotImplementedError(f"human model {self.name!r} defines no `predict`")
-        begin = cold_start(game, state) if start is None else start
+        last = cold_start(game, state) if start is None else start
+        begin = own_start(self, game, state, last)
         solution = ascend(Interaction(game, state, KnownResponders((0,))), begin)
         return solution.plan.humans[0] * game.planner.control_scale
 
@@ -223,14 +228,48 @@ def own_solver(model: HumanModel, game: Game) -> Solver:
     """Return the solver of a model, see `HumanModel.solver`.
 
     Raises:
-        ValueError: for a solver of another type than the planner's.
+        ValueError: for a solver that differs from the planner's in more than its steps, or
+            that takes none.
     """
     solver = model.solver(game)
-    usual = type(game.planner.solver)
-    if type(solver) is not usual:
-        remedy = f"return game.planner.solver, a {usual.__name__}, with other numbers"
+    usual = game.planner.solver
+    steps = ("iterations", "step_size") if isinstance(usual, Ascent) else ("steps", "joint_steps")
+    kind = type(usual).__name__
+    if type(solver) is not type(usual):
+        remedy = f"return game.planner.solver, a {kind}, with other {steps[0]} or {steps[1]}"
         raise ValueError(f"human model {model.name!r} plans by {solver!r}; {remedy}")
+    for each in fields(usual):
+        own = getattr(solver, each.name)
+        if each.name not in steps and own is not getattr(usual, each.name):
+            what = f"a solver whose {each.name} is {own!r}, not the planner's"
+            remedy = f"change only {steps[0]} and {steps[1]} of game.planner.solver"
+            raise ValueError(f"human model {model.name!r} plans by {what}; {remedy}")
+    for responds in (False, True):
+        most = solver.most_steps(responds)
+        if not isinstance(most, int) or most < 1:
+            remedy = "give whole numbers of at least 1"
+            raise ValueError(f"human model {model.name!r} plans in {most!r} steps; {remedy}")
     return solver
+
+
+def own_start(model: HumanModel, game: Game, state: State, last: Plan) -> Plan:
+    """Return the start of a model that responds, see `HumanModel.start`.
+
+    Raises:
+        ValueError: if it is no plan of the game.
+    """
+    if type(model).start is HumanModel.start:
+        return last
+    start = model.start(game, state, last)
+    steps = (game.planner.horizon, 2)
+    found = repr(start)
+    with suppress(TypeError, ValueError):
+        robot, humans = map(jnp.asarray, start)
+        found = f"arrays {robot.shape} and {humans.shape}"
+        if robot.shape == steps and humans.shape == (1, *steps):
+            return Plan(robot, humans)
+    remedy = f"return a Plan of scaled controls: the robot's {steps}, and the human's {(1, *steps)}"
+    raise ValueError(f"human model {model.name!r} starts from {found}; {remedy}")
 
 
 def within(model: HumanModel, game: Game) -> Game:

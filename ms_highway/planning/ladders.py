@@ -62,6 +62,12 @@ def register(model: HumanModel, before: str | None = None) -> None:
     if not model.responds and type(model).predict is HumanModel.predict:
         remedy = "define `predict`, or set the class's ``responds`` to True"
         raise ValueError(f"human model {model.name!r} neither predicts nor responds; {remedy}")
+    if model.responds and type(model).predict is not HumanModel.predict:
+        remedy = "a human that responds is not predicted; leave it out, or set the class's ``responds`` to False"
+        raise ValueError(f"human model {model.name!r} responds, and defines `predict`; {remedy}")
+    if not model.responds and type(model).start is not HumanModel.start:
+        remedy = "only models that respond have a start of their own; leave it out"
+        raise ValueError(f"human model {model.name!r} does not respond, and defines `start`; {remedy}")
     try:
         hash(model)
     except TypeError as error:

@@ -49,7 +49,7 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: A
     wish = xp.maximum(traits.desired_speed, 1.0)
     attention = xp.where(leader.there, xp.exp(-xp.maximum(leader.gap, 0.0) / (ATTENTION_GAP * UNIT)), 0.0)
     closing = leader.speed - speed
-    slope = xp.zeros_like(speed)
+    slope = 0.0 * speed  # a float, also for whole speeds
     bend = len(TIMES) * weights["comfort_acceleration"] * traits.patience / UNIT**2
     for time in TIMES:
         lack = leader.gap + closing * time - STANDSTILL_GAP * UNIT - traits.headway * speed
@@ -77,7 +77,7 @@ def held_curvature(weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars
     """
     xp = namespace(offset, speed)
     straight = weights["direction"] + HEADING_SHARE * weights["lane_alignment"]
-    slope = xp.zeros_like(speed)
+    slope = 0.0 * speed  # a float, also for whole speeds
     bend = xp.full_like(speed, len(TIMES) * weights["comfort_steering"] / TURN_SCALE**2)
     for time in TIMES:
         aside, turned = (speed * time) ** 2 / 2, speed * time

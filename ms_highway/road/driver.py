@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ms_highway.choice.budget import deciding_in
-from ms_highway.choice.rule import Outcome, Rule, decide_on, first_memory
+from ms_highway.choice.rule import NOT_ESTIMATED, Outcome, Rule, decide_on, first_memory
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.step import (
     LATE,
@@ -118,6 +118,8 @@ class RoadDriver:
 
     def __post_init__(self) -> None:
         self._carry: Carry | None = None  # before the first step
+        numbers = [MODELS.index(model.name) for model in self.rule.ladder]
+        self._numbers = np.array(numbers, np.int32)
         self._proposing = self._responding = self._deciding = 0.0  # seconds of the last step
 
     def step(self, scene: RoadScene) -> RoadStep:
@@ -159,9 +161,9 @@ class RoadDriver:
         # Paths without a car have no prediction, and so no model.
         predicted = look.scene.present & finite
         models = np.array(MODELS)[self._models(look.scene, result.choice.rungs)]
+        estimated = np.asarray(result.choice.decision.gains)
         gains = np.full((TRAFFIC, len(MODELS)), np.nan)
-        if self.rule.estimates:
-            gains[:, NAIVE + 1 :] = np.asarray(look.proposed.worth)[:, None]
+        gains[:, self._numbers] = np.where(estimated == NOT_ESTIMATED, np.nan, estimated)
 
         return RoadStep(
             control=controls[0].astype(float),
@@ -236,8 +238,7 @@ class RoadDriver:
 
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
         """Return the number of the model of each car; naive for those that cannot move."""
-        numbers = np.array([MODELS.index(model.name) for model in self.rule.ladder], np.int32)
-        return np.where(scene.moving, numbers[rungs], NAIVE).astype(np.int32)
+        return np.where(scene.moving, self._numbers[rungs], NAIVE).astype(np.int32)
 
 
 def _alone(controls: Controls) -> Plan:

@@ -6,7 +6,7 @@ R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in it. Thes
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import jax
@@ -15,7 +15,7 @@ from jax import numpy as jnp
 from msgspec import Meta, Struct, ValidationError, convert
 
 from ms_highway.choice.budget import Knapsack
-from ms_highway.choice.choosers import Price
+from ms_highway.choice.choosers import PriceFromFirst
 from ms_highway.choice.rule import Estimate, Estimator, Memory, Rule, always
 from ms_highway.envs.configuration import read, refuse_unknown
 from ms_highway.loop.controller import HUMAN_DRIVERS, draw_key
@@ -143,11 +143,7 @@ class RoadSettings(Struct, frozen=True):
         costs = costs.select(kept)
         if kind == "budget":
             return Rule(ladder, costs, Knapsack(value, share=1.0), Bounds())
-
-        # A bound has to be worth the whole time of its model, not only what that takes
-        # more than the first one.
-        free_first = np.where(np.arange(len(kept)) > 0, costs.each, 0.0)
-        return Rule(ladder, replace(costs, each=free_first), Price(value), Bounds())
+        return Rule(ladder, costs, PriceFromFirst(value), Bounds())
 
     def planning(self, desired_speed: float, frame: float) -> RoadPlanning:
         """Return limits and wishes of plans.

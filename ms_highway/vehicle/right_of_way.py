@@ -32,8 +32,8 @@ class GapAcceptance:
             way at most [m/s^2].
         calm: deceleration up to which drivers do not brake yet before a conflict
             [m/s^2].
-        holding: deceleration per speed of a driver who waits, so that no step ends
-            backwards [1/s].
+        holding: a driver who waits brakes by this times its speed, so that it never
+            rolls back [1/s].
         firm: deceleration above which a vehicle is expected not to stop any more
             [m/s^2].
     """
@@ -62,7 +62,7 @@ class Approach:
         length: of the place [m], infinite if both go on in the same lane.
         rank: right of way: the priority of its lane, and whether it stays in a lane of
             its road.
-        order: that settles what nothing else does.
+        order: the vehicle's number on the road, which breaks ties.
     """
 
     vehicle: Vehicle

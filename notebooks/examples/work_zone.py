@@ -1,7 +1,8 @@
 """Drive a robot through a scene of your own: a work zone with highway-env's own collisions.
 
 The robot's controller plays a `ms_highway.Game`, which says where the lanes are and what both drive for; everything
-else is highway-env. Humans keep clear of who comes into their lane, so that planning naively is enough. Run::
+else is highway-env. Humans are commuters, who keep clear of who comes into their lane. Algorithm 1 mostly plans
+naively, and by theory of mind for some steps while the robot merges. Run::
 
     python notebooks/examples/work_zone.py
 """
@@ -16,9 +17,9 @@ from ms_highway import (
     COMMON_WEIGHTS,
     PUBLISHED_COSTS,
     Autopilot,
+    CommuterVehicle,
     Costs,
     Driver,
-    HumanVehicle,
     RobotVehicle,
     Scene,
     Switching,
@@ -39,7 +40,7 @@ COSTS = Costs.of(PUBLISHED_COSTS, 1)  # T(M) [s], with one human
 
 
 class WorkZoneEnv(AbstractEnv):
-    """The robot's lane, the right one, is closed after 60 m; in the left lane, humans drive by themselves."""
+    """The robot's lane, the right one, is closed after 60 m; in the left lane, commuters drive."""
 
     @classmethod
     def default_config(cls):
@@ -55,7 +56,10 @@ class WorkZoneEnv(AbstractEnv):
         self.road = Road(RoadNetwork.straight_road_network(2, length=1000, speed_limit=20), np_random=self.np_random)
         self.road.objects = [Obstacle(self.road, position) for position in SCENE.obstacles]
         robot = RobotVehicle(self.road, [100.0, 4.0], speed=20)
-        humans = [HumanVehicle(self.road, [x + self.np_random.normal(), 0.0], speed=20) for x in (96.0, 82.0, 112.0)]
+        starts = 96.0, 82.0, 112.0
+        humans = [CommuterVehicle(self.road, [x + self.np_random.normal(), 0.0], speed=20) for x in starts]
+        for human in humans:
+            human.enable_lane_change = False  # into the lane that is closed
         robot.drive_with(Driver(GAME, Switching(COSTS, self.config["lambda"], LADDER)), humans)  # partner first
         self.road.vehicles, self.controlled_vehicles = [robot, *humans], [robot]
 

@@ -11,8 +11,9 @@ import ms_highway
 from ms_highway.game.game import pair
 from ms_highway.numerics.solvers import Newton
 from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
-from ms_highway.planning.human_models import TheoryOfMind
+from ms_highway.planning.human_models import Naive, TheoryOfMind
 from ms_highway.planning.ladders import MODELS, ladder
+from ms_highway.planning.plans import Plan
 
 FAR = 300.0  # m, at which nobody matters
 
@@ -92,6 +93,47 @@ def test_a_plan_says_its_steps_and_whether_they_converged(played):
     one, many, two = (int(solution.steps) for solution in found)
     assert (one, two) == (1, 2)
     assert 2 < many < 40
+
+
+def test_models_that_differ_only_in_name_plan_alike_in_any_assignment(played):
+    """A start is a start of its own, not of another model's."""
+    game, state = played_by(played, "merger")
+    twin = dataclass(frozen=True)(type("Twin", (Eager,), {"name": "twin"}))
+    plans = CompiledPlans(game, [Eager(), twin()])
+    found = [plans.plan(checked_state(state), rungs)[0].plan for rungs in ([0] * 3, [1] * 3, [0, 1, 0])]
+    for plan in found[1:]:
+        np.testing.assert_allclose(plan.robot, found[0].robot, atol=1e-6)
+        np.testing.assert_allclose(plan.humans, found[0].humans, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("base", "own", "message"),
+    [
+        (TheoryOfMind, {"predict": lambda *_: None}, "'own' responds, and defines `predict`; a human that responds"),
+        (Naive, {"start": lambda self, game, state, last: last}, "'own' does not respond, and defines `start`"),
+    ],
+)
+def test_models_whose_methods_no_plan_would_obey_are_refused(base, own, message):
+    model = dataclass(frozen=True)(type("Own", (base,), {"name": "own", **own}))
+    with pytest.raises(ValueError, match=message):
+        ms_highway.register(model())
+    assert "own" not in MODELS
+
+
+@pytest.mark.parametrize(
+    ("own", "message"),
+    [
+        ({"solver": lambda self, game: replace(game.planner.solver, ease=50.0)}, "whose ease is 50.0, not the planner"),
+        ({"solver": lambda self, game: replace(game.planner.solver, joint_steps=0)}, "'own' plans in 0 steps"),
+        ({"start": lambda self, game, state, last: last.robot}, "'own' starts from .*; return a Plan"),
+        ({"start": lambda *cars: Plan(cars[3].robot[:2], cars[3].humans)}, r"'own' starts from arrays \(2, 2\)"),
+    ],
+)
+def test_solvers_and_starts_that_plans_cannot_take_are_refused_in_one_sentence(played, own, message):
+    game, state = played_by(played, "dense_merge")
+    model = dataclass(frozen=True)(type("Own", (TheoryOfMind,), {"name": "own", **own}))
+    with pytest.raises(ValueError, match=message):
+        ms_highway.plan(game, np.array(state), model())
 
 
 def test_a_plan_of_its_own_and_a_solver_of_another_type_are_refused(played):

@@ -40,7 +40,8 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
         if "Prints::" in EXAMPLES[name]:
             table = text.partition("\n")[2].rstrip("\n")
             assert f"Prints::\n\n{indent(table, '    ')}\n" in EXAMPLES[name]
-    assert {*re.findall(r"'(\w+)'", printed["work_zone"])} == {"naive"}
+    models = re.findall(r"'(\w+)'", printed["work_zone"])
+    assert models.count("naive") > 0.8 * len(models) > models.count("tom") > 0
     assert printed["work_zone"].strip().endswith("False")  # nobody has crashed
 
 

@@ -44,6 +44,16 @@ def test_a_higher_price_never_buys_a_more_expensive_model():
     assert len(np.unique(found[:, -1])) == len(MODELS)
 
 
+def test_models_at_a_price_do_not_depend_on_those_in_use_which_may_be_of_other_cars():
+    settings = RoadSettings.read({"driver": "priced:1", "costs": {"idm": 0.1, "tom": 0.2}})
+    rule = settings.rule(Costs(0.0, np.array([0.0, 0.0001, 0.0002]), MODELS))
+    memory = first_memory(rule, TRAFFIC)
+    bounds = np.full(TRAFFIC, 5.0, np.float32)
+    for _ in range(3):
+        memory = decided(rule, memory, bounds).memory
+        assert [rule.ladder[rung].name for rung in memory.rungs] == ["tom"] * TRAFFIC
+
+
 def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
     random = np.random.default_rng(0)
     for _ in range(20):

@@ -81,9 +81,9 @@ def test_a_commuter_that_must_stop_brakes_within_its_grip_and_stands_until_it_ma
 
 
 def test_a_commuter_that_stands_far_behind_a_standing_car_drives_up_to_it():
-    cars = (CommuterVehicle, (0.0, 0.0), 0.0), (ScriptedVehicle, (35.0, 0.0), 0.0)
+    cars = (CommuterVehicle, (0.0, 0.0), 0), (ScriptedVehicle, (35.0, 0.0), 0)  # whole numbers of m/s
     road, car, leader = road_with(*cars, lanes=1)
-    car.target_speed = 20.0
+    car.target_speed = 20
     drive(road, 150, 1 / 15)
     assert 1.0 < leader.position[0] - car.position[0] - car.LENGTH < 6.0
 
