@@ -111,7 +111,7 @@ class RewardExpansion(NamedTuple):
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Quadratic(Estimator[GameEvidence]):
     """Algorithm 1: what other rungs would have gained, by a quadratic expansion over some steps of the last plan.
 
@@ -286,7 +286,12 @@ def Switching(  # noqa: N802 (its name since version 1, when it was a class)
         cooldown: in steps.
         steps: that are expanded.
     """
-    estimator = Quadratic(cooldown, trust_radius, trust_tolerance, steps)
+    estimator = Quadratic(
+        cooldown=cooldown,
+        trust_radius=trust_radius,
+        trust_tolerance=trust_tolerance,
+        steps=steps,
+    )
     return Rule(ladder, costs, Price(price), estimator)
 
 
