@@ -61,9 +61,10 @@ class HumanModel:
     def solver(self, game: Game) -> Solver:
         """Return the solver of plans under this model: the planner's, in the model's number of steps.
 
-        A model of one's own may return the planner's solver with other steps: `Ascent` with
-        other ``iterations`` and ``step_size``, `Newton` with other ``steps`` and
-        ``joint_steps``. Everything else belongs to the robot's plan, which all humans share.
+        A model of one's own may return the planner's solver with other steps:
+        ``iterations`` and ``step_size`` of an `ms_highway.numerics.solvers.Ascent`, ``steps``
+        and ``joint_steps`` of a `ms_highway.numerics.solvers.Newton`. Everything else belongs
+        to the robot's plan, which all humans share.
         """
         usual = game.planner.solver
         if self.steps is None:

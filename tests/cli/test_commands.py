@@ -22,7 +22,7 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("sweep merger --devices 1000 --out out", "1000 devices are wanted; this process has"),
         ("irl evaluate --theta demonstrations --data .", "--theta demonstrations has no drivers"),
         ("values learn merger --set ladder=best --out values.npz", "leave +warm out"),
-        ("bench road merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, human"),
+        ("bench road merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, commuter, human"),
         ("bench road merge --drivers agents/mine.zip", "there is no agent agents/mine.zip; notebooks/examples/train"),
         ("sweep merger --set ladder=naive,tom@8 --controllers naive learned:1 --out sweep", "without 'tom@8'"),
         ("--import no_such_module compare", "--import no_such_module: ModuleNotFoundError: No module named"),
