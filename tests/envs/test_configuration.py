@@ -369,7 +369,7 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
     with pytest.raises(ValueError, match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}"):
         episode(1.0, humans=5)
     episode(1.0, "gains", **{"lambda": 0.0})
-    with pytest.raises(ValueError, match="the estimator Gains returned gains that are NaN; return -inf"):
+    with pytest.raises(ValueError, match="the estimator Gains returned gains that are NaN or infinite; return -inf"):
         episode(np.nan, "gains", **{"lambda": 0.0})
     with pytest.raises(ValueError, match=r"the estimator Gains returned gains of shape \(1, 3\); return one for each"):
         episode(1.0, "gains", rungs=3, **{"lambda": 0.0})
