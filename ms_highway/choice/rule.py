@@ -300,17 +300,30 @@ class Rule(Generic[Evidence]):
         """Check the ladder, the costs and the price.
 
         Raises:
-            ValueError: if the ladder holds something else than human models, if the costs or the price are negative,
-                or if there is not one cost for each rung; if JAX cannot compile a decision that needs it.
+            ValueError: if the ladder holds something else than human models, if the costs
+                are not one for each rung by the names of their models, or if they or the
+                price are negative; if JAX cannot compile a decision that needs it.
         """
         if self.estimates:
             compilable(self)
+
+        # The ladder.
         if strange := [model for model in self.ladder if not isinstance(model, HumanModel)]:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
+        names = tuple(model.name for model in self.ladder)
+
+        # One cost for each of its rungs.
+        if not isinstance(self.costs, Costs):
+            remedy = "make them of seconds by name with ms_highway.Costs.of"
+            raise ValueError(f"the costs are {_shown(self.costs)}; {remedy}")
         each = np.asarray(self.costs.each)
-        if each.shape != (len(self.ladder),):
-            names = ", ".join(model.name for model in self.ladder)
-            raise ValueError(f"costs have the shape {each.shape}; give one for each of {names}")
+        known = self.costs.names
+        if known != names or each.shape != (len(names),):
+            message = f"the costs are {each.tolist()} for {', '.join(known) or 'no model'}"
+            remedy = "in this order, as costs.select(names) does"
+            raise ValueError(f"{message}; give one for each of {', '.join(names)}, {remedy}")
+
+        # Neither negative costs nor a negative price.
         price = np.asarray(self.chooser.price if isinstance(self.chooser, Priced) else 0.0)
         if not (price >= 0).all() or (each < 0).any():
             raise ValueError(f"the price is {price} and the costs are {each.tolist()}; neither may be negative")

@@ -27,7 +27,7 @@ from ms_highway.planning.costs import Costs
 from ms_highway.runtime.compilation import jit_quickly
 
 NAIVE, TURN, TOM = range(3)
-COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]))
+COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]), ("naive", "turn", "tom"))
 
 # in the robot's lane: 15 m ahead and as fast, far ahead, 40 m ahead and slower; in the next one: 20 m behind; far aside
 STATE = np.float32([[0, 0, 0, 20], [15, 0, 0, 20], [90, 0, 0, 20], [40, 0, 0, 2], [-20, 3.3, 0, 22], [12, 13.3, 0, 5]])
@@ -139,7 +139,9 @@ def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
 
 
 def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder_and_one_rung_leaves_nothing_to_choose(game):
-    rules = (SHIPPED.rule(LADDER[:size], Costs(0.0, COSTS.each[:size]), 10.0) for size in (3, 2, 1))
+    rules = (
+        SHIPPED.rule(LADDER[:size], replace(COSTS.select(COSTS.names[:size]), base=0.0), 10.0) for size in (3, 2, 1)
+    )
     whole, part, nothing = (decided(rule, game) for rule in rules)
     np.testing.assert_allclose(whole.gains[:, :2], part.gains, rtol=1e-4)
     assert nothing.memory.rungs.tolist() == [NAIVE] * 5
