@@ -229,7 +229,7 @@ class ControllerSettings:
         """Return the settings at a lambda of 0, which are the same for controllers that differ only in lambda."""
         if not isinstance(self.chooser, Priced):
             return self
-        return replace(self, chooser=replace(self.chooser, price=0.0))  # type: ignore[type-var]
+        return replace(self, chooser=replace(self.chooser, price=0.0))
 
     def learned(self, start: Start) -> Values | None:
         """Return the learned values that estimate gains; None without any."""

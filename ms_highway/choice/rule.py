@@ -247,8 +247,14 @@ class Chooser(Part, Generic[Evidence]):
         raise NotImplementedError
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Priced(Chooser[Evidence]):
-    """Base of choosers at a price per second of planning, lambda, by which batches of episodes may differ."""
+    """Base of choosers at a price, by which batches of episodes may differ.
+
+    Attributes:
+        price: lambda, reward per second of planning.
+    """
 
     price: NotNegative
 
@@ -315,7 +321,7 @@ class Rule(Generic[Evidence]):
         # One cost for each of its rungs.
         if not isinstance(self.costs, Costs):
             remedy = "make them of seconds by name with ms_highway.Costs.of"
-            raise ValueError(f"the costs are {_shown(self.costs)}; {remedy}")
+            raise ValueError(f"the costs are {shown(self.costs)}; {remedy}")
         each = np.asarray(self.costs.each)
         known = self.costs.names
         if known != names or each.shape != (len(names),):
@@ -333,7 +339,7 @@ def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
     """Return the rule at another price lambda; a rule without a price is returned unchanged."""
     if not isinstance(rule.chooser, Priced):
         return rule
-    return replace(rule, chooser=replace(rule.chooser, price=price))  # type: ignore[type-var]
+    return replace(rule, chooser=replace(rule.chooser, price=price))
 
 
 # Orders of models
@@ -440,14 +446,14 @@ def _estimated(rule: Rule[Evidence], estimator: Estimator[Evidence], memory: Mem
         estimate = estimator.estimate(*read_only((memory, evidence)))
     if not isinstance(estimate, Estimate):
         remedy = "return an Estimate(gains, failed)"
-        raise ValueError(f"the estimator {name} returned {_shown(estimate)}; {remedy}")
+        raise ValueError(f"the estimator {name} returned {shown(estimate)}; {remedy}")
 
     # Gains: one real number for each human and rung.
     shape = memory.last_check.shape
     remedy = f"return one for each human and rung, an array {shape}"
     gains = _as_numbers(estimate.gains)
     if gains is None or not jnp.isdtype(gains.dtype, REAL):
-        found = _shown(estimate.gains)
+        found = shown(estimate.gains)
         raise ValueError(f"the estimator {name} returned the gains {found}; {remedy}")
     if gains.shape != shape:
         message = f"the estimator {name} returned gains of shape {gains.shape}"
@@ -459,7 +465,7 @@ def _estimated(rule: Rule[Evidence], estimator: Estimator[Evidence], memory: Mem
     # Whether they failed: one flag.
     failed = _as_numbers(estimate.failed)
     if failed is None or failed.shape != () or failed.dtype != bool:
-        found = _shown(estimate.failed)
+        found = shown(estimate.failed)
         remedy = "return one boolean for all humans, such as flags.any()"
         raise ValueError(f"the estimator {name} returned failed={found}; {remedy}")
     return Estimate(gains, failed)
@@ -478,7 +484,7 @@ def _chosen(rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Eviden
     remedy = _rungs_remedy(rule, number)
     rungs = _as_numbers(returned)
     if rungs is None:
-        raise ValueError(f"the rule {name} returned {_shown(returned)}; {remedy}")
+        raise ValueError(f"the rule {name} returned {shown(returned)}; {remedy}")
     traced = isinstance(rungs, jax.core.Tracer)
     if rungs.shape != (number,) or not jnp.isdtype(rungs.dtype, ("bool", "integral")):
         found = f"{rungs.dtype} numbers of shape {rungs.shape}" if traced else f"the rungs {rungs.tolist()}"
@@ -500,7 +506,7 @@ def _as_numbers(returned: Any) -> Any:
         return None
 
 
-def _shown(returned: Any) -> str:
+def shown(returned: Any) -> str:
     """Return what a part returned, in short and on one line, for messages."""
     if isinstance(returned, jax.core.Tracer):
         return f"{returned.dtype} numbers of shape {returned.shape}"

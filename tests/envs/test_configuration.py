@@ -246,6 +246,15 @@ class Gains(ms_highway.Estimator, tag="gains"):
         return ms_highway.Estimate(jnp.full((len(memory.rungs), self.rungs), self.number), False)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Cheapest(ms_highway.Priced, tag="cheapest"):
+    """A rule at a lambda, which inherits its field."""
+
+    def choose(self, memory, gains, costs, evidence):
+        return jnp.where(self.price > 0.5, 0, 1) + 0 * memory.rungs
+
+
 @pytest.fixture
 def rules(monkeypatch):
     """A table of rules to which some may be added."""
@@ -254,12 +263,14 @@ def rules(monkeypatch):
 
 @pytest.mark.usefixtures("rules")
 def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_rule_has_one():
-    for rule in (Plain, Dear, Dear):  # a rule may replace itself
+    for rule in (Plain, Dear, Dear, Cheapest):  # a rule may replace itself
         add_rule(rule)
     assert drive(make(SEVERAL, "plain"), steps=1).infos[0]["models"] == ("naive", "naive")
     assert controller_config("plain+belief") == {"type": "plain", "belief": True}
     assert controller_config("dear:0.3") == {"type": "dear", "lambda": 0.3}
-    assert registry.priced_types() == ["switching", "horizon", "learned", "dear"]
+    assert registry.priced_types() == ["switching", "horizon", "learned", "dear", "cheapest"]
+    for price, model in ((0.3, "turn"), (0.7, "naive")):
+        assert drive(make(PAIR, f"cheapest:{price}"), steps=1).infos[0]["models"] == (model,)
     for wrong in ("plain:1", "dear", "dear:x"):
         with pytest.raises(ValueError, match=f"controller '{wrong}': "):
             controller_config(wrong)
