@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from driving import COSTS, LADDER, move
 
+import ms_highway
 from ms_highway.choice.choosers import Nearest
 from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.quadratic import Switching
@@ -151,6 +152,18 @@ def test_rules_with_impossible_ladders_costs_or_prices_are_refused(played):
     responding = Switching(UNKNOWN.select(names), 0.0, ladder(names))
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
         Driver(game, responding, belief=True)
+
+
+def test_what_is_no_rule_is_refused_with_how_to_make_one(played):
+    game, _ = played("merger")
+    remedy = r"which is no Rule; make one with ms_highway\.in_order\(rungs, ladder\) or ms_highway\.always\(model\)"
+    rule = ms_highway.in_order(np.zeros((1, 1), int), LADDER)
+    for wrong in (rule.chooser, LADDER[0], "naive", None):
+        with pytest.raises(ValueError, match=f"a driver is given .*{remedy}"):
+            Driver(game, wrong)
+    driver = Driver(game, rule)
+    with pytest.raises(ValueError, match=remedy):
+        driver.rule = rule.chooser
 
 
 def test_costs_of_other_models_than_the_ladder_are_refused(played):
