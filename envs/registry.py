@@ -35,9 +35,13 @@ EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, random:naiv
 
 RETIRED = {
     "period": "write the steps as schedule:MODEL=STEPS,..., or draw them as random:MODEL=SHARE,...",
+}
+"""What to use instead of types of controllers that are gone since 3.0.0."""
+
+RETIRED_VALUES = {
     "one_step": "leave it out, to have the gains of learned values",
 }
-"""What to use instead of a type of controllers, and of ``values`` of a budget, that are gone since 3.0.0."""
+"""What to use instead of ``values`` of a budget that are gone since 3.0.0."""
 
 SHORT_NAMES: dict[str, Callable[[str], Config]] = {
     "agent": lambda text: {"name": text},  # the path of a file may have colons
@@ -218,22 +222,27 @@ def controller_settings(config: Any) -> ControllerSettings:
         config = controller_config(config)
     kind = config.get("type") if isinstance(config, Mapping) else None
     if kind not in list(CONTROLLERS):
-        gone = _retired(str(kind))
+        gone = _retired(kind, RETIRED)
         raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
     return _read(kind, config)
 
 
 def _read(kind: str, config: Mapping[str, Any], strict: bool = True) -> ControllerSettings:
     """Read the configuration of a controller of a known type, see `Pair.read`."""
-    if gone := _retired(str(config.get("values"))):
+    if kind == "budget" and (gone := _retired(config.get("values"), RETIRED_VALUES)):
         raise ValueError(gone)
     return CONTROLLERS[kind].read(kind, config, strict)
 
 
-def _retired(name: str) -> str:
-    """Return a sentence that says what to use instead, if a name is retired, or an empty text."""
-    if name in RETIRED:
-        return f"{name} is gone since 3.0.0: {RETIRED[name]}"
+def _retired(name: object, remedies: Mapping[str, str]) -> str:
+    """Return a sentence that says what to use instead, if a name is retired, or an empty text.
+
+    Args:
+        name: in a configuration.
+        remedies: what to use instead, by retired name.
+    """
+    if isinstance(name, str) and name in remedies:
+        return f"{name} is gone since 3.0.0: {remedies[name]}"
     return ""
 
 
@@ -264,7 +273,7 @@ def controller_config(text: str) -> Config:
     if kind not in CONTROLLERS:
         known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
         unknown = f"unknown controller {text!r}; {known}; --import the module that adds your own"
-        raise ValueError(_retired(kind) or unknown)
+        raise ValueError(_retired(kind, RETIRED) or unknown)
     config = _short_config(kind, rest) | ({"belief": True} if name != text else {})
     try:
         return _read(kind, config, strict=False).config()
