@@ -13,6 +13,8 @@ from ms_highway.choice.rule import DERIVE, Chooser, Estimator, Part, Priced
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.controllers import (
+    COMMON,
+    LAMBDA,
     PLACE,
     ControllerSettings,
     DrivenByAgent,
@@ -21,6 +23,7 @@ from ms_highway.envs.controllers import (
     Pair,
     RandomModels,
     Schedule,
+    keys_of,
     schedule_of,
     shares_of,
 )
@@ -87,7 +90,8 @@ def add_rule(part: type[Part], estimator: type[Estimator[Any]] | None = None) ->
         estimator: class of the estimator of a chooser that needs gains.
 
     Raises:
-        ValueError: if the class is neither, or the name is taken or not one word in lower case.
+        ValueError: if the class is neither, for fields with the key of another one, or if the name is taken or not
+            one word in lower case.
     """
     pair = _pair_of(part, estimator)
     name = part.tag
@@ -100,15 +104,43 @@ def _pair_of(part: type[Part], estimator: type[Estimator[Any]] | None) -> Pair:
     """Return the pair of a user's chooser or estimator.
 
     Raises:
-        ValueError: if the class is neither.
+        ValueError: if the class is neither, or for fields with the key of another one.
     """
     if estimator is not None and not _estimates(estimator):
         raise ValueError(f"{_named(estimator)} is no estimator; derive it from ms_highway.Estimator")
     if _estimates(part) and estimator is None:
+        _check_fields(Price, part)
         return Pair(Price, part)
     if isinstance(part, type) and issubclass(part, Chooser) and part.choose is not Chooser.choose:
+        _check_fields(part, estimator)
         return Pair(part, estimator)
     raise ValueError(f"{_named(part)} makes no rule; {DERIVE}")
+
+
+def _check_fields(chooser: type[Part], estimator: type[Part] | None) -> None:
+    """Refuse fields that would be read from the key of another one.
+
+    Raises:
+        ValueError: naming the class, the field and the remedy.
+    """
+    # A price is lambda, of choosers that derive from `Priced`.
+    own = keys_of(chooser)
+    if LAMBDA in own and not issubclass(chooser, Priced):
+        message = f"{chooser.__name__} has the field 'price', which is lambda"
+        raise ValueError(f"{message}; derive it from ms_highway.Priced, or rename the field")
+    others = {} if estimator is None else keys_of(estimator)
+    if estimator is not None and LAMBDA in others:
+        message = f"{estimator.__name__} has the field 'price', which is the chooser's"
+        raise ValueError(f"{message} lambda; rename the field")
+
+    # All other keys mean one thing.
+    for part, keys in ((chooser, own), (estimator, others)):
+        if part is not None and (common := [key for key in COMMON if key in keys]):
+            message = f"{part.__name__} has the field {common[0]!r}, a key of all controllers"
+            raise ValueError(f"{message}; rename the field")
+    if estimator is not None and (shared := [key for key in own if key in others]):
+        message = f"{chooser.__name__} and {estimator.__name__} have a field {shared[0]!r}"
+        raise ValueError(f"{message} each; rename one of them")
 
 
 def _estimates(part: Any) -> bool:

@@ -2,7 +2,7 @@
 
 import re
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, make_dataclass, replace
 from itertools import chain, product
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from ms_highway.cli.main import parse
 from ms_highway.cli.options import configuration
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
 from ms_highway.envs.agents import AGENTS, AddedAgent
-from ms_highway.envs.controllers import KEYBOARD
+from ms_highway.envs.controllers import KEYBOARD, DrivenByAgent, DrivenByFunction, Fixed, RandomModels, Schedule
 from ms_highway.envs.registry import add_rule, controller_config, controller_settings
 from ms_highway.envs.settings import YIELDING
 from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
@@ -289,6 +289,44 @@ def test_a_class_that_makes_no_rule_is_refused_with_what_to_derive_it_from():
             type("Old", (base,), {}, **options)
     with pytest.raises(ValueError, match=r"Plain is no estimator; derive it from ms_highway\.Estimator"):
         add_rule(Plain, Plain)
+
+
+def with_fields(base, *names, **options):
+    """Return a class of a rule's part with these fields, which are numbers."""
+    return make_dataclass("Own", [(name, float) for name in names], bases=(base,), frozen=True, **options)
+
+
+def test_fields_with_the_key_of_another_one_are_refused():
+    """They would be read from the same entry of the configuration."""
+    wrong = [
+        (
+            (with_fields(Plain, "reach"), with_fields(Gains, "reach", kw_only=True)),
+            "Own and Own have a field 'reach' each",
+        ),
+        ((with_fields(Gains, "price", kw_only=True),), "Own has the field 'price', which is the chooser's lambda"),
+        (
+            (Plain, with_fields(Gains, "price", kw_only=True)),
+            "Own has the field 'price', which is the chooser's lambda",
+        ),
+        ((with_fields(Plain, "price"),), r"'price', which is lambda; derive it from ms_highway\.Priced, or rename"),
+        *(
+            ((with_fields(Plain, key),), f"Own has the field '{key}', a key of all controllers")
+            for key in ("type", "belief")
+        ),
+        *(((with_fields(Gains, key, kw_only=True),), f"Own has the field '{key}'") for key in ("type", "belief")),
+    ]
+    before = dict(registry.CONTROLLERS)
+    for parts, message in wrong:
+        with pytest.raises(ValueError, match=message):
+            add_rule(*parts)
+    assert before == registry.CONTROLLERS
+
+
+@pytest.mark.parametrize("base", [Fixed, Schedule, RandomModels, DrivenByFunction, DrivenByAgent])
+def test_what_takes_no_choices_is_no_base_of_a_rule(base):
+    own = type("Own", (base,), {"choose": Plain.choose}, tag="own")
+    with pytest.raises(ValueError, match=r"Own makes no rule; derive it from ms_highway\.Chooser and define"):
+        add_rule(own)
 
 
 @jax.tree_util.register_dataclass
