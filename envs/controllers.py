@@ -39,6 +39,8 @@ from ms_highway.runtime.limits import NotNegative
 
 KEYBOARD = "keyboard"  # name of the human driver that reads the keyboard
 PLACE = "config['controller']"
+COMMON = ("type", "belief")  # keys of all controllers
+LAMBDA = "lambda"  # key of the field `price`, as no field can have this name
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
 PER_HUMAN = "models per human are gone since 3.0.0; name one model for a step, or choose them by an agent's actions"
 
@@ -49,11 +51,11 @@ Shares = Annotated[
 ]
 
 
-# Choosers of orders, whose models are known when the episode starts
+# Orders, whose models are known when the episode starts
 
 
-class ModelOrder(Chooser[object]):
-    """Base of choosers that name the models of an episode; they are the rule's ladder."""
+class ModelOrder(Part):
+    """Base of orders that name the models of an episode; they are the rule's ladder."""
 
     def __post_init__(self) -> None:
         for name in self.names():
@@ -148,7 +150,7 @@ def shares_of(text: str) -> Config:
 # Who drives without predictions
 
 
-class Outside(Chooser[object]):
+class Outside(Part):
     """Base of what stands for a user's drivers and agents, which are known by name: they choose no models."""
 
     name: str
@@ -182,13 +184,13 @@ class ControllerSettings:
 
     Attributes:
         type: of the controller.
-        chooser: what chooses the models.
+        chooser: what chooses the models, names them, or drives without any.
         estimator: what estimates their gains; None if the chooser needs no gains.
         belief: whether the controller infers which model predicts each human, see `ms_highway.choice.belief`.
     """
 
     type: str
-    chooser: Chooser[Any]
+    chooser: Chooser[Any] | ModelOrder | Outside
     estimator: Estimator[Any] | None = None
     belief: bool = False
 
@@ -229,7 +231,7 @@ class ControllerSettings:
         """Return the settings at a lambda of 0, which are the same for controllers that differ only in lambda."""
         if not isinstance(self.chooser, Priced):
             return self
-        return replace(self, chooser=replace(self.chooser, price=0.0))  # type: ignore[type-var]
+        return replace(self, chooser=replace(self.chooser, price=0.0))
 
     def learned(self, start: Start) -> Values | None:
         """Return the learned values that estimate gains; None without any."""
@@ -247,9 +249,16 @@ class ControllerSettings:
         return self.chooser.names() if isinstance(self.chooser, ModelOrder) else ()
 
     def rule(self, start: Start) -> Rule[GameEvidence]:
-        """Return the rule of an episode."""
+        """Return the rule of an episode.
+
+        Raises:
+            ValueError: for what drives without predictions.
+        """
         if isinstance(self.chooser, ModelOrder):
             return self.chooser.rule(start)
+        if isinstance(self.chooser, Outside):
+            message = f"{PLACE} names {self.chooser.name!r}, which chooses no models"
+            raise ValueError(f"{message}; name a controller that does, such as learned:0.1")
         chooser = self.chooser.at_start(start)
         estimator = None if self.estimator is None else self.estimator.at_start(start)
         return Rule(start.ladder, start.costs, chooser, estimator)
@@ -334,7 +343,7 @@ class Pair(NamedTuple):
         """
         values = as_dictionary(PLACE, config)
         keys = self.keys()
-        refuse_unknown(PLACE, values, [*keys, "type", "belief"])
+        refuse_unknown(PLACE, values, [*keys, *COMMON])
         check(f"{PLACE}['belief']", values.get("belief", False), bool, strict)
         belief = convert(values.get("belief", False), bool, strict=strict)
         chooser = made(self.chooser, values, strict)
@@ -351,7 +360,7 @@ def keys_of(part: type[Part]) -> dict[str, Field]:
     """Return the fields of a part that are keys of the configuration; a field ``price`` is the key ``lambda``."""
     own: tuple[Field, ...] = fields(part) if is_dataclass(part) else ()
     return {
-        "lambda" if each.name == "price" else each.name: each
+        LAMBDA if each.name == "price" else each.name: each
         for each in own
         if FROM_START.items().isdisjoint(each.metadata.items())
     }

@@ -13,6 +13,8 @@ from ms_highway.choice.rule import DERIVE, Chooser, Estimator, Part, Priced
 from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
 from ms_highway.envs.configuration import Config, refuse_unknown
 from ms_highway.envs.controllers import (
+    COMMON,
+    LAMBDA,
     PLACE,
     ControllerSettings,
     DrivenByAgent,
@@ -21,6 +23,7 @@ from ms_highway.envs.controllers import (
     Pair,
     RandomModels,
     Schedule,
+    keys_of,
     schedule_of,
     shares_of,
 )
@@ -35,9 +38,13 @@ EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, random:naiv
 
 RETIRED = {
     "period": "write the steps as schedule:MODEL=STEPS,..., or draw them as random:MODEL=SHARE,...",
+}
+"""What to use instead of types of controllers that are gone since 3.0.0."""
+
+RETIRED_VALUES = {
     "one_step": "leave it out, to have the gains of learned values",
 }
-"""What to use instead of a type of controllers, and of ``values`` of a budget, that are gone since 3.0.0."""
+"""What to use instead of ``values`` of a budget that are gone since 3.0.0."""
 
 SHORT_NAMES: dict[str, Callable[[str], Config]] = {
     "agent": lambda text: {"name": text},  # the path of a file may have colons
@@ -83,7 +90,8 @@ def add_rule(part: type[Part], estimator: type[Estimator[Any]] | None = None) ->
         estimator: class of the estimator of a chooser that needs gains.
 
     Raises:
-        ValueError: if the class is neither, or the name is taken or not one word in lower case.
+        ValueError: if the class is neither, for fields with the key of another one, or if the name is taken or not
+            one word in lower case.
     """
     pair = _pair_of(part, estimator)
     name = part.tag
@@ -96,15 +104,43 @@ def _pair_of(part: type[Part], estimator: type[Estimator[Any]] | None) -> Pair:
     """Return the pair of a user's chooser or estimator.
 
     Raises:
-        ValueError: if the class is neither.
+        ValueError: if the class is neither, or for fields with the key of another one.
     """
     if estimator is not None and not _estimates(estimator):
         raise ValueError(f"{_named(estimator)} is no estimator; derive it from ms_highway.Estimator")
     if _estimates(part) and estimator is None:
+        _check_fields(Price, part)
         return Pair(Price, part)
     if isinstance(part, type) and issubclass(part, Chooser) and part.choose is not Chooser.choose:
+        _check_fields(part, estimator)
         return Pair(part, estimator)
     raise ValueError(f"{_named(part)} makes no rule; {DERIVE}")
+
+
+def _check_fields(chooser: type[Part], estimator: type[Part] | None) -> None:
+    """Refuse fields that would be read from the key of another one.
+
+    Raises:
+        ValueError: naming the class, the field and the remedy.
+    """
+    # A price is lambda, of choosers that derive from `Priced`.
+    own = keys_of(chooser)
+    if LAMBDA in own and not issubclass(chooser, Priced):
+        message = f"{chooser.__name__} has the field 'price', which is lambda"
+        raise ValueError(f"{message}; derive it from ms_highway.Priced, or rename the field")
+    others = {} if estimator is None else keys_of(estimator)
+    if estimator is not None and LAMBDA in others:
+        message = f"{estimator.__name__} has the field 'price', which is the chooser's"
+        raise ValueError(f"{message} lambda; rename the field")
+
+    # All other keys mean one thing.
+    for part, keys in ((chooser, own), (estimator, others)):
+        if part is not None and (common := [key for key in COMMON if key in keys]):
+            message = f"{part.__name__} has the field {common[0]!r}, a key of all controllers"
+            raise ValueError(f"{message}; rename the field")
+    if estimator is not None and (shared := [key for key in own if key in others]):
+        message = f"{chooser.__name__} and {estimator.__name__} have a field {shared[0]!r}"
+        raise ValueError(f"{message} each; rename one of them")
 
 
 def _estimates(part: Any) -> bool:
@@ -218,22 +254,27 @@ def controller_settings(config: Any) -> ControllerSettings:
         config = controller_config(config)
     kind = config.get("type") if isinstance(config, Mapping) else None
     if kind not in list(CONTROLLERS):
-        gone = _retired(str(kind))
+        gone = _retired(kind, RETIRED)
         raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
     return _read(kind, config)
 
 
 def _read(kind: str, config: Mapping[str, Any], strict: bool = True) -> ControllerSettings:
     """Read the configuration of a controller of a known type, see `Pair.read`."""
-    if gone := _retired(str(config.get("values"))):
+    if kind == "budget" and (gone := _retired(config.get("values"), RETIRED_VALUES)):
         raise ValueError(gone)
     return CONTROLLERS[kind].read(kind, config, strict)
 
 
-def _retired(name: str) -> str:
-    """Return a sentence that says what to use instead, if a name is retired, or an empty text."""
-    if name in RETIRED:
-        return f"{name} is gone since 3.0.0: {RETIRED[name]}"
+def _retired(name: object, remedies: Mapping[str, str]) -> str:
+    """Return a sentence that says what to use instead, if a name is retired, or an empty text.
+
+    Args:
+        name: in a configuration.
+        remedies: what to use instead, by retired name.
+    """
+    if isinstance(name, str) and name in remedies:
+        return f"{name} is gone since 3.0.0: {remedies[name]}"
     return ""
 
 
@@ -264,7 +305,7 @@ def controller_config(text: str) -> Config:
     if kind not in CONTROLLERS:
         known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
         unknown = f"unknown controller {text!r}; {known}; --import the module that adds your own"
-        raise ValueError(_retired(kind) or unknown)
+        raise ValueError(_retired(kind, RETIRED) or unknown)
     config = _short_config(kind, rest) | ({"belief": True} if name != text else {})
     try:
         return _read(kind, config, strict=False).config()

@@ -20,14 +20,17 @@ from . import visualization as visualization
 from .choice.quadratic import Quadratic as Quadratic
 from .choice.quadratic import Switching as Switching
 from .choice.quadratic import WholeHorizon as WholeHorizon
+from .choice.rule import NOT_ESTIMATED as NOT_ESTIMATED
 from .choice.rule import PUBLISHED_COSTS as PUBLISHED_COSTS
 from .choice.rule import Chooser as Chooser
 from .choice.rule import Estimate as Estimate
 from .choice.rule import Estimator as Estimator
 from .choice.rule import Order as Order
+from .choice.rule import Priced as Priced
 from .choice.rule import Rule as Rule
 from .choice.rule import always as always
 from .choice.rule import decide as decide
+from .choice.rule import in_order as in_order
 from .choice.rule import unestimated as unestimated
 from .envs import SCENARIOS as SCENARIOS
 from .envs import add_scenario as add_scenario

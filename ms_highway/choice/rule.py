@@ -10,6 +10,7 @@ All controls are scaled, see `ms_highway.game.game`. A rung is the place of a mo
 the rule's ladder.
 """
 
+import reprlib
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, Self, TypeVar
 
@@ -67,12 +68,15 @@ NO_GAINS = int(np.iinfo(np.int32).min)
 """Rung that stands for gains that are no numbers. JAX cannot raise an error where it traces
 a decision, so that `refuse_rungs` raises it afterwards."""
 
+REAL = ("bool", "integral", "real floating")
+"""Types of numbers that gains may be, as `jax.numpy.isdtype` names them."""
+
 DERIVE = "derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define `estimate`"
 """What to derive a rule of one's own from."""
 
 FROM_START: dict[str, bool] = {"from_start": True}
-"""Metadata of a part's field that is no key of configurations, as only the start of an
-episode knows it, see `Part.at_start`."""
+"""Metadata of a field that configurations cannot set: code or the start of an episode
+does, see `Part.at_start`."""
 
 
 # What rules see, and what they return
@@ -84,8 +88,8 @@ class Memory(NamedTuple):
     Attributes:
         rungs: rung of every human in the plan of the last step; in a `Decision`, for the coming step.
         step: number of the coming step, from 0.
-        last_check: for each rung of every human, the last step in which the rung below it was estimated while it was
-            in use, and the rule did not go up instead.
+        last_check: per human and rung: the last step in which, with this rung in use, the
+            rung below was estimated and the rule did not go up.
         gain: for every human, the gain over the first rung that was estimated for the rung in use, when it was last
             estimated; 0 for the first rung, and if there was no estimate.
     """
@@ -243,8 +247,14 @@ class Chooser(Part, Generic[Evidence]):
         raise NotImplementedError
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class Priced(Chooser[Evidence]):
-    """Base of choosers at a price per second of planning, lambda, by which batches of episodes may differ."""
+    """Base of choosers at a price, by which batches of episodes may differ.
+
+    Attributes:
+        price: lambda, reward per second of planning.
+    """
 
     price: NotNegative
 
@@ -296,17 +306,30 @@ class Rule(Generic[Evidence]):
         """Check the ladder, the costs and the price.
 
         Raises:
-            ValueError: if the ladder holds something else than human models, if the costs or the price are negative,
-                or if there is not one cost for each rung; if JAX cannot compile a decision that needs it.
+            ValueError: if the ladder holds something else than human models, if the costs
+                are not one for each rung by the names of their models, or if they or the
+                price are negative; if JAX cannot compile a decision that needs it.
         """
         if self.estimates:
             compilable(self)
+
+        # The ladder.
         if strange := [model for model in self.ladder if not isinstance(model, HumanModel)]:
             raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
+        names = tuple(model.name for model in self.ladder)
+
+        # One cost for each of its rungs.
+        if not isinstance(self.costs, Costs):
+            remedy = "make them of seconds by name with ms_highway.Costs.of"
+            raise ValueError(f"the costs are {shown(self.costs)}; {remedy}")
         each = np.asarray(self.costs.each)
-        if each.shape != (len(self.ladder),):
-            names = ", ".join(model.name for model in self.ladder)
-            raise ValueError(f"costs have the shape {each.shape}; give one for each of {names}")
+        known = self.costs.names
+        if known != names or each.shape != (len(names),):
+            message = f"the costs are {each.tolist()} for {', '.join(known) or 'no model'}"
+            remedy = "in this order, as costs.select(names) does"
+            raise ValueError(f"{message}; give one for each of {', '.join(names)}, {remedy}")
+
+        # Neither negative costs nor a negative price.
         price = np.asarray(self.chooser.price if isinstance(self.chooser, Priced) else 0.0)
         if not (price >= 0).all() or (each < 0).any():
             raise ValueError(f"the price is {price} and the costs are {each.tolist()}; neither may be negative")
@@ -316,7 +339,7 @@ def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
     """Return the rule at another price lambda; a rule without a price is returned unchanged."""
     if not isinstance(rule.chooser, Priced):
         return rule
-    return replace(rule, chooser=replace(rule.chooser, price=price))  # type: ignore[type-var]
+    return replace(rule, chooser=replace(rule.chooser, price=price))
 
 
 # Orders of models
@@ -409,7 +432,7 @@ def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decis
     gains, failed = _estimated(rule, rule.estimator, memory, evidence)
     rungs = _chosen(rule, memory, gains, evidence)
     if not is_of_package(rule):
-        unknown = jnp.isnan(gains).any(axis=1)
+        unknown = _no_gains(gains).any(axis=1)
         rungs = jnp.where(unknown, NO_GAINS, rungs)
     return Decision(_remembered(memory, rungs, gains), gains, jnp.asarray(failed))
 
@@ -422,15 +445,30 @@ def _estimated(rule: Rule[Evidence], estimator: Estimator[Evidence], memory: Mem
     with naming_writes(f"the estimator {name}"):
         estimate = estimator.estimate(*read_only((memory, evidence)))
     if not isinstance(estimate, Estimate):
-        raise ValueError(f"the estimator {name} returned {estimate!r}; return an Estimate(gains, failed)")
+        remedy = "return an Estimate(gains, failed)"
+        raise ValueError(f"the estimator {name} returned {shown(estimate)}; {remedy}")
+
+    # Gains: one real number for each human and rung.
     shape = memory.last_check.shape
-    gains = jnp.asarray(estimate.gains, jnp.float32)
+    remedy = f"return one for each human and rung, an array {shape}"
+    gains = _as_numbers(estimate.gains)
+    if gains is None or not jnp.isdtype(gains.dtype, REAL):
+        found = shown(estimate.gains)
+        raise ValueError(f"the estimator {name} returned the gains {found}; {remedy}")
     if gains.shape != shape:
-        remedy = f"return one for each human and rung, an array {shape}"
-        raise ValueError(f"the estimator {name} returned gains of shape {gains.shape}; {remedy}")
-    if not isinstance(gains, jax.core.Tracer) and np.isnan(gains).any():
+        message = f"the estimator {name} returned gains of shape {gains.shape}"
+        raise ValueError(f"{message}; {remedy}")
+    gains = jnp.asarray(gains, jnp.float32)
+    if not isinstance(gains, jax.core.Tracer) and _no_gains(gains).any():
         raise ValueError(_gains_message(rule))
-    return Estimate(gains, estimate.failed)
+
+    # Whether they failed: one flag.
+    failed = _as_numbers(estimate.failed)
+    if failed is None or failed.shape != () or failed.dtype != bool:
+        found = shown(estimate.failed)
+        remedy = "return one boolean for all humans, such as flags.any()"
+        raise ValueError(f"the estimator {name} returned failed={found}; {remedy}")
+    return Estimate(gains, failed)
 
 
 def _chosen(rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Evidence) -> Rungs:
@@ -440,15 +478,44 @@ def _chosen(rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Eviden
     name = rule.name
     number = len(memory.rungs)
     with naming_writes(f"the rule {name}"):
-        rungs = rule.chooser.choose(*read_only((memory, gains, rule.costs, evidence)))
-    rungs = rungs if isinstance(rungs, np.ndarray) else jnp.asarray(rungs)
+        returned = rule.chooser.choose(*read_only((memory, gains, rule.costs, evidence)))
+
+    # One whole number for each human.
+    remedy = _rungs_remedy(rule, number)
+    rungs = _as_numbers(returned)
+    if rungs is None:
+        raise ValueError(f"the rule {name} returned {shown(returned)}; {remedy}")
     traced = isinstance(rungs, jax.core.Tracer)
     if rungs.shape != (number,) or not jnp.isdtype(rungs.dtype, ("bool", "integral")):
         found = f"{rungs.dtype} numbers of shape {rungs.shape}" if traced else f"the rungs {rungs.tolist()}"
-        raise ValueError(f"the rule {name} returned {found}; {_rungs_remedy(rule, number)}")
+        raise ValueError(f"the rule {name} returned {found}; {remedy}")
+
+    # Of the ladder.
     if not traced:
         refuse_rungs(rule, rungs)
     return rungs.__array_namespace__().asarray(rungs, dtype=np.int32)
+
+
+def _as_numbers(returned: Any) -> Any:
+    """Return what a part returned as an array of NumPy or JAX; None if it holds no numbers."""
+    if isinstance(returned, np.ndarray):
+        return returned if returned.dtype.kind in "biufc" else None
+    try:
+        return jnp.asarray(returned)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def shown(returned: Any) -> str:
+    """Return what a part returned, in short and on one line, for messages."""
+    if isinstance(returned, jax.core.Tracer):
+        return f"{returned.dtype} numbers of shape {returned.shape}"
+    return " ".join(reprlib.repr(returned).split())
+
+
+def _no_gains(gains: Gains) -> Any:
+    """Return where gains are neither numbers nor `NOT_ESTIMATED`."""
+    return ~jnp.isfinite(gains) & (gains != NOT_ESTIMATED)
 
 
 def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
@@ -544,7 +611,7 @@ def _rungs_remedy(rule: Rule[Any], humans: int) -> str:
 
 def _gains_message(rule: Rule[Any]) -> str:
     remedy = "return -inf (NOT_ESTIMATED) where no gain is known"
-    return f"the estimator {type(rule.estimator).__name__} returned gains that are NaN; {remedy}"
+    return f"the estimator {type(rule.estimator).__name__} returned gains that are NaN or infinite; {remedy}"
 
 
 def shipped_kind(semantics: str, humans: int) -> str:

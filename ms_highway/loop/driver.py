@@ -16,6 +16,7 @@ from ms_highway.choice.rule import (
     for_unresponsive,
     is_of_package,
     refuse_rungs,
+    shown,
 )
 from ms_highway.choice.rule import decide as chosen_by
 from ms_highway.game.game import Game
@@ -50,6 +51,9 @@ def drivable(rule: Rule[GameEvidence], belief: bool) -> tuple[Rule[GameEvidence]
     Raises:
         ValueError: as `Driver` does.
     """
+    if not isinstance(rule, Rule):
+        remedy = "make one with ms_highway.in_order(rungs, ladder) or ms_highway.always(model)"
+        raise ValueError(f"a driver is given {shown(rule)}, which is no Rule; {remedy}")
     rule.check()
     return for_unresponsive(rule) if belief else (rule, None)
 

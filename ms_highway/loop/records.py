@@ -1,6 +1,6 @@
 """Hold what a simulation takes and returns: what its episodes share, the episodes, and the records of their steps."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import jax
@@ -55,12 +55,19 @@ class Loop:
 
     @property
     def unresponsive(self) -> int | None:
-        """The number of the model that predicts unresponsive humans; None without a belief."""
+        """The number of the model that predicts unresponsive humans; None without a belief.
+
+        Raises:
+            ValueError: see `for_unresponsive`; if the order needs naive, and no model is it.
+        """
         if not self.belief:
             return None
-        if self.rule.estimates:
-            return for_unresponsive(self.rule)[1]
-        return [model.name for model in self.models].index(Naive.name)
+        _, number = for_unresponsive(replace(self.rule, ladder=self.models))
+        if number == len(self.models):
+            names = ", ".join(model.name for model in self.models)
+            remedy = f"add {Naive.name} to `others`"
+            raise ValueError(f"with a belief, the models of the loop are {names}; {remedy}")
+        return number
 
     @property
     def together(self) -> int:

@@ -26,13 +26,12 @@ class Costs:
         base: of a plan in which the first rung predicts every human; 0 with one human.
         each: time that a human adds under each rung, NaN where it is unknown; with one
             human, T(M) of the whole plan.
-        names: of the models of the rungs (static); without names, only the numbers of
-            rungs are known.
+        names: of the models of the rungs (static).
     """
 
     base: Scalar
     each: Float[Array, "rungs"]
-    names: tuple[str, ...] = field(default=(), metadata={"static": True})
+    names: tuple[str, ...] = field(metadata={"static": True})
 
     @classmethod
     def of(cls, seconds: Mapping[str, float], humans: int) -> "Costs":
@@ -42,7 +41,13 @@ class Costs:
             seconds: T(M) by name, of plans with one human predicted by the model, and
                 all others by the first rung.
             humans: number of humans.
+
+        Raises:
+            ValueError: if the seconds are not given by name.
         """
+        if not isinstance(seconds, Mapping):
+            remedy = "give seconds by name, such as {'naive': 0.09, 'tom': 0.37}"
+            raise ValueError(f"Costs.of is given {seconds!r}; {remedy}")
         names = tuple(seconds)
         whole = np.array([seconds[name] for name in names], dtype=float)
         base = float(whole[0]) if humans > 1 and names else 0.0

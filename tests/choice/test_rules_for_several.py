@@ -1,6 +1,6 @@
 """Rules for several humans: `nearest` chooses by distance, learned values by gains, `budget` by those that fit."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
@@ -11,13 +11,23 @@ from jax import numpy as jnp
 from ms_highway.choice.budget import Budget
 from ms_highway.choice.choosers import Nearest
 from ms_highway.choice.learned_value import load_values
-from ms_highway.choice.rule import NOT_ESTIMATED, Estimate, Estimator, Rule, decide
+from ms_highway.choice.rule import (
+    NOT_ESTIMATED,
+    Chooser,
+    Estimate,
+    Estimator,
+    Rule,
+    decide,
+    decide_on,
+    first_memory,
+    refuse_rungs,
+)
 from ms_highway.loop.step import begin
 from ms_highway.planning.costs import Costs
 from ms_highway.runtime.compilation import jit_quickly
 
 NAIVE, TURN, TOM = range(3)
-COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]))
+COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]), ("naive", "turn", "tom"))
 
 # in the robot's lane: 15 m ahead and as fast, far ahead, 40 m ahead and slower; in the next one: 20 m behind; far aside
 STATE = np.float32([[0, 0, 0, 20], [15, 0, 0, 20], [90, 0, 0, 20], [40, 0, 0, 2], [-20, 3.3, 0, 22], [12, 13.3, 0, 5]])
@@ -129,7 +139,94 @@ def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
 
 
 def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder_and_one_rung_leaves_nothing_to_choose(game):
-    rules = (SHIPPED.rule(LADDER[:size], Costs(0.0, COSTS.each[:size]), 10.0) for size in (3, 2, 1))
+    rules = (
+        SHIPPED.rule(LADDER[:size], replace(COSTS.select(COSTS.names[:size]), base=0.0), 10.0) for size in (3, 2, 1)
+    )
     whole, part, nothing = (decided(rule, game) for rule in rules)
     np.testing.assert_allclose(whole.gains[:, :2], part.gains, rtol=1e-4)
     assert nothing.memory.rungs.tolist() == [NAIVE] * 5
+
+
+# What parts of a user's return
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Returns(Chooser):
+    """A chooser that returns anything."""
+
+    what: object = field(metadata={"static": True})
+
+    def choose(self, memory, gains, costs, evidence):
+        return jnp.asarray(self.what) if isinstance(self.what, tuple) else self.what
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Estimates(Estimator):
+    """An estimator that returns anything as gains and as its flag; a tuple as an array."""
+
+    gains: object = field(metadata={"static": True})
+    failed: object = field(default=False, metadata={"static": True})
+
+    def estimate(self, memory, evidence):
+        gains = jnp.asarray(self.gains) if isinstance(self.gains, tuple) else self.gains
+        failed = jnp.asarray(self.failed) if isinstance(self.failed, tuple) else self.failed
+        return gains if gains is None else Estimate(gains, failed)
+
+
+KNOWN = ((0.0, 1.0, NOT_ESTIMATED),) * 3
+NAMED_RUNGS = "return one whole number for each human, 3 in all: 0 for naive"
+NAMED_GAINS = r"return one for each human and rung, an array \(3, 3\)"
+FLAG = "return one boolean for all humans"
+WRONG = [
+    (Returns(None), None, f"the rule Returns returned None; {NAMED_RUNGS}"),
+    (Returns("naive"), None, f"the rule Returns returned 'naive'; {NAMED_RUNGS}"),
+    (Returns(2**40), None, f"the rule Returns returned 1099511627776; {NAMED_RUNGS}"),
+    (Returns((0.0, 1.0, 2.0)), None, f"the rule Returns returned (the rungs|float32) .*; {NAMED_RUNGS}"),
+    (Nearest(1), Estimates(None), r"the estimator Estimates returned None; return an Estimate\(gains, failed\)"),
+    (Nearest(1), Estimates("abc"), f"the estimator Estimates returned the gains 'abc'; {NAMED_GAINS}"),
+    (Nearest(1), Estimates(1j), f"the estimator Estimates returned the gains 1j; {NAMED_GAINS}"),
+    (Nearest(1), Estimates(1.0), rf"the estimator Estimates returned gains of shape \(\); {NAMED_GAINS}"),
+    (Nearest(1), Estimates(KNOWN, None), f"the estimator Estimates returned failed=None; {FLAG}"),
+    (Nearest(1), Estimates(KNOWN, 0), f"the estimator Estimates returned failed=0; {FLAG}"),
+    (Nearest(1), Estimates(KNOWN, (False,) * 3), f"the estimator Estimates returned failed=.*; {FLAG}"),
+    (Nearest(1), Estimates(((0.0, np.inf, 1.0),) * 3), "the estimator Estimates returned gains that are NaN or inf"),
+    (Nearest(1), Estimates(((0.0, np.nan, 1.0),) * 3), "the estimator Estimates returned gains that are NaN or inf"),
+]
+
+
+@pytest.mark.parametrize(("chooser", "estimator", "message"), WRONG)
+@pytest.mark.parametrize("traced", [False, True])
+def test_what_no_part_may_return_is_refused_with_its_name_its_value_and_a_remedy(
+    played, chooser, estimator, message, traced
+):
+    game, state = played("dense_merge", humans=3)
+    rule = Rule(LADDER, COSTS, chooser, estimator)
+    memory, outcome, *_ = begin(rule, game, state)
+    decided = jax.jit(decide) if traced else decide
+    with pytest.raises(ValueError, match=message):
+        refuse_rungs(rule, decided(rule, game, memory, outcome).memory.rungs)
+
+
+def test_a_list_of_names_is_no_choice():
+    @jax.tree_util.register_dataclass
+    @dataclass(frozen=True)
+    class Names(Chooser):
+        """A chooser that returns names instead of rungs."""
+
+        def choose(self, memory, gains, costs, evidence):
+            return ["naive"]
+
+    rule = Rule(LADDER, COSTS, Names())
+    with pytest.raises(ValueError, match=r"the rule Names returned \['naive'\]; return one whole number"):
+        decide_on(rule, first_memory(rule, 1), None)
+
+
+def test_gains_that_are_known_or_not_estimated_are_taken(played):
+    game, state = played("dense_merge", humans=3)
+    rule = Rule(LADDER, COSTS, Nearest(1), Estimates(KNOWN))
+    memory, outcome, *_ = begin(rule, game, state)
+    decision = jax.jit(decide)(rule, game, memory, outcome)
+    np.testing.assert_array_equal(decision.gains, KNOWN)
+    assert not decision.failed

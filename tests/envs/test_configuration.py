@@ -2,7 +2,7 @@
 
 import re
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, make_dataclass, replace
 from itertools import chain, product
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from ms_highway.cli.main import parse
 from ms_highway.cli.options import configuration
 from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
 from ms_highway.envs.agents import AGENTS, AddedAgent
-from ms_highway.envs.controllers import KEYBOARD
+from ms_highway.envs.controllers import KEYBOARD, DrivenByAgent, DrivenByFunction, Fixed, RandomModels, Schedule
 from ms_highway.envs.registry import add_rule, controller_config, controller_settings
 from ms_highway.envs.settings import YIELDING
 from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
@@ -53,6 +53,9 @@ WRONG = [
     ({"controller": "period:tom=1,naive=3"}, "period is gone since 3.0.0: write the steps as schedule:"),
     ({"controller": {"type": "period", "models": ["tom"]}}, "period is gone since 3.0.0: write the steps"),
     ({"controller": "budget:20:one_step"}, "one_step is gone since 3.0.0: leave it out, to have the gains of learned"),
+    ({"controller": "learned:1:period"}, "period cannot be read as learned values"),
+    ({"controller": "learned:1:one_step"}, "one_step cannot be read as learned values"),
+    ({"controller": "one_step"}, "unknown controller 'one_step'; name a model"),
     ({"beliefs": "true"}, "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several"),
     ({"controller": "random:tom"}, "['shares'] is {'tom': ''}; give the share of each model"),
     ({"controller": "AGENT.zip+belief"}, "'AGENT.zip' predicts no human; leave the belief out"),
@@ -246,6 +249,15 @@ class Gains(ms_highway.Estimator, tag="gains"):
         return ms_highway.Estimate(jnp.full((len(memory.rungs), self.rungs), self.number), False)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Cheapest(ms_highway.Priced, tag="cheapest"):
+    """A rule at a lambda, which inherits its field."""
+
+    def choose(self, memory, gains, costs, evidence):
+        return jnp.where(self.price > 0.5, 0, 1) + 0 * memory.rungs
+
+
 @pytest.fixture
 def rules(monkeypatch):
     """A table of rules to which some may be added."""
@@ -254,12 +266,14 @@ def rules(monkeypatch):
 
 @pytest.mark.usefixtures("rules")
 def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_rule_has_one():
-    for rule in (Plain, Dear, Dear):  # a rule may replace itself
+    for rule in (Plain, Dear, Dear, Cheapest):  # a rule may replace itself
         add_rule(rule)
     assert drive(make(SEVERAL, "plain"), steps=1).infos[0]["models"] == ("naive", "naive")
     assert controller_config("plain+belief") == {"type": "plain", "belief": True}
     assert controller_config("dear:0.3") == {"type": "dear", "lambda": 0.3}
-    assert registry.priced_types() == ["switching", "horizon", "learned", "dear"]
+    assert registry.priced_types() == ["switching", "horizon", "learned", "dear", "cheapest"]
+    for price, model in ((0.3, "turn"), (0.7, "naive")):
+        assert drive(make(PAIR, f"cheapest:{price}"), steps=1).infos[0]["models"] == (model,)
     for wrong in ("plain:1", "dear", "dear:x"):
         with pytest.raises(ValueError, match=f"controller '{wrong}': "):
             controller_config(wrong)
@@ -275,6 +289,44 @@ def test_a_class_that_makes_no_rule_is_refused_with_what_to_derive_it_from():
             type("Old", (base,), {}, **options)
     with pytest.raises(ValueError, match=r"Plain is no estimator; derive it from ms_highway\.Estimator"):
         add_rule(Plain, Plain)
+
+
+def with_fields(base, *names, **options):
+    """Return a class of a rule's part with these fields, which are numbers."""
+    return make_dataclass("Own", [(name, float) for name in names], bases=(base,), frozen=True, **options)
+
+
+def test_fields_with_the_key_of_another_one_are_refused():
+    """They would be read from the same entry of the configuration."""
+    wrong = [
+        (
+            (with_fields(Plain, "reach"), with_fields(Gains, "reach", kw_only=True)),
+            "Own and Own have a field 'reach' each",
+        ),
+        ((with_fields(Gains, "price", kw_only=True),), "Own has the field 'price', which is the chooser's lambda"),
+        (
+            (Plain, with_fields(Gains, "price", kw_only=True)),
+            "Own has the field 'price', which is the chooser's lambda",
+        ),
+        ((with_fields(Plain, "price"),), r"'price', which is lambda; derive it from ms_highway\.Priced, or rename"),
+        *(
+            ((with_fields(Plain, key),), f"Own has the field '{key}', a key of all controllers")
+            for key in ("type", "belief")
+        ),
+        *(((with_fields(Gains, key, kw_only=True),), f"Own has the field '{key}'") for key in ("type", "belief")),
+    ]
+    before = dict(registry.CONTROLLERS)
+    for parts, message in wrong:
+        with pytest.raises(ValueError, match=message):
+            add_rule(*parts)
+    assert before == registry.CONTROLLERS
+
+
+@pytest.mark.parametrize("base", [Fixed, Schedule, RandomModels, DrivenByFunction, DrivenByAgent])
+def test_what_takes_no_choices_is_no_base_of_a_rule(base):
+    own = type("Own", (base,), {"choose": Plain.choose}, tag="own")
+    with pytest.raises(ValueError, match=r"Own makes no rule; derive it from ms_highway\.Chooser and define"):
+        add_rule(own)
 
 
 @jax.tree_util.register_dataclass
@@ -369,7 +421,7 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
     with pytest.raises(ValueError, match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}"):
         episode(1.0, humans=5)
     episode(1.0, "gains", **{"lambda": 0.0})
-    with pytest.raises(ValueError, match="the estimator Gains returned gains that are NaN; return -inf"):
+    with pytest.raises(ValueError, match="the estimator Gains returned gains that are NaN or infinite; return -inf"):
         episode(np.nan, "gains", **{"lambda": 0.0})
     with pytest.raises(ValueError, match=r"the estimator Gains returned gains of shape \(1, 3\); return one for each"):
         episode(1.0, "gains", rungs=3, **{"lambda": 0.0})

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from driving import COSTS, LADDER, move
 
+import ms_highway
 from ms_highway.choice.choosers import Nearest
 from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.quadratic import Switching
@@ -16,7 +17,7 @@ from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.loop.controller import FunctionDriver
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.planning.costs import Costs
+from ms_highway.planning.costs import UNKNOWN, Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import MODELS, ladder
 
@@ -144,11 +145,42 @@ def test_rules_with_impossible_ladders_costs_or_prices_are_refused(played):
     with pytest.raises(ValueError, match=message):
         Driver(game, replace(SWITCHING, ladder=("naive", "turn", "tom")))
     with pytest.raises(ValueError, match="give one for each of naive, turn, tom"):
-        Driver(game, replace(SWITCHING, costs=Costs(0.0, np.array([0.1]))))
+        Driver(game, replace(SWITCHING, costs=Costs(0.0, np.array([0.1]), SWITCHING.costs.names)))
     with pytest.raises(ValueError, match="the price is nan"):
         Driver(game, at_price(SWITCHING, np.nan))
+    names = ["tom@4", "tom@8", "tom"]
+    responding = Switching(UNKNOWN.select(names), 0.0, ladder(names))
     with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
-        Driver(game, replace(SWITCHING, ladder=ladder(("tom@4", "tom@8", "tom"))), belief=True)
+        Driver(game, responding, belief=True)
+
+
+def test_what_is_no_rule_is_refused_with_how_to_make_one(played):
+    game, _ = played("merger")
+    remedy = r"which is no Rule; make one with ms_highway\.in_order\(rungs, ladder\) or ms_highway\.always\(model\)"
+    rule = ms_highway.in_order(np.zeros((1, 1), int), LADDER)
+    for wrong in (rule.chooser, LADDER[0], "naive", None):
+        with pytest.raises(ValueError, match=f"a driver is given .*{remedy}"):
+            Driver(game, wrong)
+    driver = Driver(game, rule)
+    with pytest.raises(ValueError, match=remedy):
+        driver.rule = rule.chooser
+
+
+def test_costs_of_other_models_than_the_ladder_are_refused(played):
+    """Two models in another order would else have each other's price."""
+    game, _ = played("merger")
+    models = ladder(["naive", "tom"])
+    swapped = Costs.of({"tom": 0.1, "naive": 0.2}, 1)
+    message = r"the costs are \[0.1, 0.2\] for tom, naive; give one for each of naive, tom, in this order, as costs.sel"
+    with pytest.raises(ValueError, match=message):
+        Driver(game, Switching(swapped, 0.0, models))
+    Driver(game, Switching(swapped.select(["naive", "tom"]), 0.0, models))
+    with pytest.raises(
+        ValueError, match=r"the costs are \[0.1, 0.2\]; make them of seconds by name with ms_highway\.C"
+    ):
+        Driver(game, Switching([0.1, 0.2], 0.0, models))
+    with pytest.raises(ValueError, match=r"Costs\.of is given \[0.1, 0.2\]; give seconds by name, such as"):
+        Costs.of([0.1, 0.2], 1)
 
 
 def test_an_order_with_a_belief_also_has_naive_can_be_pickled_and_can_be_replaced(played):

@@ -14,18 +14,18 @@ from jax import numpy as jnp
 from ms_highway.choice.belief import RESPONDING
 from ms_highway.choice.budget import Budget
 from ms_highway.choice.learned_value import load_values
-from ms_highway.choice.rule import Chooser, Estimate, Estimator, Rule, Start, at_price, decide, in_order
+from ms_highway.choice.rule import Chooser, Estimate, Estimator, Rule, Start, always, at_price, decide, in_order
 from ms_highway.envs.controllers import ModelOrder, Outside
 from ms_highway.envs.registry import CONTROLLERS, controller_settings
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_roles
 from ms_highway.loop.batch import batch_parts
 from ms_highway.loop.controller import FunctionDriver, always_yields, never_yields
-from ms_highway.loop.driver import Driver
+from ms_highway.loop.driver import Driver, drivable
 from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Loop
 from ms_highway.loop.step import STATUSES, begin
 from ms_highway.loop.step import step as one_step
-from ms_highway.planning.costs import Costs
+from ms_highway.planning.costs import UNKNOWN, Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
 from ms_highway.runtime.compilation import jit_quickly
@@ -91,6 +91,27 @@ class OwnChoice(Chooser):
 
     def choose(self, memory, gains, costs, evidence):
         return (memory.rungs + 1) % gains.shape[1]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class AtOnce(OwnChoice):
+    """The same, without a compilation."""
+
+    computes = False
+
+
+@pytest.mark.parametrize("chooser", [OwnChoice(), AtOnce()])
+def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(played, chooser):
+    game, _ = played("merger")
+    models = ladder(["idm", "turn", "tom"])
+    rule = Rule(models, UNKNOWN.select(model.name for model in models), chooser)
+    _, live = drivable(rule, belief=True)
+    assert Loop(game, rule, belief=True).unresponsive == live == 0
+    order, live = drivable(in_order(np.array([[1]]), models), belief=True)
+    assert Loop(game, order, belief=True).unresponsive == live == 3
+    with pytest.raises(ValueError, match="with a belief, the models of the loop are tom; add naive to `others`"):
+        _ = Loop(game, always(models[2]), belief=True).unresponsive
 
 
 def parts(humans):
