@@ -15,7 +15,6 @@ from ms_highway.choice.rule import NOT_ESTIMATED, Chooser, GameEvidence, Memory,
 from ms_highway.choice.situation import nearness
 from ms_highway.planning.costs import Costs
 from ms_highway.runtime.arrays import Gains, Rungs
-from ms_highway.runtime.limits import NotNegative
 
 TOGETHER = 4
 """Number of the nearest humans, at most, who are predicted by more than the first rung
@@ -31,12 +30,7 @@ class Price(Priced[object]):
 
     The worth of a rung is its gain less the price of its time. So Algorithm 1 goes to the top rung if that is worth
     more, or else one rung down if that is, as it estimates no other rung.
-
-    Attributes:
-        price: lambda, reward per second of planning.
     """
-
-    price: NotNegative
 
     def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
         """See `ms_highway.choice.rule.Chooser.choose`; rungs without an estimate or a cost are not taken."""
@@ -62,12 +56,7 @@ class PriceFromFirst(Priced[object]):
     """Take, for each human, the most expensive rung whose gain over the first one is worth its whole time.
 
     The rung in use does not matter: where humans come and go, as on stock roads, it may be another one's.
-
-    Attributes:
-        price: lambda, reward per second of planning.
     """
-
-    price: NotNegative
 
     def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
         """See `ms_highway.choice.rule.Chooser.choose`; without such a rung, it is the first one."""
@@ -84,12 +73,7 @@ class PriceTogether(Priced[GameEvidence]):
     The worth of a rung is its gain less the price of its time, and that of a human without estimates is 0. For each
     rung, the worths are added up from the nearest human outwards. The rung and the number of humans with the highest
     sum are chosen.
-
-    Attributes:
-        price: lambda, reward per second of planning.
     """
-
-    price: NotNegative
 
     def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence) -> Rungs:
         """See `ms_highway.choice.rule.Chooser.choose`."""
