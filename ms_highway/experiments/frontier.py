@@ -111,7 +111,8 @@ def search(
         The number of each finished round, from 1; a last number after the starts have tried each other's best orders.
     """
     random, batch = np.random.default_rng(0), outcomes.batch
-    rungs, steps = range(len(batch.rungs)), np.arange(batch.steps)
+    rungs = range(len(batch.rungs))
+    steps = np.arange(batch.steps)
     ends = np.unique(np.round(np.geomspace(1, batch.steps, SWITCHES)).astype(int))
     drawn = [np.where(steps < end, *pair) for end in ends for pair in product(rungs, rungs)]
     orders = {controller_name(batch.rungs, order): order for order in drawn}

@@ -146,7 +146,8 @@ class Driving:
         count, steps, humans = schedules.shape
         lambdas = np.full(count, prices, np.float32)
         robot = np.tile(np.asarray(loop.game.robot.weights, np.float32), (count, 1))
-        usual, parts = np.full((count, humans), HUMAN_PLANS), []
+        usual = np.full((count, humans), HUMAN_PLANS)
+        parts = []
         last = np.minimum(np.arange(steps + -steps % horizon), steps - 1)  # whole rollouts
         for part in np.split(schedules[:, last].astype(np.int32), len(last) // horizon, axis=1):
             parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.devices))
