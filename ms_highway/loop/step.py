@@ -176,8 +176,12 @@ def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
         driven, fallback, status = follow_escape(driven, fallback, status, escape)
 
     # Remember what was done; the next step looks at what comes of it.
-    memory = choice.decision.memory._replace(rungs=driven.rungs, step=carry.memory.step + 1)
-    outcome = carry.outcome._replace(before=now, after=now, robot=driven.plan.robot[0], plan=driven.plan)
+    # The gain of a chosen rung says nothing of another one that drives instead.
+    chosen = choice.decision.memory
+    gain = chosen.gain * (driven.rungs == chosen.rungs)
+    memory = Memory(driven.rungs, carry.memory.step + 1, chosen.last_check, gain)
+    control = driven.plan.robot[0]
+    outcome = carry.outcome._replace(before=now, after=now, robot=control, plan=driven.plan)
     return Carry(memory, outcome, choice.belief, fallback), StepResult(driven, status, choice, planned)
 
 

@@ -33,8 +33,9 @@ def test_turn_predicts_humans_of_this_package_and_naive_compensates_friction(mer
 def test_idm_brakes_for_the_robot_once_it_is_in_its_lane(merger):
     game, cars = merger
     (beside,) = predicted(game, cars, STRAIGHT)
-    cars[0, :2] = cars[1, :2] + [6.0, 0.0]
-    (ahead,) = predicted(game, cars, STRAIGHT)
+    in_lane = cars.copy()  # JAX may still read the other array
+    in_lane[0, :2] = cars[1, :2] + [6.0, 0.0]
+    (ahead,) = predicted(game, in_lane, STRAIGHT)
     assert ahead[IDM, 1] < beside[IDM, 1] - 1.0
     assert ahead[NAIVE, 1] == beside[NAIVE, 1]
 
