@@ -83,7 +83,7 @@ does, see `Part.at_start`."""
 
 
 class Memory(NamedTuple):
-    """What a rule remembers.
+    """What a rule remembers: the rungs in use, when they were checked, what they gain.
 
     Attributes:
         rungs: rung of every human in the plan of the last step; in a `Decision`, for the coming step.
@@ -137,7 +137,7 @@ class GameEvidence:
 
 
 class Estimate(NamedTuple):
-    """What an estimator says.
+    """Gain in reward per step of each rung over the first one, before its price.
 
     Attributes:
         gains: for every human, how much more reward per step each rung earns than the first rung, before the price of
@@ -150,7 +150,7 @@ class Estimate(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What a rule chose.
+    """Rungs of the coming step, and the gains by which they were chosen.
 
     Attributes:
         memory: memory with the rungs for the coming step. The caller counts the steps.
@@ -262,7 +262,7 @@ class Priced(Chooser[Evidence]):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rule(Generic[Evidence]):
-    """What chooses the rungs of the coming step.
+    """Choose a rung for every human: estimate the gains, then weigh them against the costs.
 
     A rule is a pytree, so that its numbers may change without recompilation. It works for any number of humans, live
     and in batches.

@@ -93,7 +93,7 @@ class Choice(NamedTuple):
 
 
 class NewPlan(NamedTuple):
-    """What planning returns.
+    """The plan of this step, and how its ascent ended.
 
     Attributes:
         plan: scaled; it fails if it is not finite.
@@ -111,7 +111,7 @@ class NewPlan(NamedTuple):
 
 
 class StepResult(NamedTuple):
-    """What happened in a step.
+    """What drives in a step, and where it comes from.
 
     Attributes:
         driven: what drives; its first control is executed. If the robot brakes, the rungs are

@@ -53,7 +53,7 @@ class Plan(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """What a planner returns.
+    """A plan, and how its ascent ended.
 
     Attributes:
         plan: scaled.
