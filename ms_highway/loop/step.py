@@ -255,12 +255,14 @@ def choose(
 # Planning, and following a plan or what takes its place
 
 
-def plan_start(models: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, last: RemainingPlan) -> Plan:
+def plan_start(
+    models: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, last: RemainingPlan
+) -> Plan | None:
     """Return the scaled plan from which the coming one starts.
 
     It is the rest of the last plan for all who continue it, if the planner or their model
     wants that: the humans under such a model, and the robot if there is one. All others
-    start cold.
+    start cold; None if all always do.
 
     Args:
         models: that rungs name.
@@ -269,10 +271,10 @@ def plan_start(models: tuple[HumanModel, ...], game: Game, state: State, rungs: 
         rungs: of every human in the coming plan.
         last: the plan to fall back on.
     """
-    cold = cold_start(game, state)
     warm = np.array([game.planner.solver.continues or model.warm for model in models])
     if not warm.any():
-        return cold
+        return None
+    cold = cold_start(game, state)
     rest = last.warm_start.later()
     xp = rungs.__array_namespace__()  # of NumPy or JAX
     continues = xp.asarray(warm)[rungs] & (last.steps > 0)

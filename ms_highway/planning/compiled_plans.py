@@ -44,8 +44,8 @@ def plan_for(
     models: tuple[HumanModel, ...],
     game: Game,
     state: State,
-    rungs: Rungs,
-    start: Plan,
+    rungs: Rungs | None,
+    start: Plan | None = None,
 ) -> Solution:
     """Plan with a model for each human; all controls keep to `ms_highway.game.game.bounded`.
 
@@ -59,9 +59,11 @@ def plan_for(
         models: human models.
         game: with the humans' rewards as the robot believes them.
         state: all cars now.
-        rungs: of every human, its model's place.
-        start: scaled plan to improve, such as `ms_highway.planning.plans.cold_start`.
+        rungs: of every human, its model's place; None for a single model.
+        start: scaled plan to improve; None for `ms_highway.planning.plans.cold_start`.
     """
+    if start is None:
+        start = cold_start(game, state)
     last = Plan(jnp.asarray(start.robot), jnp.asarray(start.humans))
     begin = last
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
@@ -203,6 +205,8 @@ class CompiledPlans:
         self.game = game
         self.ladder = tuple(ladder)
         self._function_of_each = game.number == 1  # which is smaller than one for all
+        warm = any(model.warm for model in self.ladder)
+        self._continues = warm or game.planner.solver.continues
         self._placed = Placed(single(game))
 
     def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Solution, float]:
@@ -219,13 +223,15 @@ class CompiledPlans:
 
     def call(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple:
         """Return the compiled function of a plan, see `plan_function`, and its arguments."""
-        if start is None:
+        # Plans that may continue have one program, which takes a start in any case.
+        if start is None and self._continues:
             start = cold_start(self.game, np.asarray(state))
+
+        # Numbers that the program does not need would only take time.
         models = self.ladder
-        places = np.asarray(rungs, np.int32)
         if self._function_of_each:
             models = (self.ladder[int(rungs[0])],)
-            places = np.zeros(1, np.int32)
+        places = np.asarray(rungs, np.int32) if len(models) > 1 else None
         arguments = self._placed.take(), state, places, start
         return plan_function(models).of(*arguments), *arguments
 
