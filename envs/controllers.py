@@ -1,4 +1,4 @@
-"""Read controllers from their configuration: rules, orders of models, and who drives without predictions.
+"""Read controllers from their configuration: rules, orders of models, functions and agents.
 
 The configuration of a rule is the rule: the fields of its chooser and its estimator are
 the keys of ``config["controller"]``, see `ms_highway.choice.rule.Part`.

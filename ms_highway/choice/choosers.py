@@ -17,7 +17,7 @@ from ms_highway.planning.costs import Costs
 from ms_highway.runtime.arrays import Gains, Rungs
 
 TOGETHER = 4
-"""Number of the nearest humans, at most, who are predicted by more than the first rung
+"""Largest number of humans, the nearest ones, with a higher rung than the first
 at a price. A gap may open only if two of them yield together."""
 
 Humans = Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
@@ -38,7 +38,7 @@ class Price(Priced[object]):
         in_use = jnp.asarray(memory.rungs)[:, None]
         places = jnp.arange(len(each))
 
-        # What the rung in use gains; without an estimate, what it gained when it was chosen.
+        # Gain of the rung in use. Without a new estimate, the remembered one counts.
         own = jnp.take_along_axis(gains, in_use, axis=1)
         own = jnp.where(jnp.isfinite(own), own, jnp.asarray(memory.gain)[:, None])
 

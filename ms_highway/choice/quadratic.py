@@ -185,7 +185,7 @@ class Quadratic(Estimator[GameEvidence]):
         return Estimate(gains, jnp.bool(False))
 
     def _gains(self, evidence: GameEvidence, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
-        """Estimate what going up and going down gains for one human; return `NOT_ESTIMATED` for what is not due."""
+        """Estimate the gains of the top rung and of the rung below for one human; `NOT_ESTIMATED` if not due."""
         game = evidence.game
         ladder = evidence.ladder
         outcome = evidence.outcome

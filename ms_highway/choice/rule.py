@@ -79,7 +79,7 @@ FROM_START: dict[str, bool] = {"from_start": True}
 does, see `Part.at_start`."""
 
 
-# What rules see, and what they return
+# Inputs and results of rules
 
 
 class Memory(NamedTuple):
@@ -414,7 +414,7 @@ def decide(rule: Rule[GameEvidence], game: Game, memory: Memory, outcome: Outcom
 def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decision:
     """Choose the rungs of the coming step by a rule: estimate, choose, and remember.
 
-    Other parts than the package's get arrays that they cannot write, and what they return is checked.
+    A user's parts get read-only arrays, and their results are checked.
 
     Raises:
         ValueError: if a part returns arrays of a wrong shape or type; if they are known now, also for numbers that are
@@ -530,7 +530,7 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
     in_use = places == before[:, None]
     last_check = jnp.where(checked[:, None] & in_use, memory.step + 1, memory.last_check)
 
-    # The gain of the rung, or what is known of it.
+    # Gain of the new rung. Without an estimate, a rung that stays keeps the remembered one.
     gain = gains[humans, jnp.clip(rungs, 0, gains.shape[1] - 1)]
     known = jnp.where(rungs == before, memory.gain, 0.0)
     gain = jnp.where(jnp.isfinite(gain), gain, known).astype(jnp.float32)

@@ -55,7 +55,7 @@ class RemainingPlan(NamedTuple):
     warm_start: Any
 
     def later(self) -> "RemainingPlan":
-        """Return what is left a step later."""
+        """Return the plan from the next step on."""
         steps = self.steps - (self.steps > 0)
         return RemainingPlan(self.plan.later(), steps, self.rungs, self.warm_start.later())
 
@@ -203,7 +203,7 @@ def begin(rule: Rule, game: Game, state: State) -> Carry:
 
 
 def no_plan(horizon: int, humans: int) -> RemainingPlan:
-    """Return what is left before the first plan: no control."""
+    """Return the remaining plan before the first step: it has no controls."""
     still = np.zeros((1 + humans, horizon, 2), np.float32)
     nothing = Plan(still[0], still[1:])
     return RemainingPlan(nothing, np.int32(0), np.zeros(humans, np.int32), nothing)
@@ -242,7 +242,7 @@ def choose(
         decision = decide(carry.memory, outcome)
         return Choice(carry.belief, decision, decision.memory.rungs)
 
-    # Infer who responds; before the first step, nothing is seen of the humans.
+    # Infer which humans respond. Before the first step, nobody has moved.
     moved = jnp.any(before != now)
     belief = jnp.where(moved, infer(game, carry.belief, before, now, outcome.plan.robot), carry.belief)
     decision = decide(carry.memory, outcome)
@@ -260,9 +260,8 @@ def plan_start(
 ) -> Plan | None:
     """Return the scaled plan from which the coming one starts.
 
-    It is the rest of the last plan for all who continue it, if the planner or their model
-    wants that: the humans under such a model, and the robot if there is one. All others
-    start cold; None if all always do.
+    Humans continue the last plan if the planner or their model wants that; the robot does
+    if any human does. All others start cold. It is None if no model ever continues.
 
     Args:
         models: that rungs name.

@@ -48,7 +48,9 @@ UNKNOWN_WORTH = np.zeros(TRAFFIC, np.float32)
 BRAKING_SHARE = 0.95  # share of the grip above which the deceleration of a broken plan counts as braking
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 
-proposed_for, responded_to, decided = jit_quickly(propose_road), jit_quickly(respond_road), jit_quickly(decide_on)
+proposed_for = jit_quickly(propose_road)
+responded_to = jit_quickly(respond_road)
+decided = jit_quickly(decide_on)
 """Proposals, answers to them and decisions, each compiled once for all scenes, models, limits and weights."""
 
 

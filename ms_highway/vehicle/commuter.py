@@ -209,11 +209,7 @@ class CommuterVehicle(FollowingVehicle):
     ) -> float:
         """Return what the learned reward prefers, or more where that crawls [m/s^2].
 
-        Args:
-            speed: of the follower [m/s].
-            wanted: the speed limit, or the follower's target speed if lower [m/s].
-            gap: to the leader, between bumpers [m]; infinite without one.
-            leader_speed: [m/s].
+        See `ms_highway.vehicle.commuter.FollowingVehicle.preferred_acceleration`.
         """
         learned = super().preferred_acceleration(speed, wanted, gap, leader_speed)
         starting = replace(COMMUTERS, headway=float(self.traits.headway))

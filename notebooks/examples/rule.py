@@ -28,7 +28,8 @@ class Coasting(ms_highway.PredictedHuman):
 
 
 def distances(evidence):
-    game, state = evidence.game, evidence.outcome.after
+    game = evidence.game
+    state = evidence.outcome.after
     return jnp.linalg.norm(state[1 : 1 + game.number, :2] - state[0, :2], axis=1)
 
 

@@ -78,7 +78,8 @@ class OwnGains(Estimator):
     """A user's estimator, which knows the gain of the top rung only."""
 
     def estimate(self, memory, evidence):
-        after, humans = evidence.outcome.after, 1 + evidence.game.number
+        after = evidence.outcome.after
+        humans = 1 + evidence.game.number
         distances = jnp.linalg.norm(after[1:humans, :2] - after[0, :2], axis=1)
         gains = jnp.full(memory.last_check.shape, -jnp.inf)
         return Estimate(gains.at[:, -1].set(0.15 * jnp.exp(-distances / 10.0)), False)
@@ -117,7 +118,8 @@ def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(played,
 def parts(humans):
     """All choosers and all estimators by name; those of the package as an episode has them."""
     start = Start(LADDER, Costs.of(COSTS.seconds, humans), "paper", humans, 5, np.random.default_rng(0))
-    choosers, estimators = {}, {}
+    choosers = {}
+    estimators = {}
     for name in ("switching:0.1", "horizon:0.1", "learned:1", "budget:700", "nearest:1"):
         settings = controller_settings(name)
         rule = settings.rule(start)
