@@ -161,8 +161,9 @@ def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | N
 
 def _limited_action(kind: actions.ContinuousAction, action: np.ndarray) -> dict[str, float]:
     """Return the control of an action, whose acceleration is limited to stay within the range of speeds."""
-    control, vehicle = actions.ContinuousAction.get_action(kind, action), kind.controlled_vehicle
-    friction = getattr(vehicle, "friction", 0.0)
+    control = actions.ContinuousAction.get_action(kind, action)
+    vehicle = kind.controlled_vehicle
+    friction = vehicle.friction if isinstance(vehicle, BicycleVehicle) else 0.0
     limited = _within_speeds(kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction)
     return control | {"acceleration": float(limited)}
 

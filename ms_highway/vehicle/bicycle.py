@@ -73,6 +73,11 @@ class BicycleVehicle(Vehicle):
         x, y = self.position
         return np.array([x, y, self.heading, self.speed], dtype=float)
 
+    @property
+    def friction(self) -> float:
+        """Acceleration that keeps the speed [m/s^2]."""
+        return float(keep_velocity(self.dynamics, self.state)[1])
+
     def act(self, action: dict[str, Any] | None = None) -> None:
         """Execute an action until the next one; without an action, keep the last control."""
         if action:
