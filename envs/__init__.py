@@ -118,7 +118,9 @@ ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
 }
 """The environments by the names of their scenarios."""
 
-SCENARIOS: dict[str, Scenario] = {name: environment.scenario for name, environment in ENVIRONMENTS.items()}
+SCENARIOS: dict[str, Scenario] = {
+    name: environment.scenario for name, environment in ENVIRONMENTS.items()
+}
 """The scenarios by name."""
 
 PACKAGE_SCENARIOS = tuple(SCENARIOS)
@@ -139,7 +141,9 @@ def scenario_name(name: str) -> str:
     known = bare.removesuffix("-v0").replace("-", "_") if bare.endswith("-v0") else bare
     if known in ENVIRONMENTS and (bare == name or VERSIONED.fullmatch(bare)):
         return known
-    raise ValueError(f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}")
+    raise ValueError(
+        f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}"
+    )
 
 
 def environment_id(scenario: str) -> str:
@@ -173,7 +177,9 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         raise ValueError(f"{environment!r} is no class of environments; {remedy}")
     if not isinstance(scenario, Scenario):
         remedy = "make it a ms_highway.Scenario"
-        raise ValueError(f"the attribute `scenario` of {environment.__name__} is {scenario!r}; {remedy}")
+        raise ValueError(
+            f"the attribute `scenario` of {environment.__name__} is {scenario!r}; {remedy}"
+        )
     name = scenario.name
     check_name("a scenario", name, PACKAGE_SCENARIOS)
     scenario.check()
@@ -181,7 +187,9 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     try:
         ladder(scenario.ladder)
     except ValueError as error:
-        raise ValueError(f"{place}: {error}; register a model of your own before") from error
+        raise ValueError(
+            f"{place}: {error}; register a model of your own before"
+        ) from error
     ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
     note_definition(name, environment)
     bare_id = environment_id(name).removeprefix("ms_highway:")

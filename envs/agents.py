@@ -53,7 +53,11 @@ def agent_config(name: str) -> Config:
     config = AGENTS[name].config if name in AGENTS else {}
     space = getattr(_agent(name), "action_space", None)
     chooses = isinstance(space, (spaces.Discrete, spaces.MultiDiscrete))
-    action = {"type": "HumanModelAction", "lambda": 0.0} if chooses else {"type": "ContinuousAction"}
+    action = (
+        {"type": "HumanModelAction", "lambda": 0.0}
+        if chooses
+        else {"type": "ContinuousAction"}
+    )
     return {"action": action, **config}
 
 
@@ -95,7 +99,9 @@ def saved_policy(file: str) -> Any:
         ValueError: if the file is no such agent.
     """
     if not Path(file).is_file():
-        raise ValueError(f"there is no agent {file}; notebooks/examples/train_peers.py trains some")
+        raise ValueError(
+            f"there is no agent {file}; notebooks/examples/train_peers.py trains some"
+        )
     return _saved_policy(file, digest(Path(file)))
 
 
@@ -108,14 +114,25 @@ def _saved_policy(file: str, content: str) -> Any:
         data, parameters, _ = load_from_zip_file(file, device="cpu")
         explores = {"use_sde": True} if data.get("use_sde") else {}
         both = data["observation_space"], data["action_space"]
-        policy = data["policy_class"](*both, lambda _: 0.0, **explores, **data["policy_kwargs"])
+        policy = data["policy_class"](
+            *both, lambda _: 0.0, **explores, **data["policy_kwargs"]
+        )
         policy.load_state_dict(parameters["policy"])
     except ModuleNotFoundError as error:
         package = str(error.name).replace("_", "-")
         message = f"the agent {file} needs the package {package}: pip install {package}"
         raise ModuleNotFoundError(message, name=error.name) from None
-    except (ValueError, KeyError, TypeError, OSError, RuntimeError, UnpicklingError) as error:
-        raise ValueError(f"{file} is no agent that stable-baselines3 has saved ({error!r})") from None
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        OSError,
+        RuntimeError,
+        UnpicklingError,
+    ) as error:
+        raise ValueError(
+            f"{file} is no agent that stable-baselines3 has saved ({error!r})"
+        ) from None
     return policy
 
 
@@ -129,8 +146,13 @@ def check_spaces(name: str, env: gym.Env) -> None:
     for space in ("observation_space", "action_space"):
         known, offered = getattr(agent, space, None), getattr(env, space)
         if known is not None and known != offered:
-            scene, what = env.spec.id if env.spec else "the environment", space.replace("_", " ")
-            raise ValueError(f"{name}: the agent's {what} is {known}, that of {scene} {offered}; train one there")
+            scene, what = (
+                env.spec.id if env.spec else "the environment",
+                space.replace("_", " "),
+            )
+            raise ValueError(
+                f"{name}: the agent's {what} is {known}, that of {scene} {offered}; train one there"
+            )
 
 
 class AgentDrives(gym.Wrapper):
@@ -168,15 +190,21 @@ class AgentDrives(gym.Wrapper):
         start = perf_counter()
         chosen = self.policy(seen)
         seconds = perf_counter() - start
-        if isinstance(self.env.action_space, spaces.Box):  # agents may return lists or double precision
+        if isinstance(
+            self.env.action_space, spaces.Box
+        ):  # agents may return lists or double precision
             chosen = np.asarray(chosen, self.env.action_space.dtype)
         if not self.env.action_space.contains(chosen):
-            raise ValueError(f"the agent {self.name!r} chose {chosen!r}; the actions are {self.env.action_space}")
+            raise ValueError(
+                f"the agent {self.name!r} chose {chosen!r}; the actions are {self.env.action_space}"
+            )
         self._seen, reward, terminated, truncated, info = self.env.step(chosen)
         described = self._described(info, self.name, "planned", seconds)
         return self._seen, reward, terminated, truncated, described
 
-    def _described(self, info: Config, model: str, status: str, seconds: float) -> Config:
+    def _described(
+        self, info: Config, model: str, status: str, seconds: float
+    ) -> Config:
         """Return ``info`` with all keys that it has under a controller; the agent's seconds are added to the times."""
         usual = {
             "model": model,

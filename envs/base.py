@@ -23,7 +23,14 @@ from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
-from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, ControlStep, FunctionDriver, draw_key, is_vehicle
+from ms_highway.loop.controller import (
+    HUMAN_DRIVERS,
+    Controller,
+    ControlStep,
+    FunctionDriver,
+    draw_key,
+    is_vehicle,
+)
 from ms_highway.loop.driver import fixed
 from ms_highway.loop.records import HUMAN_PLANS
 from ms_highway.planning.costs import UNKNOWN, measure_costs
@@ -138,11 +145,17 @@ class InteractionEnv(GameEnv):
         scenario, several = cls.scenario, bool(cls.scenario.streams)
         return {
             **super().default_config(),
-            "observation": {"type": "SceneStates" if scenario.semantics == "physical" else "CarStates"},
+            "observation": {
+                "type": "SceneStates"
+                if scenario.semantics == "physical"
+                else "CarStates"
+            },
             "action": {"type": "Autopilot"},
             "controller": {"type": "learned", "lambda": 1.0},
             "ladder": list(scenario.ladder),
-            "costs": "shipped" if several or scenario.semantics == "physical" else "published",
+            "costs": "shipped"
+            if several or scenario.semantics == "physical"
+            else "published",
             "semantics": scenario.semantics,
             "human_reward": None,
             "humans": scenario.humans,
@@ -162,7 +175,9 @@ class InteractionEnv(GameEnv):
         }
 
     @classmethod
-    def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
+    def checked_config(
+        cls, changes: Changes | None, config: Changes | None = None
+    ) -> Config:
         """See `GameEnv.checked_config`; also spell out ladder and controller, and check that they fit each other."""
         if "beliefs" in as_dictionary("the configuration", changes or {}):
             raise ValueError(BELIEFS_GONE)
@@ -171,9 +186,14 @@ class InteractionEnv(GameEnv):
             config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
-        controller, place = settings.controller, f"config['controller'] is {config['controller']}"
+        controller, place = (
+            settings.controller,
+            f"config['controller'] is {config['controller']}",
+        )
         if config["action"]["type"] == "HumanModelAction" and not controller.predicts:
-            raise ValueError(f"{place}, with which no model is chosen; leave it out, or the action HumanModelAction")
+            raise ValueError(
+                f"{place}, with which no model is chosen; leave it out, or the action HumanModelAction"
+            )
         if config["action"]["type"] == "Autopilot":
             start = settings.start(1, np.random.default_rng())
             try:
@@ -201,17 +221,36 @@ class InteractionEnv(GameEnv):
         if given is not None:
             states, shape = np.array(given, dtype=float), (self.cars, 4)
             if states.shape != shape or not np.isfinite(states).all():
-                remedy = f"{self.scenario.name} needs an array {shape} of finite numbers"
-                raise ValueError(f"options['initial_states'] is {states.tolist()}; {remedy}")
+                remedy = (
+                    f"{self.scenario.name} needs an array {shape} of finite numbers"
+                )
+                raise ValueError(
+                    f"options['initial_states'] is {states.tolist()}; {remedy}"
+                )
             states = facing(states)
-        humans, driver = self.settings.humans, HUMAN_DRIVERS.get(self.settings.human_driver or "")
+        humans, driver = (
+            self.settings.humans,
+            HUMAN_DRIVERS.get(self.settings.human_driver or ""),
+        )
         human: Any = driver if is_vehicle(driver) else HumanVehicle
-        kinds = [RobotVehicle, *[human] * humans, *[ScriptedVehicle] * (self.cars - 1 - humans)]
+        kinds = [
+            RobotVehicle,
+            *[human] * humans,
+            *[ScriptedVehicle] * (self.cars - 1 - humans),
+        ]
         self.road = Road(straight_road(self.game), np_random=self.np_random)
-        self._place([kind(self.road, state[:2], *state[2:]) for kind, state in zip(kinds, states, strict=True)])
+        self._place(
+            [
+                kind(self.road, state[:2], *state[2:])
+                for kind, state in zip(kinds, states, strict=True)
+            ]
+        )
         for car in self.road.vehicles[: 1 + humans if human is HumanVehicle else 1]:
             car.dynamics = jax.tree.map(float, self.game.world)
-        self.road.objects = [Cone(self.road, place) for place in np.asarray(self.game.scene.obstacles, dtype=float)]
+        self.road.objects = [
+            Cone(self.road, place)
+            for place in np.asarray(self.game.scene.obstacles, dtype=float)
+        ]
         self.history, self._collided = [], False
         self._drive()
 
@@ -246,15 +285,22 @@ class InteractionEnv(GameEnv):
 
     def _drive(self) -> None:
         """Give the cars their drivers."""
-        cars, truth = self.road.vehicles, replace(self.game, humans=replace(self.game.humans, weights=self.weights))
-        for place, (human, number) in enumerate(zip(self.humans, self.draw_drivers(self.np_random), strict=True)):
+        cars, truth = (
+            self.road.vehicles,
+            replace(self.game, humans=replace(self.game.humans, weights=self.weights)),
+        )
+        for place, (human, number) in enumerate(
+            zip(self.humans, self.draw_drivers(self.np_random), strict=True)
+        ):
             own, name = swap_roles(truth, place), (None, *self.settings.drivers)[number]
             added = HUMAN_DRIVERS.get(name, Keyboard) if name else None
             if is_vehicle(added):  # which drives by itself
                 continue
             driver: Controller = fixed(own)
             if name:
-                driver = FunctionDriver(own, name, added, draw_key(added, self.np_random))
+                driver = FunctionDriver(
+                    own, name, added, draw_key(added, self.np_random)
+                )
             human.drive_with(driver, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
             self._drive_robot(self.game)
@@ -273,7 +319,9 @@ class InteractionEnv(GameEnv):
         """Measure T(M) of the ladder with the cars where they are: the median, or the 99 % quantile for budgets."""
         settings = self.settings
         quantile = 0.99 if self._budgets else 0.5
-        self.costs = measure_costs(self.game, settings.models, self.car_states, quantile, settings.way_out)
+        self.costs = measure_costs(
+            self.game, settings.models, self.car_states, quantile, settings.way_out
+        )
         if settings.costs == "measured":
             self.counted = self.costs
 
@@ -295,7 +343,9 @@ class InteractionEnv(GameEnv):
     @property
     def success(self) -> bool:
         """Whether the robot is in the target lane and has not collided so far."""
-        return bool(self.game.scene.is_reached(self.robot.position[1]) and not self._collided)
+        return bool(
+            self.game.scene.is_reached(self.robot.position[1]) and not self._collided
+        )
 
     @property
     def distance_to_cones(self) -> float:
@@ -348,9 +398,13 @@ class InteractionEnv(GameEnv):
             times = 0.0, 0.0, 0.0
         info["timing"] = Timing(*map(float, times))
         if controller.predicts:
-            info["counted_seconds"] = self.counted.of_models(step.counted_models) if step else 0.0
+            info["counted_seconds"] = (
+                self.counted.of_models(step.counted_models) if step else 0.0
+            )
         if controller.belief:
-            info["belief"] = read_only(step.belief if step else first_belief(settings.humans))
+            info["belief"] = read_only(
+                step.belief if step else first_belief(settings.humans)
+            )
 
         # Estimates of the rule, and whether measured times had a say.
         chooses = controller.chooses and not asked
@@ -360,7 +414,9 @@ class InteractionEnv(GameEnv):
         clocked = self._measures and (asked or controller.chooses)
         info["clocked"] = clocked or (not asked and self._budgets)
         if streams:
-            info |= {f"humans_{name}": info["models"].count(name) for name in self._rungs[1:]}
+            info |= {
+                f"humans_{name}": info["models"].count(name) for name in self._rungs[1:]
+            }
         return info
 
 

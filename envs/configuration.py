@@ -28,7 +28,14 @@ Changes: TypeAlias = Mapping[str, Any]
 Types: TypeAlias = Mapping[str, Mapping[str, Config]]
 Kind = TypeVar("Kind", bound=Struct)
 
-Price = Annotated[float, Meta(ge=0, le=LARGEST, description="give the price of a second of planning, such as 1.0")]
+Price = Annotated[
+    float,
+    Meta(
+        ge=0,
+        le=LARGEST,
+        description="give the price of a second of planning, such as 1.0",
+    ),
+]
 
 
 class Ends(Struct, array_like=True, forbid_unknown_fields=True):
@@ -42,12 +49,17 @@ class Ends(Struct, array_like=True, forbid_unknown_fields=True):
             raise ValueError("the lowest value comes first")
 
 
-Range = Annotated[Ends | None, Meta(description="give the lowest value first, then the highest, such as [-5, 5]")]
+Range = Annotated[
+    Ends | None,
+    Meta(description="give the lowest value first, then the highest, such as [-5, 5]"),
+]
 RANGES: Config = {
     **dict.fromkeys(("acceleration_range", "steering_range", "speed_range"), Range),
     **dict.fromkeys(("longitudinal", "lateral", "clip"), Any),
 }
-Parts = Annotated[list[Any], Meta(min_length=1, description="give a list of observations")]
+Parts = Annotated[
+    list[Any], Meta(min_length=1, description="give a list of observations")
+]
 
 
 def keys_of(kind: type[Any]) -> Config:
@@ -84,11 +96,17 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
     """
     known = sorted(known)
     if not isinstance(given, Iterable):
-        raise ValueError(f"{place} are {given!r}; give a mapping with keys out of {', '.join(known)}")
+        raise ValueError(
+            f"{place} are {given!r}; give a mapping with keys out of {', '.join(known)}"
+        )
     for key in given:
         if key not in known:
             near = get_close_matches(str(key), known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"the keys are {', '.join(known)}"
+            hint = (
+                f"did you mean {near[0]!r}?"
+                if near
+                else f"the keys are {', '.join(known)}"
+            )
             raise ValueError(f"unknown key {key!r} in {place}; {hint}")
 
 
@@ -101,7 +119,9 @@ def checked_seed(seed: Any) -> int | None:
     if seed is None:
         return None
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise ValueError(f"the seed of reset is {seed!r}; give a whole number from 0 on, or None")
+        raise ValueError(
+            f"the seed of reset is {seed!r}; give a whole number from 0 on, or None"
+        )
     return int(seed)
 
 
@@ -118,7 +138,10 @@ def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind
         ValueError: for anything unknown, missing or impossible.
     """
     values = as_dictionary(place, values)
-    known, tag = {each.encode_name: each for each in fields(kind)}, kind.__struct_config__.tag_field
+    known, tag = (
+        {each.encode_name: each for each in fields(kind)},
+        kind.__struct_config__.tag_field,
+    )
     refuse_unknown(place, values, [*known, tag] if tag else known)
     for key, each in known.items():
         if each.required or key in values:
@@ -180,7 +203,9 @@ def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
         ValueError: for an unknown type or key, or an impossible value.
     """
     if not isinstance(values, dict) or values.get("type") not in list(known):
-        raise ValueError(f"{place} is {values!r}; its 'type' must be one of {', '.join(known)}")
+        raise ValueError(
+            f"{place} is {values!r}; its 'type' must be one of {', '.join(known)}"
+        )
     keys = known[values["type"]]
     refuse_unknown(place, values, ["type", *keys])
     for key, annotation in keys.items():
@@ -191,4 +216,8 @@ def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
     """Read the keys of a struct from a whole configuration, see `read`; the other keys are highway-env's."""
-    return read(kind, "config", {each.encode_name: config[each.encode_name] for each in fields(kind)})
+    return read(
+        kind,
+        "config",
+        {each.encode_name: config[each.encode_name] for each in fields(kind)},
+    )

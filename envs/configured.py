@@ -9,7 +9,11 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction, action_factory
+from highway_env.envs.common.action import (
+    ContinuousAction,
+    DiscreteMetaAction,
+    action_factory,
+)
 from highway_env.envs.common.observation import observation_factory
 
 from ms_highway.envs.configuration import (
@@ -41,7 +45,15 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.limits import Positive
 
 OWN_TYPES = {
-    kind.__name__: kind for kind in (Autopilot, HumanModelAction, CarStates, CarTracks, SceneStates, TupleObservation)
+    kind.__name__: kind
+    for kind in (
+        Autopilot,
+        HumanModelAction,
+        CarStates,
+        CarTracks,
+        SceneStates,
+        TupleObservation,
+    )
 }
 SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
 """Annotations of the values of highway-env's own keys, by the type of their default."""
@@ -55,7 +67,10 @@ UNUSED = {
 """highway-env's own keys that have no effect here, and the reason or a key that has the effect."""
 
 USUAL_RANGES = {
-    "steering_range": [-0.1, 0.1],  # rad, of the front wheels: at 20 m/s, 0.1 rad takes the 8 m/s^2 that tyres hold
+    "steering_range": [
+        -0.1,
+        0.1,
+    ],  # rad, of the front wheels: at 20 m/s, 0.1 rad takes the 8 m/s^2 that tyres hold
     "speed_range": [0.0, 40.0],  # m/s, highway-env's highest speed
 }
 
@@ -76,12 +91,17 @@ class ConfiguredEnv(AbstractEnv):
     config: Config
     metadata: Config
     action_space: Any
-    _running, _stale = False, False  # whether an episode runs; whether the next step needs a reset first
+    _running, _stale = (
+        False,
+        False,
+    )  # whether an episode runs; whether the next step needs a reset first
     _made = False  # whether the constructor has ended
     _coming: Config | None = None  # the configuration of the next episode
     _spec: EnvSpec | None = None
 
-    def __init__(self, config: Config | None = None, render_mode: str | None = None) -> None:
+    def __init__(
+        self, config: Config | None = None, render_mode: str | None = None
+    ) -> None:
         super().__init__(config, render_mode)
         self._running = False  # the episode that highway-env starts in its constructor does not count
         self._made = True
@@ -98,7 +118,9 @@ class ConfiguredEnv(AbstractEnv):
         self._spec = spec
 
     @classmethod
-    def checked_config(cls, changes: Changes | None, config: Changes | None = None) -> Config:
+    def checked_config(
+        cls, changes: Changes | None, config: Changes | None = None
+    ) -> Config:
         """Return the whole configuration after changes of a configuration, by default of the default one.
 
         A nested mapping changes only the keys that it names. It replaces the old mapping if its ``type`` differs or if
@@ -108,21 +130,33 @@ class ConfiguredEnv(AbstractEnv):
             ValueError: for anything unknown or impossible.
         """
         changes = as_dictionary("the configuration", {} if changes is None else changes)
-        defaults = as_dictionary("the configuration", cls.default_config() if config is None else config)
+        defaults = as_dictionary(
+            "the configuration", cls.default_config() if config is None else config
+        )
         refuse_unknown("config", changes, defaults)
         whole: Config = {**defaults, **changes}
         for key, value in changes.items():
             before = defaults[key]
-            if isinstance(value, dict) and isinstance(before, dict) and key != "human_reward":
+            if (
+                isinstance(value, dict)
+                and isinstance(before, dict)
+                and key != "human_reward"
+            ):
                 same_type = value.get("type", before.get("type")) == before.get("type")
                 whole[key] = {**before, **value} if same_type else value
         read_own(cls.settings_type, whole)
         for key, default in super().default_config().items():
             check(f"config[{key!r}]", whole[key], SCALARS.get(type(default), Any))
             if key in UNUSED and whole[key] != default:
-                raise ValueError(f"config[{key!r}] is {whole[key]!r}, which has no effect here; {UNUSED[key]}")
-        frequency = 1 / whole.get("time_step", TIME_STEP)  # cars act, and the road moves, once in each planned step
-        frequency = round(frequency) if np.isclose(frequency, round(frequency)) else frequency
+                raise ValueError(
+                    f"config[{key!r}] is {whole[key]!r}, which has no effect here; {UNUSED[key]}"
+                )
+        frequency = 1 / whole.get(
+            "time_step", TIME_STEP
+        )  # cars act, and the road moves, once in each planned step
+        frequency = (
+            round(frequency) if np.isclose(frequency, round(frequency)) else frequency
+        )
         for key in ("simulation_frequency", "policy_frequency"):
             if not np.isclose(changes.get(key, frequency), frequency):
                 remedy = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
@@ -131,7 +165,10 @@ class ConfiguredEnv(AbstractEnv):
         for key, known in cls.types.items():
             check_type(f"config[{key!r}]", whole[key], known)
         if "speed_range" in cls.types["action"][whole["action"]["type"]]:
-            whole["action"] = {**as_json(USUAL_RANGES), **whole["action"]}  # a copy, which users may change
+            whole["action"] = {
+                **as_json(USUAL_RANGES),
+                **whole["action"],
+            }  # a copy, which users may change
         return whole
 
     def configure(self, config: Config | None) -> None:
@@ -151,7 +188,10 @@ class ConfiguredEnv(AbstractEnv):
             self._read()
             super().configure(None)
             if hasattr(self, "road"):  # not yet in highway-env's constructor
-                road, self.road = self.road, None  # spaces must not depend on the cars of the last episode
+                road, self.road = (
+                    self.road,
+                    None,
+                )  # spaces must not depend on the cars of the last episode
                 self.define_spaces()
                 self.road, self._stale = road, True
 
@@ -171,7 +211,9 @@ class ConfiguredEnv(AbstractEnv):
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
         """Set the frames per second of a video that plays at true speed."""
-        self.metadata = dict(self.metadata)  # highway-env would write into the dictionary that all environments share
+        self.metadata = dict(
+            self.metadata
+        )  # highway-env would write into the dictionary that all environments share
         super().update_metadata(video_real_time_ratio)
 
     @property
@@ -188,18 +230,24 @@ class ConfiguredEnv(AbstractEnv):
         self.action_space = self.action_type.space()
         if before == self.action_space:
             self.action_space = before
-        self.observation_type = self.type_of(observation_factory, self.config["observation"])
+        self.observation_type = self.type_of(
+            observation_factory, self.config["observation"]
+        )
         enable_pictures(self)
         self.observation_space = finite(self.observation_type.space())
 
     def type_of(self, factory: Any, config: Config) -> Any:
         """Make a type of actions or observations: one of the package, or else by a factory of highway-env."""
-        if "observation_shape" in config:  # highway-env needs a tuple; JSON has only lists
+        if (
+            "observation_shape" in config
+        ):  # highway-env needs a tuple; JSON has only lists
             config = {**config, "observation_shape": tuple(config["observation_shape"])}
         kind = OWN_TYPES.get(config["type"])
         return kind(self, **config) if kind else factory(self, config)
 
-    def reset(self, *, seed: int | None = None, options: Config | None = None) -> tuple[np.ndarray, Config]:
+    def reset(
+        self, *, seed: int | None = None, options: Config | None = None
+    ) -> tuple[np.ndarray, Config]:
         """Start an episode.
 
         Args:
@@ -223,7 +271,9 @@ class ConfiguredEnv(AbstractEnv):
             start = super().reset(seed=seed)
         self._running, self._stale = True, False
         if self.config["manual_control"]:
-            self.action_type.act(self.action_type.last_action)  # an action even before the first key is pressed
+            self.action_type.act(
+                self.action_type.last_action
+            )  # an action even before the first key is pressed
         return start
 
     def get_available_actions(self) -> Sequence[Any]:
@@ -231,7 +281,9 @@ class ConfiguredEnv(AbstractEnv):
         space = self.action_space
         if isinstance(space, spaces.MultiDiscrete):
             return [*np.ndindex(*space.nvec)]
-        if isinstance(space, spaces.Discrete) and not isinstance(self.action_type, DiscreteMetaAction):
+        if isinstance(space, spaces.Discrete) and not isinstance(
+            self.action_type, DiscreteMetaAction
+        ):
             return range(space.n)
         return super().get_available_actions()
 
@@ -243,9 +295,13 @@ class ConfiguredEnv(AbstractEnv):
             ResetNeeded: if the configuration has changed since the last episode.
         """
         if self._stale:
-            raise ResetNeeded("the configuration has changed since the last episode; call reset before step")
+            raise ResetNeeded(
+                "the configuration has changed since the last episode; call reset before step"
+            )
         if action is not None and not is_possible(self.action_space, action):
-            raise ValueError(f"action {action!r} is impossible; give one of {self.action_space}")
+            raise ValueError(
+                f"action {action!r} is impossible; give one of {self.action_space}"
+            )
         *outcome, info = super().step(action)
         self._running = not any(outcome[2:])
         return *outcome, info

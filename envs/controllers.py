@@ -30,9 +30,21 @@ from ms_highway.choice.rule import (
     in_order,
 )
 from ms_highway.envs.agents import agent_file
-from ms_highway.envs.configuration import Config, as_dictionary, as_json, check, refuse_unknown
+from ms_highway.envs.configuration import (
+    Config,
+    as_dictionary,
+    as_json,
+    check,
+    refuse_unknown,
+)
 from ms_highway.game.game import Game
-from ms_highway.loop.controller import HUMAN_DRIVERS, Controller, FunctionDriver, draw_key, function_names
+from ms_highway.loop.controller import (
+    HUMAN_DRIVERS,
+    Controller,
+    FunctionDriver,
+    draw_key,
+    function_names,
+)
 from ms_highway.loop.driver import Driver, drivable
 from ms_highway.planning.ladders import human_model, is_model, model_names
 from ms_highway.runtime.limits import NotNegative
@@ -44,10 +56,15 @@ LAMBDA = "lambda"  # key of the field `price`, as no field can have this name
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
 PER_HUMAN = "models per human are gone since 3.0.0; name one model for a step, or choose them by an agent's actions"
 
-Models = Annotated[tuple[str, ...], Meta(min_length=1, description="give a list of human models")]
+Models = Annotated[
+    tuple[str, ...], Meta(min_length=1, description="give a list of human models")
+]
 Shares = Annotated[
     dict[str, NotNegative],
-    Meta(min_length=1, description="give the share of each model, such as {'naive': 0.7, 'tom': 0.3}"),
+    Meta(
+        min_length=1,
+        description="give the share of each model, such as {'naive': 0.7, 'tom': 0.3}",
+    ),
 ]
 
 
@@ -62,7 +79,9 @@ class ModelOrder(Part):
             if "/" in name:
                 raise ValueError(f"{PLACE} names {name!r}; {PER_HUMAN}")
             if not is_model(name):
-                raise ValueError(f"{PLACE} names {name!r}; the human models are {model_names()}")
+                raise ValueError(
+                    f"{PLACE} names {name!r}; the human models are {model_names()}"
+                )
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the human models."""
@@ -76,7 +95,9 @@ class ModelOrder(Part):
         """Return the rule of an episode, see `ms_highway.choice.rule.in_order`."""
         table = self.table(start)
         names = list(dict.fromkeys(table.ravel().tolist()))
-        return in_order(np.vectorize(names.index)(table), tuple(map(human_model, names)))
+        return in_order(
+            np.vectorize(names.index)(table), tuple(map(human_model, names))
+        )
 
 
 @dataclass(frozen=True)
@@ -111,7 +132,9 @@ class RandomModels(ModelOrder):
         super().__post_init__()
         total = sum(self.shares.values())
         if abs(total - 1) > ROUNDING:
-            raise ValueError(f"{PLACE}['shares'] sum to {total:g}; change one, so that they sum to 1")
+            raise ValueError(
+                f"{PLACE}['shares'] sum to {total:g}; change one, so that they sum to 1"
+            )
 
     def names(self) -> tuple[str, ...]:
         """See `ModelOrder.names`."""
@@ -120,10 +143,14 @@ class RandomModels(ModelOrder):
     def table(self, start: Start) -> np.ndarray:
         """See `ModelOrder.table`."""
         shares = np.array([self.shares[name] for name in self.names()])
-        return start.random.choice(self.names(), size=(start.steps, start.humans), p=shares / shares.sum())
+        return start.random.choice(
+            self.names(), size=(start.steps, start.humans), p=shares / shares.sum()
+        )
 
 
-REPEATED = re.compile("(.+)=([0-9]{1,5})")  # a model and its number of steps in a short name
+REPEATED = re.compile(
+    "(.+)=([0-9]{1,5})"
+)  # a model and its number of steps in a short name
 
 
 def schedule_of(text: str) -> Config:
@@ -141,7 +168,10 @@ def shares_of(text: str) -> Config:
     Raises:
         ValueError: if it names a model twice.
     """
-    shares = {name: share for name, _, share in (part.partition("=") for part in text.split(","))}
+    shares = {
+        name: share
+        for name, _, share in (part.partition("=") for part in text.split(","))
+    }
     if len(shares) <= text.count(","):
         raise ValueError(f"the shares {text!r} name a model twice; name each once")
     return {"shares": shares}
@@ -200,12 +230,16 @@ class ControllerSettings:
         Raises:
             ValueError: always.
         """
-        raise ValueError(f"the rule {cls.__name__} derives from ControllerSettings; {DERIVE}")
+        raise ValueError(
+            f"the rule {cls.__name__} derives from ControllerSettings; {DERIVE}"
+        )
 
     def __post_init__(self) -> None:
         if self.belief and isinstance(self.chooser, Outside):
             name = self.chooser.name
-            raise ValueError(f"{PLACE}['belief'] is True, and {name!r} predicts no human; leave the belief out")
+            raise ValueError(
+                f"{PLACE}['belief'] is True, and {name!r} predicts no human; leave the belief out"
+            )
 
     @property
     def chooses(self) -> bool:
@@ -235,12 +269,23 @@ class ControllerSettings:
 
     def learned(self, start: Start) -> Values | None:
         """Return the learned values that estimate gains; None without any."""
-        return self.estimator.learned(start) if isinstance(self.estimator, LearnedValue) else None
+        return (
+            self.estimator.learned(start)
+            if isinstance(self.estimator, LearnedValue)
+            else None
+        )
 
     def files(self) -> tuple[str, ...]:
         """Return the paths of the files that the controller is read from, beside its settings."""
-        file = agent_file(self.chooser.name) if isinstance(self.chooser, DrivenByAgent) else None
-        if isinstance(self.estimator, LearnedValue) and self.estimator.values != SHIPPED_VALUES:
+        file = (
+            agent_file(self.chooser.name)
+            if isinstance(self.chooser, DrivenByAgent)
+            else None
+        )
+        if (
+            isinstance(self.estimator, LearnedValue)
+            and self.estimator.values != SHIPPED_VALUES
+        ):
             file = self.estimator.values
         return (file,) if file else ()
 
@@ -258,7 +303,9 @@ class ControllerSettings:
             return self.chooser.rule(start)
         if isinstance(self.chooser, Outside):
             message = f"{PLACE} names {self.chooser.name!r}, which chooses no models"
-            raise ValueError(f"{message}; name a controller that does, such as learned:0.1")
+            raise ValueError(
+                f"{message}; name a controller that does, such as learned:0.1"
+            )
         chooser = self.chooser.at_start(start)
         estimator = None if self.estimator is None else self.estimator.at_start(start)
         return Rule(start.ladder, start.costs, chooser, estimator)
@@ -275,7 +322,9 @@ class ControllerSettings:
         if self.predicts:
             drivable(self.rule(start), self.belief)
 
-    def driver(self, game: Game, start: Start, way_out: bool, order: Rule[Any] | None = None) -> Controller:
+    def driver(
+        self, game: Game, start: Start, way_out: bool, order: Rule[Any] | None = None
+    ) -> Controller:
         """Return what drives the robot in an episode.
 
         Args:
@@ -289,7 +338,9 @@ class ControllerSettings:
             driver = HUMAN_DRIVERS[name]
             return FunctionDriver(game, name, driver, draw_key(driver, start.random))
         rule = self.rule(start) if order is None else order
-        return Driver(game, rule, budget=self.budget, way_out=way_out, belief=self.belief)
+        return Driver(
+            game, rule, budget=self.budget, way_out=way_out, belief=self.belief
+        )
 
     def config(self) -> Config:
         """Return the configuration that it was read from, without defaults, as JSON has it."""
@@ -298,8 +349,15 @@ class ControllerSettings:
             given["belief"] = True
         for part in (self.chooser, self.estimator):
             if part is not None:
-                own = {key: (getattr(part, each.name), each.default) for key, each in keys_of(type(part)).items()}
-                given |= {key: value for key, (value, default) in own.items() if value != default}
+                own = {
+                    key: (getattr(part, each.name), each.default)
+                    for key, each in keys_of(type(part)).items()
+                }
+                given |= {
+                    key: value
+                    for key, (value, default) in own.items()
+                    if value != default
+                }
         return json.decode(json.encode(as_json(given)))
 
 
@@ -328,7 +386,9 @@ class Pair(NamedTuple):
     def keys(self) -> dict[str, Field]:
         """Return the fields of both parts that are keys of the configuration, the chooser's first."""
         keys = keys_of(self.chooser_class)
-        return keys if self.estimator is None else keys | keys_of(class_of(self.estimator))
+        return (
+            keys if self.estimator is None else keys | keys_of(class_of(self.estimator))
+        )
 
     def read(self, kind: str, config: Any, strict: bool = True) -> ControllerSettings:
         """Read the configuration of a controller of this type.
@@ -347,7 +407,9 @@ class Pair(NamedTuple):
         check(f"{PLACE}['belief']", values.get("belief", False), bool, strict)
         belief = convert(values.get("belief", False), bool, strict=strict)
         chooser = made(self.chooser, values, strict)
-        estimator = None if self.estimator is None else made(self.estimator, values, strict)
+        estimator = (
+            None if self.estimator is None else made(self.estimator, values, strict)
+        )
         return ControllerSettings(kind, chooser, estimator, belief)  # type: ignore[arg-type]
 
 

@@ -28,16 +28,29 @@ DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}
 
 LANES = 3
 OTHERS = max(DENSITIES.values())
-ABSENT = np.array([-1000.0, 0.0, 0.0, 0.0])  # state of absent cars: so far behind that they do not count
+ABSENT = np.array(
+    [-1000.0, 0.0, 0.0, 0.0]
+)  # state of absent cars: so far behind that they do not count
 
 LATERAL_SPREAD = 0.5  # m, standard deviation of the start from the middle of a lane
-OFF_ROAD_SHARE, OFF_ROAD_DEPTH = 0.2, 1.0  # share of episodes that start off the road; m, by how much at most
+OFF_ROAD_SHARE, OFF_ROAD_DEPTH = (
+    0.2,
+    1.0,
+)  # share of episodes that start off the road; m, by how much at most
 HEADING_SPREAD, SPEED_SPREAD = 0.04, 2.5  # rad and m/s, standard deviations
 
-ACTION = {"type": "ContinuousAction", "acceleration_range": [-50.0, 50.0], "steering_range": [-pi / 4, pi / 4]}
+ACTION = {
+    "type": "ContinuousAction",
+    "acceleration_range": [-50.0, 50.0],
+    "steering_range": [-pi / 4, pi / 4],
+}
 """Actions that reach all controls within `ms_highway.game.scenario.PHYSICAL_LIMIT`."""
 
-KEYBOARD_ACTION = {"type": "ContinuousAction", "acceleration_range": [-6.0, 14.0], "steering_range": [-0.07, 0.07]}
+KEYBOARD_ACTION = {
+    "type": "ContinuousAction",
+    "acceleration_range": [-6.0, 14.0],
+    "steering_range": [-0.07, 0.07],
+}
 """Actions for arrow keys; highway-env takes a pressed key for 0.7 of the range.
 
 Without a key, the engine balances the friction at 20 m/s. With one, the car gains or loses 7 m/s^2, or turns at 11
@@ -97,15 +110,25 @@ class DemonstrationEnv(GameEnv):
             "centering_position": [0.35, 0.5],
         }
 
-    def __init__(self, config: Config | None = None, render_mode: str | None = None) -> None:
+    def __init__(
+        self, config: Config | None = None, render_mode: str | None = None
+    ) -> None:
         self.game = demonstration_game()
         super().__init__(config, render_mode)
 
     def _reset(self) -> None:
         """Build the road and place the cars."""
-        start, steps = self._draw_start(), self.episode_steps + self.game.planner.horizon
-        times, lanes = np.arange(steps + 1) * TIME_STEP, np.asarray(self.game.scene.lanes, dtype=float)
-        routes = draw_routes(self.np_random, DENSITIES[self.config["density"]], times, lanes, start)
+        start, steps = (
+            self._draw_start(),
+            self.episode_steps + self.game.planner.horizon,
+        )
+        times, lanes = (
+            np.arange(steps + 1) * TIME_STEP,
+            np.asarray(self.game.scene.lanes, dtype=float),
+        )
+        routes = draw_routes(
+            self.np_random, DENSITIES[self.config["density"]], times, lanes, start
+        )
         self.routes = np.tile(ABSENT, (OTHERS, len(times), 1))
         self.routes[: len(routes)] = routes
         self.road = Road(straight_road(self.game), np_random=self.np_random)
@@ -121,7 +144,14 @@ class DemonstrationEnv(GameEnv):
             inside = random.uniform(-OFF_ROAD_DEPTH, 0) + BicycleVehicle.WIDTH / 2
             y = random.choice([lanes[0] - half + inside, lanes[-1] + half - inside])
         speed = float(self.game.robot.speed_limit)
-        return np.array([0.0, y, random.normal(scale=HEADING_SPREAD), random.normal(speed, SPEED_SPREAD)])
+        return np.array(
+            [
+                0.0,
+                y,
+                random.normal(scale=HEADING_SPREAD),
+                random.normal(speed, SPEED_SPREAD),
+            ]
+        )
 
     @property
     def present(self) -> np.ndarray:
@@ -140,7 +170,10 @@ class DemonstrationEnv(GameEnv):
         omega, acceleration = np.asarray(control, dtype=float).tolist()
         wanted = acceleration, atan(omega * BicycleVehicle.LENGTH)
         ranges = self.action_type.acceleration_range, self.action_type.steering_range
-        shares = [np.interp(value, limits, [-1, 1]) for value, limits in zip(wanted, ranges, strict=True)]
+        shares = [
+            np.interp(value, limits, [-1, 1])
+            for value, limits in zip(wanted, ranges, strict=True)
+        ]
         return np.array(shares, dtype=np.float32)
 
 
@@ -148,7 +181,10 @@ NEAR = (-30.0, 60.0)  # m along the road, where routes start
 SPEEDS = (18.0, 20.0)  # m/s along the road
 LANE_CHANGES = 0.4  # share of the cars that change lane
 CHANGE_STARTS, CHANGE_LASTS = (0.0, 2.5), (2.5, 3.5)  # s
-GAP, SIDE_GAP = 8.0, 2.8  # m between centres; two cars keep one of them at all times (cars are 5 m x 2.5 m)
+GAP, SIDE_GAP = (
+    8.0,
+    2.8,
+)  # m between centres; two cars keep one of them at all times (cars are 5 m x 2.5 m)
 TRIES = 200  # for one car, before all are drawn again
 
 
@@ -175,22 +211,30 @@ def draw_routes(
         routes: list[np.ndarray] = []
         for _ in range(TRIES * cars):
             route = _draw_route(random, times, lanes, driver[0])
-            if _clear(route[0], driver) and all(_clear(route, other).all() for other in routes):
+            if _clear(route[0], driver) and all(
+                _clear(route, other).all() for other in routes
+            ):
                 routes.append(route)
             if len(routes) == cars:
                 return np.array(routes)
 
 
-def _draw_route(random: np.random.Generator, times: Times, lanes: Vector, x: float) -> np.ndarray:
+def _draw_route(
+    random: np.random.Generator, times: Times, lanes: Vector, x: float
+) -> np.ndarray:
     lane, speed = random.integers(len(lanes)), random.uniform(*SPEEDS)
-    beside = random.choice([place for place in (lane - 1, lane + 1) if 0 <= place < len(lanes)])
+    beside = random.choice(
+        [place for place in (lane - 1, lane + 1) if 0 <= place < len(lanes)]
+    )
     start, lasts = random.uniform(*CHANGE_STARTS), random.uniform(*CHANGE_LASTS)
     width = (lanes[beside] - lanes[lane]) * (random.uniform() < LANE_CHANGES)
     share = np.clip((times - start) / lasts, 0, 1)
     y = lanes[lane] + width * share**3 * (10 - 15 * share + 6 * share**2)
     sideways = width * 30 * (share * (1 - share)) ** 2 / lasts
     along = x + random.uniform(*NEAR) + speed * times
-    return np.stack([along, y, np.arctan2(sideways, speed), np.hypot(sideways, speed)], axis=-1)
+    return np.stack(
+        [along, y, np.arctan2(sideways, speed), np.hypot(sideways, speed)], axis=-1
+    )
 
 
 def _clear(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -29,8 +29,17 @@ def straight_road(game: Game) -> RoadNetwork:
     network, lanes = RoadNetwork(), np.asarray(game.scene.lanes, dtype=float)
     width, limit = float(game.scene.lane_width), float(game.robot.speed_limit)
     for y in lanes:
-        lines = [LineType.CONTINUOUS_LINE if y == edge else LineType.STRIPED for edge in (lanes[0], lanes[-1])]
-        lane = StraightLane([ROAD_BEHIND, y], [ROAD_AHEAD, y], width=width, line_types=lines, speed_limit=limit)
+        lines = [
+            LineType.CONTINUOUS_LINE if y == edge else LineType.STRIPED
+            for edge in (lanes[0], lanes[-1])
+        ]
+        lane = StraightLane(
+            [ROAD_BEHIND, y],
+            [ROAD_AHEAD, y],
+            width=width,
+            line_types=lines,
+            speed_limit=limit,
+        )
         network.add_lane("start", "end", lane)
     return network
 
@@ -53,7 +62,9 @@ class Timing:
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """Return the three times as an array, as recorders such as Minari's store them [s]."""
-        return np.array([self.planning_seconds, self.decision_seconds, self.compile_seconds], dtype)
+        return np.array(
+            [self.planning_seconds, self.decision_seconds, self.compile_seconds], dtype
+        )
 
 
 class Cone(Obstacle):
@@ -102,10 +113,14 @@ class GameEnv(ConfiguredEnv):
         super()._simulate(action)
         robot = self.game.robot
         states = self.car_states
-        phi = np.asarray(compiled_features(self.game.scene, robot, states.astype(np.float32)))
+        phi = np.asarray(
+            compiled_features(self.game.scene, robot, states.astype(np.float32))
+        )
         if robot.own and not np.isfinite(phi).all():
             check_own_features(self.game.scene, robot, 0, states, gradients=False)
-        self._terms = dict(zip(robot.names, (phi * np.asarray(robot.weights)).tolist(), strict=True))
+        self._terms = dict(
+            zip(robot.names, (phi * np.asarray(robot.weights)).tolist(), strict=True)
+        )
         self.collision = bool(phi[robot.names.index("collision")])
 
     def _reward(self, action: Any) -> float:
@@ -131,13 +146,17 @@ class GameEnv(ConfiguredEnv):
         space = self.action_space
         if not isinstance(space, spaces.Tuple):
             missing = np.nan if isinstance(space, spaces.Box) else -1
-            given = np.asarray(np.full(space.shape, missing) if given is None else given, space.dtype)[()]
+            given = np.asarray(
+                np.full(space.shape, missing) if given is None else given, space.dtype
+            )[()]
         return {
             "speed": float(self.vehicle.speed),
             "collision_effect": "reward only",
             "collision": self.collision,
             "crashed": crashed,
-            "control": {name: float(value) for name, value in self.vehicle.action.items()},
+            "control": {
+                name: float(value) for name, value in self.vehicle.action.items()
+            },
             "action": given,
             "rewards": self._rewards(action),
         }

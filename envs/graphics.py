@@ -51,7 +51,10 @@ class InteractionViewer(Viewer):
     def display(self) -> None:
         """Draw everything; the view follows the robot along the road, but not to the side."""
         surface, env, step = self.sim_surface, self.env, self.env.robot.last_step
-        lanes, half = np.asarray(env.game.scene.lanes, float), float(env.game.scene.lane_width) / 2
+        lanes, half = (
+            np.asarray(env.game.scene.lanes, float),
+            float(env.game.scene.lane_width) / 2,
+        )
         ends = lanes.min() - half, lanes.max() + half
         surface.move_display_window_to(np.array([env.robot.position[0], np.mean(ends)]))
         above, below = (surface.pos2pix(0, end)[1] for end in ends)
@@ -63,13 +66,17 @@ class InteractionViewer(Viewer):
             self._draw_cone(cone)
         alone = len(env.humans) == 1
         for place, human in enumerate(() if alone else env.humans):
-            human.color = model_color(step.models[place] if step else env.settings.models[0].name)
+            human.color = model_color(
+                step.models[place] if step else env.settings.models[0].name
+            )
         RoadGraphics.display_traffic(env.road, surface, offscreen=self.offscreen)
         if step:
             self._draw_plan(step)
         names = ["human"] if alone else map(str, range(1, 1 + len(env.humans)))
         for name, car in zip(("robot", *names), (env.robot, *env.humans), strict=True):
-            self._write(name, SMALL, PAPER, ASPHALT, center=surface.vec2pix(car.position))
+            self._write(
+                name, SMALL, PAPER, ASPHALT, center=surface.vec2pix(car.position)
+            )
         self._draw_panel(step)
         self.show(surface)
 
@@ -90,10 +97,15 @@ class InteractionViewer(Viewer):
         dynamics = jax.tree.map(float, self.env.game.dynamics)
 
         def path(state: Car, controls: Controls) -> list[tuple[int, int]]:
-            return [surface.vec2pix(each) for each in accumulate(controls, partial(move, dynamics), initial=state)]
+            return [
+                surface.vec2pix(each)
+                for each in accumulate(controls, partial(move, dynamics), initial=state)
+            ]
 
         every, radius = (1, 4) if len(step.models) == 1 else (2, 2)
-        for state, controls, model in zip(others, step.humans, step.models, strict=False):
+        for state, controls, model in zip(
+            others, step.humans, step.models, strict=False
+        ):
             for point in path(state, controls)[every::every]:
                 pygame.draw.circle(surface, PAPER, point, radius + 2)
                 pygame.draw.circle(surface, model_color(model), point, radius)
@@ -101,15 +113,25 @@ class InteractionViewer(Viewer):
             pygame.draw.lines(surface, color, False, path(own, step.plan), width)
 
     def _draw_panel(self, step: ControlStep | None) -> None:
-        env, history, (width, height) = self.env, self.env.history, self.sim_surface.get_size()
+        env, history, (width, height) = (
+            self.env,
+            self.env.history,
+            self.sim_surface.get_size(),
+        )
         top = height - self.panel_height
         self.sim_surface.fill(PAPER, (0, top, width, self.panel_height))
         if not history:
-            self._write(f"{title(env.scenario.name)}: the episode starts", MEDIUM, topleft=(MARGIN, top + MARGIN))
+            self._write(
+                f"{title(env.scenario.name)}: the episode starts",
+                MEDIUM,
+                topleft=(MARGIN, top + MARGIN),
+            )
             return
         steps, rewards = zip(*history, strict=True)
         arrived = env.scenario.streams and env.success
-        happened = "COLLISION" if env.collision else "in the target lane" if arrived else ""
+        happened = (
+            "COLLISION" if env.collision else "in the target lane" if arrived else ""
+        )
         lines = [f"step {len(history)}    reward {rewards[-1]:+.2f}    {happened}"]
         chart = pygame.Rect(TEXT_WIDTH, top + 26, width - TEXT_WIDTH - MARGIN, CHART)
         self._draw_curve(chart.move(0, CHART + 28), rewards)
@@ -127,23 +149,50 @@ class InteractionViewer(Viewer):
     def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
         """Write the model of a single human and its meaning; for several humans, write how many each model predicts."""
         alone = len(step.models) == 1
-        for name in step.models if alone else dict.fromkeys((*step.ladder, *step.models)):
+        for name in (
+            step.models if alone else dict.fromkeys((*step.ladder, *step.models))
+        ):
             count = "" if alone else f"{step.models.count(name)} "
-            left = 8 + self._write(f" {name} {count}", LARGE, PAPER, model_color(name), topleft=(left, top)).right
+            left = (
+                8
+                + self._write(
+                    f" {name} {count}",
+                    LARGE,
+                    PAPER,
+                    model_color(name),
+                    topleft=(left, top),
+                ).right
+            )
         if alone:
             self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
     def _thoughts(self, step: ControlStep) -> tuple[str, str]:
         """Return two lines: times; the reason for a single human's model, the distance to cones, the plan's status."""
-        controller, cones, remarks = self.env.settings.controller, self.env.distance_to_cones, []
-        times = {"planning": step.planning_seconds, "deciding": step.decision_seconds, "budget": controller.budget}
-        if len(step.models) == 1 and controller.chooses and not isinstance(self.env.action_type, HumanModelAction):
+        controller, cones, remarks = (
+            self.env.settings.controller,
+            self.env.distance_to_cones,
+            [],
+        )
+        times = {
+            "planning": step.planning_seconds,
+            "deciding": step.decision_seconds,
+            "budget": controller.budget,
+        }
+        if (
+            len(step.models) == 1
+            and controller.chooses
+            and not isinstance(self.env.action_type, HumanModelAction)
+        ):
             remarks.append(_reason(step))
         if self.env.scenario.streams and cones < np.inf:
             remarks.append(f"cones in {cones:.0f} m")
         if step.status != "planned":
             remarks.append(step.status)
-        taken = [f"{name} {1e3 * seconds:.1f} ms" for name, seconds in times.items() if seconds]
+        taken = [
+            f"{name} {1e3 * seconds:.1f} ms"
+            for name, seconds in times.items()
+            if seconds
+        ]
         return ", ".join(taken), "    ".join(remarks)
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
@@ -152,15 +201,24 @@ class InteractionViewer(Viewer):
         for place, shares in enumerate(belief):
             left = start = MARGIN + place * width
             if len(belief) > 1:
-                start = self._write(str(place + 1), SMALL, topleft=(left, top)).right + 3
+                start = (
+                    self._write(str(place + 1), SMALL, topleft=(left, top)).right + 3
+                )
             ends = start + (left + width - 4 - start) * np.cumsum([0.0, *shares])
             for name, low, high in zip(PACKAGE_MODELS, ends, ends[1:], strict=False):
-                part = self.sim_surface.fill(model_color(name), (low, top, high - low + 1, 17))
+                part = self.sim_surface.fill(
+                    model_color(name), (low, top, high - low + 1, 17)
+                )
                 if part.width > NAMED:
                     self._write(name, SMALL, PAPER, center=part.center)
 
     def _draw_chart(
-        self, box: pygame.Rect, heading: str, values: Sequence[float], low: float, high: float
+        self,
+        box: pygame.Rect,
+        heading: str,
+        values: Sequence[float],
+        low: float,
+        high: float,
     ) -> list[pygame.Rect]:
         """Draw a chart's heading, its lowest line and the ends of its scale; return the bar of every step's value."""
         self._write(heading, SMALL, FAINT, topleft=(box.left, box.top - 20))
@@ -170,37 +228,58 @@ class InteractionViewer(Viewer):
         width = box.width / max(self.env.episode_steps, len(values))
         tops = np.interp(values, [low, high], [box.bottom - 3, box.top])
         return [
-            pygame.Rect(box.left + place * width, top, max(1, width - 2), box.bottom - top)
+            pygame.Rect(
+                box.left + place * width, top, max(1, width - 2), box.bottom - top
+            )
             for place, top in enumerate(tops)
         ]
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
         """Draw a bar per step in the colours of the humans' models; with one human, its height is the planning time."""
         humans = len(steps[0].models)
-        values, heading, high = [float(humans)] * len(steps), "humans that each model predicts", float(humans)
+        values, heading, high = (
+            [float(humans)] * len(steps),
+            "humans that each model predicts",
+            float(humans),
+        )
         if humans == 1:
             values = [1e3 * step.planning_seconds for step in steps]
             heading = "planning time of each step [ms], in the colour of its model"
             high = max(*values, 1e3 * self.longest)
-        for step, bar in zip(steps, self._draw_chart(box, heading, values, 0.0, high), strict=True):
-            for place, model in enumerate(sorted(step.models, key=cheapest_first(step.models).index)):
+        for step, bar in zip(
+            steps, self._draw_chart(box, heading, values, 0.0, high), strict=True
+        ):
+            for place, model in enumerate(
+                sorted(step.models, key=cheapest_first(step.models).index)
+            ):
                 top = bar.top + bar.height * place / humans
-                self.sim_surface.fill(model_color(model), (bar.left, top, bar.width, bar.bottom - top))
+                self.sim_surface.fill(
+                    model_color(model), (bar.left, top, bar.width, bar.bottom - top)
+                )
 
     def _draw_curve(self, box: pygame.Rect, rewards: Sequence[float]) -> None:
         """Draw the reward of each step, cut off at `WORST`, and a line at 0 if it is within the chart."""
         low = max(min(rewards), WORST)
         high = max(*rewards, low + 1.0)
         heading = f"reward of each step, {np.mean(rewards):+.2f} on average"
-        points = [bar.midtop for bar in self._draw_chart(box, heading, rewards, low, high)]
+        points = [
+            bar.midtop for bar in self._draw_chart(box, heading, rewards, low, high)
+        ]
         if low < 0 < high:
             zero = np.interp(0.0, [low, high], [box.bottom, box.top])
-            pygame.draw.line(self.sim_surface, GRID, (box.left, zero), (box.right, zero))
+            pygame.draw.line(
+                self.sim_surface, GRID, (box.left, zero), (box.right, zero)
+            )
         pygame.draw.lines(self.sim_surface, INK, False, [points[0], *points], 2)
         pygame.draw.circle(self.sim_surface, INK, points[-1], 3)
 
     def _write(
-        self, text: str, size: int, color: Color = INK, ground: Color | None = None, **place: Any
+        self,
+        text: str,
+        size: int,
+        color: Color = INK,
+        ground: Color | None = None,
+        **place: Any,
     ) -> pygame.Rect:
         """Write a text whose rectangle has a corner, side or centre at this place; return the rectangle."""
         label = words(text, size, color, ground)
@@ -212,5 +291,13 @@ def _reason(step: ControlStep) -> str:
     if step.choice_failed:
         return f"choice failed: {step.model} to be safe"
     first = step.ladder[0]
-    gains = [f"{name} {gain:+.3f}" for name, gain in step.highest_gains().items() if name != first]
-    return f"gain over {first}: {', '.join(gains)}" if gains else "no other model considered"
+    gains = [
+        f"{name} {gain:+.3f}"
+        for name, gain in step.highest_gains().items()
+        if name != first
+    ]
+    return (
+        f"gain over {first}: {', '.join(gains)}"
+        if gains
+        else "no other model considered"
+    )

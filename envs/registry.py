@@ -27,14 +27,22 @@ from ms_highway.envs.controllers import (
     schedule_of,
     shares_of,
 )
-from ms_highway.loop.controller import HUMAN_DRIVERS, DriverFunction, RememberingDriver, check_driver, function_names
+from ms_highway.loop.controller import (
+    HUMAN_DRIVERS,
+    DriverFunction,
+    RememberingDriver,
+    check_driver,
+    function_names,
+)
 from ms_highway.planning.human_models import PACKAGE_TYPES
 from ms_highway.planning.ladders import human_model, is_model, model_names
 from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import PACKAGE_NAMES, check_own_name, keep_apart
 
 BELIEF = "+belief"
-EXAMPLES = "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, random:naive=0.7,tom=0.3"
+EXAMPLES = (
+    "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, random:naive=0.7,tom=0.3"
+)
 
 RETIRED = {
     "period": "write the steps as schedule:MODEL=STEPS,..., or draw them as random:MODEL=SHARE,...",
@@ -107,11 +115,17 @@ def _pair_of(part: type[Part], estimator: type[Estimator[Any]] | None) -> Pair:
         ValueError: if the class is neither, or for fields with the key of another one.
     """
     if estimator is not None and not _estimates(estimator):
-        raise ValueError(f"{_named(estimator)} is no estimator; derive it from ms_highway.Estimator")
+        raise ValueError(
+            f"{_named(estimator)} is no estimator; derive it from ms_highway.Estimator"
+        )
     if _estimates(part) and estimator is None:
         _check_fields(Price, part)
         return Pair(Price, part)
-    if isinstance(part, type) and issubclass(part, Chooser) and part.choose is not Chooser.choose:
+    if (
+        isinstance(part, type)
+        and issubclass(part, Chooser)
+        and part.choose is not Chooser.choose
+    ):
         _check_fields(part, estimator)
         return Pair(part, estimator)
     raise ValueError(f"{_named(part)} makes no rule; {DERIVE}")
@@ -127,7 +141,9 @@ def _check_fields(chooser: type[Part], estimator: type[Part] | None) -> None:
     own = keys_of(chooser)
     if LAMBDA in own and not issubclass(chooser, Priced):
         message = f"{chooser.__name__} has the field 'price', which is lambda"
-        raise ValueError(f"{message}; derive it from ms_highway.Priced, or rename the field")
+        raise ValueError(
+            f"{message}; derive it from ms_highway.Priced, or rename the field"
+        )
     others = {} if estimator is None else keys_of(estimator)
     if estimator is not None and LAMBDA in others:
         message = f"{estimator.__name__} has the field 'price', which is the chooser's"
@@ -136,16 +152,24 @@ def _check_fields(chooser: type[Part], estimator: type[Part] | None) -> None:
     # All other keys mean one thing.
     for part, keys in ((chooser, own), (estimator, others)):
         if part is not None and (common := [key for key in COMMON if key in keys]):
-            message = f"{part.__name__} has the field {common[0]!r}, a key of all controllers"
+            message = (
+                f"{part.__name__} has the field {common[0]!r}, a key of all controllers"
+            )
             raise ValueError(f"{message}; rename the field")
     if estimator is not None and (shared := [key for key in own if key in others]):
-        message = f"{chooser.__name__} and {estimator.__name__} have a field {shared[0]!r}"
+        message = (
+            f"{chooser.__name__} and {estimator.__name__} have a field {shared[0]!r}"
+        )
         raise ValueError(f"{message} each; rename one of them")
 
 
 def _estimates(part: Any) -> bool:
     """Return whether something is the class of an estimator."""
-    return isinstance(part, type) and issubclass(part, Estimator) and part.estimate is not Estimator.estimate
+    return (
+        isinstance(part, type)
+        and issubclass(part, Estimator)
+        and part.estimate is not Estimator.estimate
+    )
 
 
 def _named(part: Any) -> str:
@@ -170,10 +194,18 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
         TypeError: if it is no agent.
     """
     check_own_name("an agent", name)
-    if not (callable(agent) or hasattr(agent, "predict") or isinstance(agent, (str, PathLike))):
+    if not (
+        callable(agent)
+        or hasattr(agent, "predict")
+        or isinstance(agent, (str, PathLike))
+    ):
         remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
         raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
-    refuse_unknown(f"the configuration of the agent {name!r}", config or {}, ["action", "observation"])
+    refuse_unknown(
+        f"the configuration of the agent {name!r}",
+        config or {},
+        ["action", "observation"],
+    )
     AGENTS[name] = AddedAgent(agent, dict(config or {}))
     note_definition(name, agent)
 
@@ -225,17 +257,28 @@ def of_package(name: str) -> bool:
         return config["name"] in PACKAGE_NAMES["a human driver"]
     if config["type"] not in PACKAGE_NAMES["a rule"] or config["type"] == "agent":
         return False
-    return all(type(human_model(model)) in PACKAGE_TYPES for model in controller_settings(config).names())
+    return all(
+        type(human_model(model)) in PACKAGE_TYPES
+        for model in controller_settings(config).names()
+    )
 
 
 def priced_types() -> list[str]:
     """Return the types of the controllers whose rule chooses at a lambda."""
-    return [name for name, pair in CONTROLLERS.items() if issubclass(pair.chooser_class, Priced)]
+    return [
+        name
+        for name, pair in CONTROLLERS.items()
+        if issubclass(pair.chooser_class, Priced)
+    ]
 
 
 def fixed_order_types() -> list[str]:
     """Return the types of the controllers whose models are the same in every episode, step by step."""
-    return [name for name, pair in CONTROLLERS.items() if issubclass(pair.chooser_class, (Fixed, Schedule))]
+    return [
+        name
+        for name, pair in CONTROLLERS.items()
+        if issubclass(pair.chooser_class, (Fixed, Schedule))
+    ]
 
 
 def robot_config(name: str) -> Config:
@@ -255,11 +298,16 @@ def controller_settings(config: Any) -> ControllerSettings:
     kind = config.get("type") if isinstance(config, Mapping) else None
     if kind not in list(CONTROLLERS):
         gone = _retired(kind, RETIRED)
-        raise ValueError(gone or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}")
+        raise ValueError(
+            gone
+            or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}"
+        )
     return _read(kind, config)
 
 
-def _read(kind: str, config: Mapping[str, Any], strict: bool = True) -> ControllerSettings:
+def _read(
+    kind: str, config: Mapping[str, Any], strict: bool = True
+) -> ControllerSettings:
     """Read the configuration of a controller of a known type, see `Pair.read`."""
     if kind == "budget" and (gone := _retired(config.get("values"), RETIRED_VALUES)):
         raise ValueError(gone)

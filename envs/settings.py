@@ -17,10 +17,22 @@ from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import weight_names
-from ms_highway.game.scenario import COMMON_WEIGHTS, HUMANS, Scenario, Semantics, build_game
+from ms_highway.game.scenario import (
+    COMMON_WEIGHTS,
+    HUMANS,
+    Scenario,
+    Semantics,
+    build_game,
+)
 from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS
-from ms_highway.numerics.solvers import MAX_ITERATIONS, PlanningSettings, SolverName, gradient_steps, longest_step
+from ms_highway.numerics.solvers import (
+    MAX_ITERATIONS,
+    PlanningSettings,
+    SolverName,
+    gradient_steps,
+    longest_step,
+)
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.ladders import MODELS, human_model, is_model, ladder
@@ -34,7 +46,12 @@ NamedReward: TypeAlias = Literal["learned", "published", "us101"]
 
 NAMED_REWARDS: tuple[str, ...] = get_args(NamedReward)
 
-YIELDING = {"usual": (), "never": ("never",), "always": ("always",), "mixed": ("never", "always")}
+YIELDING = {
+    "usual": (),
+    "never": ("never",),
+    "always": ("always",),
+    "mixed": ("never", "always"),
+}
 """The human drivers for each way to yield."""
 
 LADDER_REMEDY = "give a list of human models, cheapest first, or say 'best'"
@@ -47,7 +64,9 @@ REWARD_REMEDY = (
     "weights that were learned are in ms_highway.game.learned_reward.load(path).weights"
 )
 LIMIT_REMEDY = "give None for the usual limits, 'unlimited', or two positive bounds, (omega, acceleration)"
-GRIP_REMEDY = "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
+GRIP_REMEDY = (
+    "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
+)
 WHOLE_NUMBER = "it must be a whole number from 1 to"
 MAX_HORIZON = 100  # steps
 
@@ -56,51 +75,79 @@ class Settings(Struct, frozen=True):
     """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not have; see there."""
 
     controller: Any
-    ladder: Annotated[Literal["best"] | tuple[str, ...], Meta(description=LADDER_REMEDY)]
+    ladder: Annotated[
+        Literal["best"] | tuple[str, ...], Meta(description=LADDER_REMEDY)
+    ]
     costs: Annotated[
-        Literal["published", "shipped", "measured"] | dict[str, NotNegative], Meta(description=COSTS_REMEDY)
+        Literal["published", "shipped", "measured"] | dict[str, NotNegative],
+        Meta(description=COSTS_REMEDY),
     ]
     semantics: Semantics
-    human_reward: Annotated[NamedReward | dict[str, Number] | None, Meta(description=REWARD_REMEDY)]
+    human_reward: Annotated[
+        NamedReward | dict[str, Number] | None, Meta(description=REWARD_REMEDY)
+    ]
     humans: Annotated[int, Meta(description="it must be a whole number")]
     yielding: Literal["usual", "never", "always", "mixed"]
     human_driver: str | None
-    control_limit: Annotated[Literal["unlimited"] | tuple[Positive, Positive] | None, Meta(description=LIMIT_REMEDY)]
+    control_limit: Annotated[
+        Literal["unlimited"] | tuple[Positive, Positive] | None,
+        Meta(description=LIMIT_REMEDY),
+    ]
     grip: Annotated[Positive | None, Meta(description=GRIP_REMEDY)]
     way_out: bool
     solver: SolverName
-    horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON, description=f"{WHOLE_NUMBER} {MAX_HORIZON}")]
-    time_step: Annotated[float, Meta(ge=0.01, le=1.0, description="it must be from 0.01 to 1 s")]
+    horizon: Annotated[
+        int, Meta(ge=1, le=MAX_HORIZON, description=f"{WHOLE_NUMBER} {MAX_HORIZON}")
+    ]
+    time_step: Annotated[
+        float, Meta(ge=0.01, le=1.0, description="it must be from 0.01 to 1 s")
+    ]
     iterations: Annotated[
         Annotated[int, Meta(ge=1, le=MAX_ITERATIONS)] | None,
         Meta(description=f"{WHOLE_NUMBER} {MAX_ITERATIONS}, or None"),
     ]
-    step_size: Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
+    step_size: Annotated[
+        Positive | None, Meta(description="it must be a positive number, or None")
+    ]
     duration: Positive
     terminate_on_collision: bool
 
     def __post_init__(self) -> None:
-        if not isinstance(self.controller, ControllerSettings):  # copies already have one
+        if not isinstance(
+            self.controller, ControllerSettings
+        ):  # copies already have one
             force_setattr(self, "controller", controller_settings(self.controller))
-        horizon, time_step, chosen = self.horizon, self.time_step, gradient_steps(self.planning)[0]
+        horizon, time_step, chosen = (
+            self.horizon,
+            self.time_step,
+            gradient_steps(self.planning)[0],
+        )
         if chosen > MAX_ITERATIONS:
             why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"
-            raise ValueError(f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give 'iterations'")
+            raise ValueError(
+                f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give 'iterations'"
+            )
         if self.duration < time_step:
             why = f"an episode has at least one time step of {time_step:g} s"
             raise ValueError(f"config['duration'] is {self.duration!r}; {why}")
         if self.human_driver is not None:
-            known = [name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING]
+            known = [
+                name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING
+            ]
             if self.human_driver not in known:
                 remedy = f"add it with ms_highway.add_driver, or name one of {', '.join(known)}"
-                raise ValueError(f"config['human_driver'] is {self.human_driver!r}; {remedy}")
+                raise ValueError(
+                    f"config['human_driver'] is {self.human_driver!r}; {remedy}"
+                )
             if self.yielding != "usual":
                 why = f"humans who are driven by {self.human_driver!r} cannot be told how to yield"
                 raise ValueError(f"config['yielding'] is {self.yielding!r}; {why}")
         if isinstance(self.human_reward, dict):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
         if isinstance(self.costs, dict):
-            refuse_unknown("config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)})
+            refuse_unknown(
+                "config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)}
+            )
         unknown = {model.name for model in self.models} - {*self.counted.names}
         if unknown and self.costs != "measured":
             why = f"without seconds for {', '.join(sorted(unknown))}; say 'measured' or give them"
@@ -136,45 +183,76 @@ class Settings(Struct, frozen=True):
             return
         known = values.provenance
         scenarios = known.get("scenarios", [scenario.name])
-        learned = {name: known[name] for name in ("semantics", "solver") if name in known}
+        learned = {
+            name: known[name] for name in ("semantics", "solver") if name in known
+        }
         learned["horizon"] = known.get("planning_horizon", scenario.planning.horizon)
-        other = {name: value for name, value in learned.items() if getattr(self, name) not in np.ravel(value)}
+        other = {
+            name: value
+            for name, value in learned.items()
+            if getattr(self, name) not in np.ravel(value)
+        }
         present: dict[str, Any] = {name: getattr(self, name) for name in other}
-        reward = known.get("human_reward") or HUMAN_REWARDS[known.get("semantics", self.semantics)]
+        reward = (
+            known.get("human_reward")
+            or HUMAN_REWARDS[known.get("semantics", self.semantics)]
+        )
         if reward != self.reward:
             other["human_reward"] = reward
             present["human_reward"] = self.reward
         driven = self.human_driver is not None
         if scenario.name in scenarios and not other and not driven:
             return
-        there = ", ".join([*scenarios, *(f"{name} {value}" for name, value in other.items())])
-        here = ", ".join([scenario.name, *(f"{name} {value}" for name, value in present.items())])
+        there = ", ".join(
+            [*scenarios, *(f"{name} {value}" for name, value in other.items())]
+        )
+        here = ", ".join(
+            [scenario.name, *(f"{name} {value}" for name, value in present.items())]
+        )
         if driven:
             here += f", where {self.human_driver!r} drives the humans"
-            remedy = (
-                "choose another controller, such as tom or switching:0.1, as values are not learned among such humans"
-            )
+            remedy = "choose another controller, such as tom or switching:0.1, as values are not learned among such humans"
         else:
-            texts = {name: value if isinstance(value, str) else to_json(value) for name, value in present.items()}
-            changes = "".join(f" --set {quote(f'{name}={value}')}" for name, value in texts.items())
-            command = f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"
+            texts = {
+                name: value if isinstance(value, str) else to_json(value)
+                for name, value in present.items()
+            }
+            changes = "".join(
+                f" --set {quote(f'{name}={value}')}" for name, value in texts.items()
+            )
+            command = (
+                f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"
+            )
             remedy = f"learn them with {command}, and say learned:LAMBDA:values.npz"
-        warn(f"the values of computation were learned in {there}, not in {here}; {remedy}", stacklevel=2)
+        warn(
+            f"the values of computation were learned in {there}, not in {here}; {remedy}",
+            stacklevel=2,
+        )
 
     @property
     def reward(self) -> str | dict[str, float]:
         """The humans' reward: one of `NAMED_REWARDS`, or weights by name."""
-        return HUMAN_REWARDS[self.semantics] if self.human_reward is None else self.human_reward
+        return (
+            HUMAN_REWARDS[self.semantics]
+            if self.human_reward is None
+            else self.human_reward
+        )
 
     @property
     def planning(self) -> PlanningSettings:
         """Horizon, time step and gradient steps of the robot's and the humans' plans."""
-        return PlanningSettings(self.horizon, self.time_step, self.iterations, self.step_size)
+        return PlanningSettings(
+            self.horizon, self.time_step, self.iterations, self.step_size
+        )
 
     @property
     def drivers(self) -> tuple[str, ...]:
         """Names of the human drivers in use, keys of `HUMAN_DRIVERS`; none if all humans plan for their reward."""
-        return YIELDING[self.yielding] if self.human_driver is None else (self.human_driver,)
+        return (
+            YIELDING[self.yielding]
+            if self.human_driver is None
+            else (self.human_driver,)
+        )
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
@@ -194,7 +272,9 @@ class Settings(Struct, frozen=True):
         """
         kind = shipped_kind(self.semantics, self.humans)
         named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS[kind]}
-        given = self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
+        given = (
+            self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
+        )
 
         known: dict[str, float] = {}
         for model in models:
@@ -206,7 +286,9 @@ class Settings(Struct, frozen=True):
                 known[model.name] = seconds
         return Costs.of({**known, **given}, self.humans)
 
-    def start(self, steps: int, random: np.random.Generator, costs: Costs | None = None) -> Start:
+    def start(
+        self, steps: int, random: np.random.Generator, costs: Costs | None = None
+    ) -> Start:
         """Return what a rule is built from.
 
         Args:
@@ -222,7 +304,9 @@ class Settings(Struct, frozen=True):
     @property
     def measures(self) -> bool:
         """Whether rules choose by measured planning times, so that a seed may give different episodes."""
-        return self.costs == "measured" or (self.costs == "shipped" and self.controller.budget is not None)
+        return self.costs == "measured" or (
+            self.costs == "shipped" and self.controller.budget is not None
+        )
 
     def game(self, scenario: Scenario) -> Game:
         """Build the game of a scenario, in which every human has the reward that the drawn ones vary around."""

@@ -14,10 +14,23 @@ from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.controllers import ControllerSettings, ModelOrder
-from ms_highway.envs.spaces import Autopilot, CarStates, HumanModelAction, SceneStates, executed_controls, is_possible
+from ms_highway.envs.spaces import (
+    Autopilot,
+    CarStates,
+    HumanModelAction,
+    SceneStates,
+    executed_controls,
+    is_possible,
+)
 from ms_highway.game.features import check_own_features
 from ms_highway.game.starts import Random, TracedRandom
-from ms_highway.loop.batch import Now, StepInputs, begin_episodes, checked_records, step_episodes
+from ms_highway.loop.batch import (
+    Now,
+    StepInputs,
+    begin_episodes,
+    checked_records,
+    step_episodes,
+)
 from ms_highway.loop.controller import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.human_models import Naive, warn_of_limits
@@ -28,13 +41,24 @@ from ms_highway.runtime.jax_settings import single_precision
 from ms_highway.runtime.process import refuse_after_fork
 
 STEP = (
-    *("_reset", "_drive", "_drive_robot", "step", "_simulate", "_reward", "_rewards", "_is_terminated"),
+    *(
+        "_reset",
+        "_drive",
+        "_drive_robot",
+        "step",
+        "_simulate",
+        "_reward",
+        "_rewards",
+        "_is_terminated",
+    ),
     *("_is_truncated", "episode_steps", "car_states", "success", "measure"),
 )
 """Methods and properties of an environment that a simulation does not call, so that no subclass may change them."""
 
 
-def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerSettings]) -> Loop:
+def shared_loop(
+    environment: InteractionEnv, controllers: Collection[ControllerSettings]
+) -> Loop:
     """Return the loop that all episodes of an environment share; a fixed order takes the place of the rule.
 
     Args:
@@ -46,25 +70,45 @@ def shared_loop(environment: InteractionEnv, controllers: Collection[ControllerS
             costs that must be measured.
     """
     kind, settings = type(environment), environment.settings
-    if own := [name for name in STEP if getattr(kind, name) is not getattr(InteractionEnv, name)]:
+    if own := [
+        name
+        for name in STEP
+        if getattr(kind, name) is not getattr(InteractionEnv, name)
+    ]:
         reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
         remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
         raise ValueError(f"{reason}; {remedy}")
     if not all(each.predicts for each in controllers):
-        raise ValueError("a function or an agent that drives the robot is not simulated; use `compare`")
+        raise ValueError(
+            "a function or an agent that drives the robot is not simulated; use `compare`"
+        )
     if settings.costs == "measured":
         remedy = "say 'shipped', or give seconds by model"
-        raise ValueError(f"costs are 'measured', and a simulation cannot measure plans; {remedy}")
+        raise ValueError(
+            f"costs are 'measured', and a simulation cannot measure plans; {remedy}"
+        )
     used = {name for each in controllers for name in each.names()}
     used |= {Naive.name for each in controllers if each.belief and not each.chooses}
     used -= {model.name for model in settings.models}
     drivers = tuple(traceable(name, environment.game) for name in settings.drivers)
     order = in_order(np.zeros((1, 1), np.int32), settings.models)
     others = tuple(map(human_model, cheapest_first(used)))
-    return Loop(environment.game, order, others, settings.way_out, drivers=drivers, chunk=usual_chunk())
+    return Loop(
+        environment.game,
+        order,
+        others,
+        settings.way_out,
+        drivers=drivers,
+        chunk=usual_chunk(),
+    )
 
 
-def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSettings, random: Random) -> Episodes:
+def draw_start(
+    environment: InteractionEnv,
+    loop: Loop,
+    settings: ControllerSettings,
+    random: Random,
+) -> Episodes:
     """Draw an episode as the environment does at a reset; its arrays have no axis of episodes.
 
     Args:
@@ -80,9 +124,18 @@ def draw_start(environment: InteractionEnv, loop: Loop, settings: ControllerSett
         names = [model.name for model in loop.models]
         known = environment.settings.start(steps, random)  # type: ignore[arg-type]
         table = settings.chooser.table(known)
-        rungs[:] = np.vectorize(names.index)(table)[np.minimum(np.arange(steps), len(table) - 1)]
+        rungs[:] = np.vectorize(names.index)(table)[
+            np.minimum(np.arange(steps), len(table) - 1)
+        ]
     price = np.nan_to_num(np.float32(settings.price))  # an order has none
-    return Episodes(start.astype(np.float32), price, rungs, loop.game.robot.weights, weights, drivers)
+    return Episodes(
+        start.astype(np.float32),
+        price,
+        rungs,
+        loop.game.robot.weights,
+        weights,
+        drivers,
+    )
 
 
 def stack_episodes(drawn: Sequence[Episodes]) -> Episodes:
@@ -131,18 +184,29 @@ class FunctionalEnv:
             ``SceneStates``.
     """
 
-    def __init__(self, scenario: str | type[InteractionEnv], config: Config | None = None) -> None:
+    def __init__(
+        self, scenario: str | type[InteractionEnv], config: Config | None = None
+    ) -> None:
         refuse_after_fork()
         if isinstance(scenario, str):
             scenario = ENVIRONMENTS[scenario_name(scenario)]
         self.environment = env = scenario(config)
-        self.observation_space, self.action_space = env.observation_space, env.action_space
+        self.observation_space, self.action_space = (
+            env.observation_space,
+            env.action_space,
+        )
         self.steps = env.episode_steps
-        settings, controller, kind = env.settings, env.settings.controller, env.action_type
+        settings, controller, kind = (
+            env.settings,
+            env.settings.controller,
+            env.action_type,
+        )
         self.agent_drives = type(kind) is ContinuousAction and kind.size == 2
         if not (self.agent_drives or isinstance(kind, Autopilot)):
             known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
-            raise ValueError(f"config['action'] is {env.config['action']}; what is simulated is {known}")
+            raise ValueError(
+                f"config['action'] is {env.config['action']}; what is simulated is {known}"
+            )
         if type(env.observation_type) not in (CarStates, SceneStates):
             place = f"config['observation'] is {env.config['observation']}"
             raise ValueError(f"{place}; what is simulated is CarStates or SceneStates")
@@ -162,7 +226,9 @@ class FunctionalEnv:
 
     def draw(self, random: Random) -> Episodes:
         """Draw an episode, see `draw_start`."""
-        return draw_start(self.environment, self.loop, self.environment.settings.controller, random)
+        return draw_start(
+            self.environment, self.loop, self.environment.settings.controller, random
+        )
 
     def reset(self, key: jax.Array) -> tuple[EnvState, jax.Array]:
         """Start an episode that is drawn by a key of `jax.random`; return its state and the observation.
@@ -173,16 +239,28 @@ class FunctionalEnv:
         """
         refuse_after_fork()
         if not isinstance(key, (jax.Array, np.ndarray)):
-            raise ValueError(f"the key of reset is {key!r}; give one of JAX, such as jax.random.key(0)")
+            raise ValueError(
+                f"the key of reset is {key!r}; give one of JAX, such as jax.random.key(0)"
+            )
         with single_precision():
-            episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key)))
-            state = EnvState(begin_episodes(self.loop, episodes.starts), episodes, jnp.zeros(1, jnp.int32))
-            state = jax.tree.map(jnp.asarray, state)  # arrays of JAX from the start, as after a step
+            episodes = jax.tree.map(
+                lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key))
+            )
+            state = EnvState(
+                begin_episodes(self.loop, episodes.starts),
+                episodes,
+                jnp.zeros(1, jnp.int32),
+            )
+            state = jax.tree.map(
+                jnp.asarray, state
+            )  # arrays of JAX from the start, as after a step
             return state, self.observe(episodes.starts, state.step)[0]
 
     def step(
         self, state: EnvState, action: Any
-    ) -> tuple[EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]]:
+    ) -> tuple[
+        EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]
+    ]:
         """Return state, observation, reward, terminated, truncated and info after an action.
 
         No episode is reset automatically. Where JAX traces a step, the numbers of the action are not checked: a model
@@ -197,21 +275,31 @@ class FunctionalEnv:
         refuse_after_fork()
         action, space = jnp.asarray(action), self.action_space
         if action.shape != space.shape:
-            raise ValueError(f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}")
+            raise ValueError(
+                f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}"
+            )
         if not self.agent_drives and action.dtype.kind not in "biu":
-            raise ValueError(f"the action has numbers of type {action.dtype}; give one of {space}, of whole numbers")
-        if not isinstance(action, jax.core.Tracer) and not is_possible(space, np.asarray(action).astype(space.dtype)):
+            raise ValueError(
+                f"the action has numbers of type {action.dtype}; give one of {space}, of whole numbers"
+            )
+        if not isinstance(action, jax.core.Tracer) and not is_possible(
+            space, np.asarray(action).astype(space.dtype)
+        ):
             raise ValueError(f"action {action} is impossible; give one of {space}")
         action = action.astype(np.float32 if self.agent_drives else np.int32)
         with single_precision():
             return self._step(state, action)
 
-    def _step(self, state: EnvState, action: jax.Array) -> tuple[EnvState, Any, Any, Any, Any, dict[str, jax.Array]]:
+    def _step(
+        self, state: EnvState, action: jax.Array
+    ) -> tuple[EnvState, Any, Any, Any, Any, dict[str, jax.Array]]:
         """Step in single precision, see `step`."""
         if not self.agent_drives:
             action = jnp.clip(action, 0, len(self.loop.rule.ladder) - 1)
         given = self.given(state, action[None])
-        now, records = step_episodes(replace(self.loop, chunk=1), state.episodes, state.now, given)
+        now, records = step_episodes(
+            replace(self.loop, chunk=1), state.episodes, state.now, given
+        )
         if not isinstance(records.reward, jax.core.Tracer):
             records = checked_records(self.loop, records)
         elif records.chosen is not None:
@@ -219,7 +307,9 @@ class FunctionalEnv:
             records = records._replace(reward=jnp.where(wrong, jnp.nan, records.reward))
         state = state._replace(now=now, step=state.step + 1)
         info = {"collision": records.collision[0], "states": records.states[0]}
-        observation, reward, terminated, truncated = (part[0] for part in self.outcome(records, state.step))
+        observation, reward, terminated, truncated = (
+            part[0] for part in self.outcome(records, state.step)
+        )
         return state, observation, reward, terminated, truncated, info
 
     def given(self, state: EnvState, actions: Any) -> StepInputs:
@@ -230,10 +320,14 @@ class FunctionalEnv:
             actions: of the agent, n of its action space.
         """
         schedules = state.episodes.schedules
-        scheduled = schedules[np.arange(len(schedules)), state.step.clip(max=self.steps - 1)]
+        scheduled = schedules[
+            np.arange(len(schedules)), state.step.clip(max=self.steps - 1)
+        ]
         if self.agent_drives:
             robots = state.now.state[:, 0]
-            controls = executed_controls(self.environment.action_type, self.loop.game.world, actions, robots)
+            controls = executed_controls(
+                self.environment.action_type, self.loop.game.world, actions, robots
+            )
             return StepInputs(scheduled, controls=controls.astype(np.float32))
         if isinstance(self.environment.action_type, HumanModelAction):
             scheduled = actions.reshape(scheduled.shape).astype(np.int32)
@@ -244,8 +338,15 @@ class FunctionalEnv:
         reward = records.reward
         if self._price:
             reward = reward - self._price * self.costs.total(records.planned)
-        terminated = records.collision & bool(self.environment.config["terminate_on_collision"])
-        return self.observe(records.states, steps), reward, terminated, steps >= self.steps
+        terminated = records.collision & bool(
+            self.environment.config["terminate_on_collision"]
+        )
+        return (
+            self.observe(records.states, steps),
+            reward,
+            terminated,
+            steps >= self.steps,
+        )
 
     def observe(self, states: State, steps: Any) -> Any:
         """Return the observations of states [n, cars, 4] of environments that have done these steps [n]."""

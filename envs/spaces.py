@@ -28,14 +28,19 @@ class CarStates(ObservationType):
     clipped.
     """
 
-    REACHED: ClassVar[tuple[float, float]] = 400.0, 1000.0  # m/s and m to the side, which 50 m/s^2 does not exceed
+    REACHED: ClassVar[tuple[float, float]] = (
+        400.0,
+        1000.0,
+    )  # m/s and m to the side, which 50 m/s^2 does not exceed
 
     def __init__(self, env: Any, **_: Any) -> None:
         super().__init__(env)
         fastest, widest = self.REACHED
         farthest = 100.0 + fastest * env.config["duration"]
         reached = np.array([farthest, widest, fastest, fastest, 1.0, 1.0]) / SCALES
-        self.low, self.high = (np.tile(np.float32(end), (env.cars, 1)) for end in self.ends(reached))
+        self.low, self.high = (
+            np.tile(np.float32(end), (env.cars, 1)) for end in self.ends(reached)
+        )
 
     def ends(self, reached: Vector) -> tuple[Any, Any]:
         """Return the lowest and the highest value of each column, given the scaled values that states reach."""
@@ -47,8 +52,14 @@ class CarStates(ObservationType):
         x, y, heading, speed = xp.moveaxis(states, -1, 0)
         cosine, sine = xp.cos(heading), xp.sin(heading)
         is_other = np.arange(states.shape[-2]) > 0
-        parts = [part - is_other * part[..., :1] for part in (x, y, speed * cosine, speed * sine)]
-        return [part / scale for part, scale in zip((*parts, cosine, sine), SCALES, strict=True)]
+        parts = [
+            part - is_other * part[..., :1]
+            for part in (x, y, speed * cosine, speed * sine)
+        ]
+        return [
+            part / scale
+            for part, scale in zip((*parts, cosine, sine), SCALES, strict=True)
+        ]
 
     def space(self) -> spaces.Box:
         """Return the space."""
@@ -56,7 +67,9 @@ class CarStates(ObservationType):
 
     def observe(self) -> np.ndarray:
         """Return the observation of the present state."""
-        return self.of(self.env.car_states, np.array(1 - self.env.steps / self.env.episode_steps))
+        return self.of(
+            self.env.car_states, np.array(1 - self.env.steps / self.env.episode_steps)
+        )
 
     def of(self, states: State, time_left: Any) -> Any:
         """Return the observations of states [..., cars, 4], in NumPy or JAX, clipped to the bounds of the space."""
@@ -84,7 +97,12 @@ class SceneStates(CarStates):
         xp = states.__array_namespace__()
         ones = xp.ones_like(states[..., 0])
         distances = cone_distances(self.env.game.scene, states) / SCALES[0]
-        return [ones, *super().columns(states, time_left), distances, ones * xp.asarray(time_left)[..., None]]
+        return [
+            ones,
+            *super().columns(states, time_left),
+            distances,
+            ones * xp.asarray(time_left)[..., None],
+        ]
 
 
 def cone_distances(scene: Scene, states: State) -> Any:
@@ -94,7 +112,9 @@ def cone_distances(scene: Scene, states: State) -> Any:
     aside = xp.abs(cones[:, 1] - states[..., 1, None])
     counts = (ahead > 0) & (aside < float(scene.lane_width) / 2)
     lengths = float(scene.obstacle_size[0] + scene.car_size[0])
-    return xp.min(xp.where(counts, ahead, xp.inf), axis=-1, initial=xp.inf) - lengths / 2
+    return (
+        xp.min(xp.where(counts, ahead, xp.inf), axis=-1, initial=xp.inf) - lengths / 2
+    )
 
 
 class CarTracks(CarStates):
@@ -119,7 +139,10 @@ class TupleObservation(observations.TupleObservation):
 
     def __init__(self, env: Any, observation_configs: Sequence[Any], **_: Any) -> None:
         super().__init__(env, [])
-        self.observation_types = [env.type_of(observations.observation_factory, each) for each in observation_configs]
+        self.observation_types = [
+            env.type_of(observations.observation_factory, each)
+            for each in observation_configs
+        ]
 
 
 def finite(space: spaces.Space) -> spaces.Space:
@@ -131,9 +154,13 @@ def finite(space: spaces.Space) -> spaces.Space:
     if isinstance(space, spaces.Tuple):
         return spaces.Tuple([finite(part) for part in space])
     if type(space) is spaces.Space:
-        raise ValueError("TimeToCollision needs a car with target speeds; give the action 'DiscreteMetaAction'")
+        raise ValueError(
+            "TimeToCollision needs a car with target speeds; give the action 'DiscreteMetaAction'"
+        )
     if isinstance(space, spaces.Box):
-        return spaces.Box(np.nan_to_num(space.low), np.nan_to_num(space.high), dtype=space.dtype.type)
+        return spaces.Box(
+            np.nan_to_num(space.low), np.nan_to_num(space.high), dtype=space.dtype.type
+        )
     return space
 
 
@@ -148,10 +175,16 @@ def is_possible(space: spaces.Space, action: Any) -> bool:
         numbers = np.asarray(action)
     except ValueError:  # of lists of different lengths
         return False
-    return numbers.shape == space.shape and numbers.dtype.kind in "biuf" and bool(np.isfinite(numbers).all())
+    return (
+        numbers.shape == space.shape
+        and numbers.dtype.kind in "biuf"
+        and bool(np.isfinite(numbers).all())
+    )
 
 
-def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | None) -> None:
+def limit_speed(
+    kind: actions.ContinuousAction, speed_range: Sequence[float] | None
+) -> None:
     """Let a type of actions keep its car within a range of speeds [m/s]; None sets no limits.
 
     This changes the object instead of its class, as highway-env's keyboard drives no subclass.
@@ -159,31 +192,45 @@ def limit_speed(kind: actions.ContinuousAction, speed_range: Sequence[float] | N
     kind.speed_range, kind.get_action = speed_range, partial(_limited_action, kind)
 
 
-def _limited_action(kind: actions.ContinuousAction, action: np.ndarray) -> dict[str, float]:
+def _limited_action(
+    kind: actions.ContinuousAction, action: np.ndarray
+) -> dict[str, float]:
     """Return the control of an action, whose acceleration is limited to stay within the range of speeds."""
     control = actions.ContinuousAction.get_action(kind, action)
     vehicle = kind.controlled_vehicle
     friction = vehicle.friction if isinstance(vehicle, BicycleVehicle) else 0.0
-    limited = _within_speeds(kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction)
+    limited = _within_speeds(
+        kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction
+    )
     return control | {"acceleration": float(limited)}
 
 
-def _within_speeds(kind: actions.ContinuousAction, acceleration: Any, speed: Any, friction: Any) -> Any:
+def _within_speeds(
+    kind: actions.ContinuousAction, acceleration: Any, speed: Any, friction: Any
+) -> Any:
     """Limit accelerations that would leave the range of speeds within a step [m/s^2]."""
     if kind.speed_range is None:
         return acceleration
     xp, frequency = speed.__array_namespace__(), kind.env.config["simulation_frequency"]
     least, most = ((end - speed) * frequency for end in kind.speed_range)
-    return xp.clip(acceleration, xp.minimum(least, 0.0) + friction, xp.maximum(most, 0.0) + friction)
+    return xp.clip(
+        acceleration,
+        xp.minimum(least, 0.0) + friction,
+        xp.maximum(most, 0.0) + friction,
+    )
 
 
-def executed_controls(kind: actions.ContinuousAction, dynamics: Dynamics, action: Any, cars: Any) -> Any:
+def executed_controls(
+    kind: actions.ContinuousAction, dynamics: Dynamics, action: Any, cars: Any
+) -> Any:
     """Return the controls (omega, acceleration) [..., 2] that cars [..., 4] execute for actions [..., 2]."""
     xp, speed = cars.__array_namespace__(), cars[..., 3]
     shares = ((xp.clip(action, -1, 1) if kind.clip else action) + 1) / 2
     (slowest, fastest), (left, right) = kind.acceleration_range, kind.steering_range
     acceleration = slowest + shares[..., 0] * (fastest - slowest)
-    acceleration = _within_speeds(kind, acceleration, speed, keep_velocity(dynamics, cars)[..., 1])
+    acceleration = _within_speeds(
+        kind, acceleration, speed, keep_velocity(dynamics, cars)[..., 1]
+    )
     curvature = xp.tan(left + shares[..., 1] * (right - left)) / BicycleVehicle.LENGTH
     omega = curvature if dynamics.steering == "curvature" else curvature * speed
     return xp.stack([omega, acceleration], axis=-1)
@@ -210,8 +257,14 @@ class HumanModelAction(Autopilot):
     def space(self) -> spaces.Space:
         """Return the space."""
         rungs, humans = len(self.env.settings.models), self.env.settings.humans
-        return spaces.Discrete(rungs) if humans == 1 else spaces.MultiDiscrete([rungs] * humans)
+        return (
+            spaces.Discrete(rungs)
+            if humans == 1
+            else spaces.MultiDiscrete([rungs] * humans)
+        )
 
     def act(self, action: Any) -> None:
         """Choose the models of the coming plan."""
-        self.controlled_vehicle.controller.rule = in_order(np.reshape(action, (1, -1)), self.env.settings.models)
+        self.controlled_vehicle.controller.rule = in_order(
+            np.reshape(action, (1, -1)), self.env.settings.models
+        )

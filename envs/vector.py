@@ -17,7 +17,13 @@ from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, checked_seed, refuse_unknown
 from ms_highway.envs.simulation import EnvState, FunctionalEnv, stack_episodes
-from ms_highway.loop.batch import Now, StepInputs, begin_episodes, checked_records, step_episodes
+from ms_highway.loop.batch import (
+    Now,
+    StepInputs,
+    begin_episodes,
+    checked_records,
+    step_episodes,
+)
 from ms_highway.loop.records import Episodes, Loop, Records
 from ms_highway.loop.step import STATUSES
 from ms_highway.runtime.compilation import jit_quickly
@@ -58,18 +64,39 @@ class InteractionVectorEnv(VectorEnv):
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None:
-            raise ValueError(f"render_mode is {render_mode!r}; nothing is rendered here, make a single environment")
-        if isinstance(num_envs, bool) or not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs!r}; give a whole number of environments from 1 on")
-        known = {name: each for each in AutoresetMode for name in (each, each.name, each.value)}
-        mode = known.get(autoreset_mode) if isinstance(autoreset_mode, (str, AutoresetMode)) else None
+            raise ValueError(
+                f"render_mode is {render_mode!r}; nothing is rendered here, make a single environment"
+            )
+        if (
+            isinstance(num_envs, bool)
+            or not isinstance(num_envs, (int, np.integer))
+            or num_envs < 1
+        ):
+            raise ValueError(
+                f"num_envs is {num_envs!r}; give a whole number of environments from 1 on"
+            )
+        known = {
+            name: each
+            for each in AutoresetMode
+            for name in (each, each.name, each.value)
+        }
+        mode = (
+            known.get(autoreset_mode)
+            if isinstance(autoreset_mode, (str, AutoresetMode))
+            else None
+        )
         if mode is None:
             names = ", ".join(f"AutoresetMode.{each.name}" for each in AutoresetMode)
-            raise ValueError(f"autoreset_mode is {autoreset_mode!r}; give one of {names}")
+            raise ValueError(
+                f"autoreset_mode is {autoreset_mode!r}; give one of {names}"
+            )
         self._functions = functions = FunctionalEnv(environment, config)
         self.num_envs, self.autoreset_mode = int(num_envs), mode
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
-        self.single_observation_space, self.single_action_space = functions.observation_space, functions.action_space
+        self.single_observation_space, self.single_action_space = (
+            functions.observation_space,
+            functions.action_space,
+        )
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.episode_steps = functions.steps
@@ -80,7 +107,10 @@ class InteractionVectorEnv(VectorEnv):
         self._threads = ThreadPoolExecutor(self._groups)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: Config | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Config | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start episodes: of all environments, or of those in ``options["reset_mask"]``.
 
@@ -98,24 +128,43 @@ class InteractionVectorEnv(VectorEnv):
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             what = f"options['reset_mask'] is {mask.tolist()}"
-            raise ValueError(f"{what}; give {self.num_envs} bools, one of them True at least")
+            raise ValueError(
+                f"{what}; give {self.num_envs} bools, one of them True at least"
+            )
         if self._state is None and not mask.all():
-            raise ValueError("options['reset_mask'] leaves environments out that were never reset; reset all of them")
-        several = seed.ndim > 0 if isinstance(seed, np.ndarray) else isinstance(seed, Sequence)
-        if isinstance(seed, (Sequence, np.ndarray)) and several and not isinstance(seed, str):
+            raise ValueError(
+                "options['reset_mask'] leaves environments out that were never reset; reset all of them"
+            )
+        several = (
+            seed.ndim > 0
+            if isinstance(seed, np.ndarray)
+            else isinstance(seed, Sequence)
+        )
+        if (
+            isinstance(seed, (Sequence, np.ndarray))
+            and several
+            and not isinstance(seed, str)
+        ):
             seeds = [checked_seed(each) for each in seed]
         else:
             first = checked_seed(seed)
-            seeds = [None if first is None else first + place for place in range(self.num_envs)]
+            seeds = [
+                None if first is None else first + place
+                for place in range(self.num_envs)
+            ]
         if len(seeds) != self.num_envs:
-            raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments; give one for each")
+            raise ValueError(
+                f"there are {len(seeds)} seeds for {self.num_envs} environments; give one for each"
+            )
         for place, own in enumerate(seeds):
             if own is not None and mask[place]:
                 self._randoms[place] = seeding.np_random(own)[0]
         observations = self._renew(mask)
         return observations, _masked(self._info_at_reset(), mask)
 
-    def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step all environments; reset those whose episode has ended as the autoreset mode says.
 
         Raises:
@@ -123,29 +172,53 @@ class InteractionVectorEnv(VectorEnv):
                 the mode without automatic resets.
         """
         refuse_after_fork()  # the threads of the process before are missing here, too
-        if self._ended.any() and (self._state is None or self.autoreset_mode is AutoresetMode.DISABLED):
+        if self._ended.any() and (
+            self._state is None or self.autoreset_mode is AutoresetMode.DISABLED
+        ):
             places = np.flatnonzero(self._ended).tolist()
-            raise ValueError(f"environments must be reset before they can step: {places}")
+            raise ValueError(
+                f"environments must be reset before they can step: {places}"
+            )
         actions, space = np.asarray(actions), self.action_space
-        possible = actions.shape == space.shape and actions.dtype.kind in "biuf" and np.isfinite(actions).all()
-        if possible and not self._functions.agent_drives:  # an agent's controls beyond the ends are clipped
+        possible = (
+            actions.shape == space.shape
+            and actions.dtype.kind in "biuf"
+            and np.isfinite(actions).all()
+        )
+        if (
+            possible and not self._functions.agent_drives
+        ):  # an agent's controls beyond the ends are clipped
             numbers = actions.astype(space.dtype)
             possible = space.contains(numbers) and (numbers == actions).all()
         if not possible:
-            raise ValueError(f"the actions {actions!r} are impossible; give some of {space}")
+            raise ValueError(
+                f"the actions {actions!r} are impossible; give some of {space}"
+            )
         stepped, records = ~self._ended, self._advance(actions)
         self._collided |= records.collision
-        seen, rewards, terminated, truncated = self._functions.outcome(records, self._state.step)
+        seen, rewards, terminated, truncated = self._functions.outcome(
+            records, self._state.step
+        )
         rewards = np.where(stepped, rewards, 0.0).astype(np.float64)
-        terminated, truncated, values = terminated & stepped, truncated & stepped, self._info(records)
-        self._ended, info, renewed = terminated | truncated, _masked(values, stepped), ~stepped
+        terminated, truncated, values = (
+            terminated & stepped,
+            truncated & stepped,
+            self._info(records),
+        )
+        self._ended, info, renewed = (
+            terminated | truncated,
+            _masked(values, stepped),
+            ~stepped,
+        )
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             renewed = self._ended.copy()
             final = np.full(self.num_envs, None, dtype=object)
             for place in np.flatnonzero(renewed):
                 final[place] = seen[place]
             info = _masked(values, ~renewed)
-            info |= _masked({"final_obs": final, "final_info": _masked(values, renewed)}, renewed)
+            info |= _masked(
+                {"final_obs": final, "final_info": _masked(values, renewed)}, renewed
+            )
         if renewed.any():
             seen = self._renew(renewed)
         return seen, rewards, terminated, truncated, info
@@ -157,14 +230,22 @@ class InteractionVectorEnv(VectorEnv):
     def _renew(self, mask: np.ndarray) -> np.ndarray:
         """Draw new episodes of some environments; return the observations of all."""
         functions = self._functions
-        episodes = stack_episodes([functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)])
+        episodes = stack_episodes(
+            [functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)]
+        )
         number, starts = len(episodes), episodes.starts
-        filled = np.resize(starts, (self.num_envs, *starts.shape[1:]))  # so that one program serves any number
-        now = jax.tree.map(lambda part: np.array(part)[:number], _begin(functions.loop, filled))
+        filled = np.resize(
+            starts, (self.num_envs, *starts.shape[1:])
+        )  # so that one program serves any number
+        now = jax.tree.map(
+            lambda part: np.array(part)[:number], _begin(functions.loop, filled)
+        )
         new = EnvState(now, episodes, np.zeros(number, int))
         if self._state is None:
             self._state = new
-        for old, rows in zip(jax.tree.leaves(self._state), jax.tree.leaves(new), strict=True):
+        for old, rows in zip(
+            jax.tree.leaves(self._state), jax.tree.leaves(new), strict=True
+        ):
             old[mask] = rows
         self._ended[mask] = self._collided[mask] = False
         return functions.observe(self._state.now.state, self._state.step)
@@ -183,12 +264,18 @@ class InteractionVectorEnv(VectorEnv):
         groups = np.resize(order, (rounds, self._groups, loop.together)).swapaxes(0, 1)
 
         def advance(places: np.ndarray) -> tuple[Now, Records]:
-            own, now, given = jax.tree.map(lambda part: np.asarray(part)[places], everything)
+            own, now, given = jax.tree.map(
+                lambda part: np.asarray(part)[places], everything
+            )
             return jax.tree.map(np.asarray, _step_chunks(loop, own, now, given))
 
         results = list(self._threads.map(advance, groups))
-        _, back = np.unique(groups, return_index=True)  # the first place of every environment
-        now, records = jax.tree.map(lambda *parts: np.concatenate(np.concatenate(parts))[back], *results)
+        _, back = np.unique(
+            groups, return_index=True
+        )  # the first place of every environment
+        now, records = jax.tree.map(
+            lambda *parts: np.concatenate(np.concatenate(parts))[back], *results
+        )
         records = checked_records(loop, records)
         self._state = state._replace(now=now, step=state.step + 1)
         return records
@@ -199,10 +286,15 @@ class InteractionVectorEnv(VectorEnv):
         info: dict[str, Any] = {"collision": records.collision.copy()}
         if not functions.agent_drives:
             names = np.array([model.name for model in loop.models])
-            info |= {"status": np.array(STATUSES)[records.status], "model": names[records.rungs.max(axis=1)]}
+            info |= {
+                "status": np.array(STATUSES)[records.status],
+                "model": names[records.rungs.max(axis=1)],
+            }
             info["counted_seconds"] = functions.costs.total(records.planned)
         if functions.environment.scenario.streams:
-            info["success"] = loop.game.scene.is_reached(records.states[:, 0, 1]) & ~self._collided
+            info["success"] = (
+                loop.game.scene.is_reached(records.states[:, 0, 1]) & ~self._collided
+            )
         return info
 
     def _info_at_reset(self) -> dict[str, Any]:
@@ -210,7 +302,13 @@ class InteractionVectorEnv(VectorEnv):
         number = self.num_envs
         humans = self._functions.loop.game.number
         none = np.zeros((number, humans), np.int32)
-        nothing = Records(none, none, none[:, 0], collision=self._collided, states=np.asarray(self._state.now.state))
+        nothing = Records(
+            none,
+            none,
+            none[:, 0],
+            collision=self._collided,
+            states=np.asarray(self._state.now.state),
+        )
         values = self._info(nothing)
         for name in ("status", "model", "counted_seconds"):
             if name in values:
@@ -227,7 +325,9 @@ _begin = jit_quickly(begin_episodes)
 
 
 @jit_quickly
-def _step_chunks(loop: Loop, own: Episodes, now: Now, given: StepInputs) -> tuple[Now, Records]:
+def _step_chunks(
+    loop: Loop, own: Episodes, now: Now, given: StepInputs
+) -> tuple[Now, Records]:
     """Step environments [chunks, together], chunk by chunk."""
     return jax.lax.map(lambda items: step_episodes(loop, *items), (own, now, given))
 

@@ -26,7 +26,10 @@ MODEL_COLORS: dict[str, Color] = {
     "tom": (214, 68, 140),
 }
 OTHER_COLORS = ((150, 110, 200), (160, 120, 90), (90, 150, 150))
-PALEST, DARKER = 0.6, 0.8  # share of white without steps, and brightness of models that start from the last plan
+PALEST, DARKER = (
+    0.6,
+    0.8,
+)  # share of white without steps, and brightness of models that start from the last plan
 FULL = 20  # steps from which a model has its full colour
 MODEL_MEANINGS = {
     "naive": "the human keeps its velocity",
@@ -39,7 +42,9 @@ GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
 FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
 
 
-def words(text: str, size: int, color: Color, ground: Color | None = None) -> pygame.Surface:
+def words(
+    text: str, size: int, color: Color, ground: Color | None = None
+) -> pygame.Surface:
     """Draw a line of text in a kerned font of ``size`` px, on a surface whose height is the same for every text.
 
     The font comes with Matplotlib, so that pictures are the same on every machine. It is opened for every text, as
@@ -61,14 +66,22 @@ def model_color(name: str | None) -> Color:
     model = human_model(name)
     base = type(model).name
     registered = [known for known in MODELS if known not in MODEL_COLORS]
-    color = MODEL_COLORS.get(base) or OTHER_COLORS[registered.index(base) % len(OTHER_COLORS)]
+    color = (
+        MODEL_COLORS.get(base)
+        or OTHER_COLORS[registered.index(base) % len(OTHER_COLORS)]
+    )
     paler = PALEST * max(0.0, 1 - (model.steps or FULL) / FULL)
-    return tuple(round((part + paler * (255 - part)) * (DARKER if model.warm else 1)) for part in color)
+    return tuple(
+        round((part + paler * (255 - part)) * (DARKER if model.warm else 1))
+        for part in color
+    )
 
 
 def model_meaning(name: str) -> str:
     """Return in a few words what a human model expects of the human; an empty text for added models."""
-    return MODEL_MEANINGS.get(type(human_model(name)).name, "") if is_model(name) else ""
+    return (
+        MODEL_MEANINGS.get(type(human_model(name)).name, "") if is_model(name) else ""
+    )
 
 
 class PictureViewer(EnvViewer):
@@ -86,9 +99,13 @@ class PictureViewer(EnvViewer):
 def enable_pictures(env: Any) -> bool:
     """Give each image observation of an environment a `PictureViewer`; return whether one has drawn black so far."""
     kind, black = env.observation_type, False
-    parts = getattr(kind, "observation_types", None) or getattr(kind, "agents_observation_types", [kind])
+    parts = getattr(kind, "observation_types", None) or getattr(
+        kind, "agents_observation_types", [kind]
+    )
     for part in parts:
-        if isinstance(part, GrayscaleObservation) and not isinstance(part.viewer, PictureViewer):
+        if isinstance(part, GrayscaleObservation) and not isinstance(
+            part.viewer, PictureViewer
+        ):
             black |= not part.viewer.enabled
             part.viewer = PictureViewer(env, part.viewer.config)
     return black
@@ -98,10 +115,20 @@ class Viewer(EnvViewer):
     """Draws like highway-env, also without a display, and beside other viewers of the process."""
 
     # attributes that only `EnvViewer.__init__` sets
-    observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = None, None, None, None, 0
+    observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = (
+        None,
+        None,
+        None,
+        None,
+        0,
+    )
 
     def __init__(self, env: Any) -> None:
-        self.env, self.config, self.offscreen = env, env.config, env.config["offscreen_rendering"]
+        self.env, self.config, self.offscreen = (
+            env,
+            env.config,
+            env.config["offscreen_rendering"],
+        )
         if not self.offscreen:
             try:
                 super().__init__(env)
@@ -149,7 +176,9 @@ def check_display() -> None:
         pygame.display.init()
         driver = pygame.display.get_driver()
     if driver in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ:
-        raise OSError("there is no display for a person to drive at; use a desktop, or let a program drive")
+        raise OSError(
+            "there is no display for a person to drive at; use a desktop, or let a program drive"
+        )
 
 
 def check_window(render_mode: str | None = None) -> None:
@@ -164,7 +193,9 @@ def check_window(render_mode: str | None = None) -> None:
     if render_mode == "human":
         check_display()
     elif not pygame.display.get_init() or pygame.display.get_surface() is None:
-        raise OSError("there is no window to press keys in; make the environment with render_mode='human'")
+        raise OSError(
+            "there is no window to press keys in; make the environment with render_mode='human'"
+        )
 
 
 KEY_ACCELERATION = 4.0  # m/s^2
@@ -187,8 +218,14 @@ class Keyboard:
         check_window()
         keys = pygame.key.get_pressed()
         heading, speed = state[0, 2:]
-        wanted = KEY_HEADING * (int(keys[pygame.K_RIGHT]) - int(keys[pygame.K_LEFT]))  # y points to the right
+        wanted = KEY_HEADING * (
+            int(keys[pygame.K_RIGHT]) - int(keys[pygame.K_LEFT])
+        )  # y points to the right
         step = float(game.world.time_step)
-        turn = np.clip(without_turns(wanted - heading) / step, -HEADING_RATE, HEADING_RATE)
+        turn = np.clip(
+            without_turns(wanted - heading) / step, -HEADING_RATE, HEADING_RATE
+        )
         pedals = KEY_ACCELERATION * (int(keys[pygame.K_UP]) - int(keys[pygame.K_DOWN]))
-        return keep_velocity(game.world, state[0]) + np.array([turn / max(speed, 1.0), pedals])
+        return keep_velocity(game.world, state[0]) + np.array(
+            [turn / max(speed, 1.0), pedals]
+        )

@@ -50,7 +50,9 @@ if not process.is_command():  # which loads it when it needs it
     import highway_env  # noqa: F401  # whose own environments are expected beside ours
 
 _directory = _Path(__file__).parent
-if not (_directory / "envs").is_dir():  # a checkout without symbolic links; envs/ lies beside this directory
+if not (
+    _directory / "envs"
+).is_dir():  # a checkout without symbolic links; envs/ lies beside this directory
     __path__.append(str(_directory.parent))
 
 __version__ = version("ms-highway")
@@ -66,7 +68,11 @@ _ENVIRONMENTS["recorded-v0"] = ("recorded:RecordedEnv", None)
 
 for _name, (_class, _vector) in _ENVIRONMENTS.items():
     if f"ms-highway/{_name}" not in _registry:
-        _register_environment(f"ms-highway/{_name}", f"ms_highway.{_class}", vector_entry_point=_vector)
+        _register_environment(
+            f"ms-highway/{_name}", f"ms_highway.{_class}", vector_entry_point=_vector
+        )
 
 # Version 0 is the paper's physics, not an older version of the same: Gymnasium's advice to upgrade is wrong there.
-_warnings.filterwarnings("ignore", ".*ms-highway/[a-z-]*-v0 is out of date", DeprecationWarning)
+_warnings.filterwarnings(
+    "ignore", ".*ms-highway/[a-z-]*-v0 is out of date", DeprecationWarning
+)

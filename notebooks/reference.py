@@ -144,25 +144,36 @@ Unknown keys are refused; nested ones merge. highway-env's own keys for pictures
 
 def first_sentence(text: str) -> str:
     """Return the first sentence of a text."""
-    return re.split(r"(?<=[a-z`)\]])\. ", re.sub(r"\s+", " ", text).replace("``", "`"))[0].rstrip(".;")
+    return re.split(r"(?<=[a-z`)\]])\. ", re.sub(r"\s+", " ", text).replace("``", "`"))[
+        0
+    ].rstrip(".;")
 
 
 def meanings() -> dict[str, str]:
     """Return what the documentation of `InteractionEnv` says of each configuration key, in short."""
-    items = re.split(r"\n\* ", inspect.getdoc(ms_highway.InteractionEnv).partition("\n\n``reset`` takes")[0])[1:]
+    items = re.split(
+        r"\n\* ",
+        inspect.getdoc(ms_highway.InteractionEnv).partition("\n\n``reset`` takes")[0],
+    )[1:]
     found = {}
     for item in items:
         names, _, text = item.partition(": ")
         found |= dict.fromkeys(re.findall(r"``(\w+)``", names), first_sentence(text))
-    found["duration"], _, found["terminate_on_collision"] = found["duration"].partition("; `terminate_on_collision`: ")
+    found["duration"], _, found["terminate_on_collision"] = found["duration"].partition(
+        "; `terminate_on_collision`: "
+    )
     return found
 
 
 def observation_rows() -> list[str]:
     rows = ["| type | columns | bounds |", "| --- | --- | --- |"]
     for kind in ("SceneStates", "CarStates"):
-        env = gym.make("ms-highway/merger-v1", config={"observation": {"type": kind}}).unwrapped
-        text = re.sub(r"\s+", " ", inspect.getdoc(type(env.observation_type))).replace("``", "`")
+        env = gym.make(
+            "ms-highway/merger-v1", config={"observation": {"type": kind}}
+        ).unwrapped
+        text = re.sub(r"\s+", " ", inspect.getdoc(type(env.observation_type))).replace(
+            "``", "`"
+        )
         high = ", ".join(f"{value:g}" for value in env.observation_space.high[0])
         rows.append(f"| `{kind}` | {text} | in Merger v1, up to {high} |")
     return rows
@@ -179,7 +190,13 @@ def environment_rows() -> list[str]:
         shape = gym.make(environment_id(name)).observation_space.shape
         observed = f"{config['observation']['type']} {list(shape)}"
         about = re.sub(r"\s+", " ", inspect.getdoc(kind)).split(". ")[0].rstrip(".")
-        cells = f"`{environment_id(name).partition(':')[2]}`", about, observed, steps, ", ".join(config["ladder"])
+        cells = (
+            f"`{environment_id(name).partition(':')[2]}`",
+            about,
+            observed,
+            steps,
+            ", ".join(config["ladder"]),
+        )
         rows.append(f"| {' | '.join(map(str, cells))} | {config['costs']} |")
     return rows
 
@@ -193,7 +210,10 @@ def configuration_keys() -> list[str]:
 def configuration_rows() -> list[str]:
     told, base = meanings(), ENVIRONMENTS["merger-v1"].default_config()
     rows = ["| key | default of Merger v1 | what it says |", "| --- | --- | --- |"]
-    return rows + [f"| `{key}` | `{base[key]!r}` | {told[key].replace('|', '/')} |" for key in configuration_keys()]
+    return rows + [
+        f"| `{key}` | `{base[key]!r}` | {told[key].replace('|', '/')} |"
+        for key in configuration_keys()
+    ]
 
 
 def page() -> str:

@@ -12,8 +12,12 @@ def run(command: str) -> None:
     assert main(command.split(" ")) == 0
 
 
-def python(*words: str, status: int = 0, **options: Any) -> subprocess.CompletedProcess[str]:
+def python(
+    *words: str, status: int = 0, **options: Any
+) -> subprocess.CompletedProcess[str]:
     """Run Python in another process, assert its exit status, and return its output."""
-    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, **options)
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, **options
+    )
     assert done.returncode == status, done.stdout + done.stderr
     return done

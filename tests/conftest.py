@@ -17,15 +17,27 @@ from jax import numpy as jnp
 from ms_highway.cli.main import main
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import PAPER_UNIT, Scenario, build_game
-from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, GIVE_WAY, MERGER, STAY_BACK
+from ms_highway.game.scenarios import (
+    CROSSING_CROWD,
+    DENSE_MERGE,
+    GIVE_WAY,
+    MERGER,
+    STAY_BACK,
+)
 from ms_highway.game.starts import draw_episode
 from ms_highway.numerics.solvers import PlanningSettings
 from ms_highway.runtime import compilation
 from ms_highway.runtime.jax_settings import keep_compilations
 
-SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY, DENSE_MERGE, CROSSING_CROWD)}
+SCENARIOS = {
+    scenario.name: scenario
+    for scenario in (STAY_BACK, MERGER, GIVE_WAY, DENSE_MERGE, CROSSING_CROWD)
+}
 
-CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ms-highway-tests"
+CACHE = (
+    Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    / "ms-highway-tests"
+)
 LARGEST = 500e6  # bytes of the cache
 MAX_MEMORY = 3e6  # kB of a worker
 
@@ -42,7 +54,9 @@ def pytest_configure(config: pytest.Config) -> None:
             with suppress(FileNotFoundError):  # another run removes files, too
                 found.append((file.stat(), file))
         found.sort(key=lambda entry: entry[0].st_atime, reverse=True)
-        for (_, file), size in zip(found, accumulate(kept.st_size for kept, _ in found), strict=True):
+        for (_, file), size in zip(
+            found, accumulate(kept.st_size for kept, _ in found), strict=True
+        ):
             if size > LARGEST:
                 file.unlink(missing_ok=True)
 
@@ -93,7 +107,10 @@ def still_shared() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def drivers_as_they_were() -> Iterator[None]:
     """Undo what stock intersections change in the class of highway-env's drivers, which all scenes share."""
-    before = {name: getattr(IDMVehicle, name) for name in ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")}
+    before = {
+        name: getattr(IDMVehicle, name)
+        for name in ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
+    }
     yield
     for name, value in before.items():
         setattr(IDMVehicle, name, value)
@@ -116,7 +133,9 @@ def little_memory() -> Iterator[None]:
 
 def _shared(variable: str, folder: str, pattern: str) -> Path:
     """Return a directory of data beside the project, or skip the test."""
-    directory = Path(os.environ.get(variable, Path(__file__).parents[2] / "shared" / folder))
+    directory = Path(
+        os.environ.get(variable, Path(__file__).parents[2] / "shared" / folder)
+    )
     if not list(directory.glob(pattern)):
         pytest.skip(f"no {pattern} in {directory}; set {variable} to their directory")
     return directory
@@ -166,17 +185,25 @@ def played() -> Callable[..., tuple[Game, jax.Array]]:
     further humans follow the first one, 30 m apart.
     """
 
-    def make(which: str | Scenario, seed: int = 0, **options: object) -> tuple[Game, jax.Array]:
+    def make(
+        which: str | Scenario, seed: int = 0, **options: object
+    ) -> tuple[Game, jax.Array]:
         scenario = SCENARIOS[which] if isinstance(which, str) else which
         small = {"humans": 2, "planning": PlanningSettings(horizon=5)}
         limits = {"control_limit": scenario.control_limit, "grip": scenario.grip}
-        game = build_game(scenario, **(small | limits if scenario.streams else {}) | options)
+        game = build_game(
+            scenario, **(small | limits if scenario.streams else {}) | options
+        )
         start, _ = draw_episode(scenario, np.random.default_rng(seed), game.humans)
         followers = 0 if scenario.streams else game.number - 1
-        behind = [start[1] - [30.0 * (1 + place), 0, 0, 0] for place in range(followers)]
+        behind = [
+            start[1] - [30.0 * (1 + place), 0, 0, 0] for place in range(followers)
+        ]
         if behind:
             start, leader = np.insert(start, 2, behind, axis=0), game.scene.leader
-            game = replace(game, scene=replace(game.scene, leader=leader and leader + followers))
+            game = replace(
+                game, scene=replace(game.scene, leader=leader and leader + followers)
+            )
         unit = float(game.scene.length_unit) / PAPER_UNIT
         return game, jnp.asarray(start * [unit, unit, 1, unit], dtype=jnp.float32)
 

@@ -33,7 +33,9 @@ class Brakes(PredictedHuman):
     deceleration: float
 
     def predict(self, game, state, start=None):
-        return [keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, self.deceleration])] * game.planner.horizon
+        return [
+            keep_velocity(game.dynamics, state[1]) - jnp.array([0.0, self.deceleration])
+        ] * game.planner.horizon
 
 
 @dataclass(frozen=True)
@@ -62,15 +64,29 @@ class Eager(TheoryOfMind):
 
 def dense_merge(humans):
     """Build the game of Dense Merge with its limits."""
-    return build_game(DENSE_MERGE, control_limit=DENSE_MERGE.control_limit, grip=DENSE_MERGE.grip, humans=humans)
+    return build_game(
+        DENSE_MERGE,
+        control_limit=DENSE_MERGE.control_limit,
+        grip=DENSE_MERGE.grip,
+        humans=humans,
+    )
 
 
 def move(game, state, controls):
     """Return the state after the controls of robot and humans, within the grip as vehicles are."""
     world = jax.tree.map(float, game.world)
     if game.planner.grip is not None:
-        controls = within_grip(world, float(game.planner.grip), state[: len(controls), 3], np.array(controls))
-    return step(world, state, np.concatenate([controls, keep_velocity(world, state[len(controls) :])]))
+        controls = within_grip(
+            world,
+            float(game.planner.grip),
+            state[: len(controls), 3],
+            np.array(controls),
+        )
+    return step(
+        world,
+        state,
+        np.concatenate([controls, keep_velocity(world, state[len(controls) :])]),
+    )
 
 
 def drive(driver, start, steps, humans=None):
@@ -81,8 +97,13 @@ def drive(driver, start, steps, humans=None):
     for _ in range(steps):
         now = states[-1]
         driven.append(driver.step(now))
-        views = [np.concatenate([now[[car, 0]], np.delete(now, [0, car], 0)]) for car in range(1, 1 + len(humans))]
-        others = [human.step(view).control for human, view in zip(humans, views, strict=True)]
+        views = [
+            np.concatenate([now[[car, 0]], np.delete(now, [0, car], 0)])
+            for car in range(1, 1 + len(humans))
+        ]
+        others = [
+            human.step(view).control for human, view in zip(humans, views, strict=True)
+        ]
         states.append(move(game, now, [driven[-1].control, *others]))
     return np.array(states), driven
 

@@ -11,8 +11,17 @@ import pytest
 from ms_highway.envs import environment_id
 from ms_highway.envs.registry import controller_config
 
-TWO = {"humans": 2, "horizon": 5, "costs": "published"}  # a small scene with several humans
-PIXELS = {"type": "GrayscaleObservation", "observation_shape": (64, 64), "stack_size": 1, "weights": [0.3, 0.6, 0.1]}
+TWO = {
+    "humans": 2,
+    "horizon": 5,
+    "costs": "published",
+}  # a small scene with several humans
+PIXELS = {
+    "type": "GrayscaleObservation",
+    "observation_shape": (64, 64),
+    "stack_size": 1,
+    "weights": [0.3, 0.6, 0.1],
+}
 
 
 def drives_long(test: Callable[..., None]) -> Any:
@@ -29,12 +38,23 @@ class Episode(NamedTuple):
     infos: list[dict[str, Any]]
 
 
-def make(scenario: str, controller: str = "naive", render_mode: str | None = None, **config: Any) -> gym.Env:
-    config = {"controller": controller_config(controller), **(TWO if scenario == "dense_merge" else {}), **config}
+def make(
+    scenario: str,
+    controller: str = "naive",
+    render_mode: str | None = None,
+    **config: Any,
+) -> gym.Env:
+    config = {
+        "controller": controller_config(controller),
+        **(TWO if scenario == "dense_merge" else {}),
+        **config,
+    }
     return gym.make(environment_id(scenario), render_mode=render_mode, config=config)
 
 
-def drive(env: gym.Env, seed: int = 0, starts: Any = None, steps: int | None = None) -> Episode:
+def drive(
+    env: gym.Env, seed: int = 0, starts: Any = None, steps: int | None = None
+) -> Episode:
     env.reset(seed=seed, options=None if starts is None else {"initial_states": starts})
     states, rewards, infos, done = [env.unwrapped.car_states], [], [], False
     while not done and len(infos) != steps:
@@ -48,6 +68,13 @@ def drive(env: gym.Env, seed: int = 0, starts: Any = None, steps: int | None = N
 
 def form(info: dict[str, Any]) -> dict[str, tuple]:
     """Return the type and the shape of everything in an ``info``, which recorders want to be constant, by its path."""
-    parts = jax.tree.leaves_with_path(info, is_leaf=lambda value: not isinstance(value, dict))
-    kinds = [(getattr(value, "dtype", type(value)), np.shape(value)) for _, value in parts]
-    return {jax.tree_util.keystr(path): kind for (path, _), kind in zip(parts, kinds, strict=True)}
+    parts = jax.tree.leaves_with_path(
+        info, is_leaf=lambda value: not isinstance(value, dict)
+    )
+    kinds = [
+        (getattr(value, "dtype", type(value)), np.shape(value)) for _, value in parts
+    ]
+    return {
+        jax.tree_util.keystr(path): kind
+        for (path, _), kind in zip(parts, kinds, strict=True)
+    }

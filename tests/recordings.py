@@ -10,9 +10,14 @@ TURN = 0.6  # rad, of the road against the x axis of the map
 def lanelet(number, left, line, links=""):
     """A lanelet 3.5 m wide whose centre lies that far to the left of a line."""
     direction = np.gradient(line, axis=0)
-    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1) / np.linalg.norm(direction, axis=-1, keepdims=True)
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1) / np.linalg.norm(
+        direction, axis=-1, keepdims=True
+    )
     bounds = {
-        side: "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in line + (left + half) * normal)
+        side: "".join(
+            f"<point><x>{x}</x><y>{y}</y></point>"
+            for x, y in line + (left + half) * normal
+        )
         for side, half in (("leftBound", 1.75), ("rightBound", -1.75))
     }
     sides = "".join(f"<{side}>{points}</{side}>" for side, points in bounds.items())
@@ -27,17 +32,27 @@ def bend(radius, side, angle, before=60.0, after=30.0):
     """The line of a straight, an arc to the left (side 1) or to the right (side -1), and a straight."""
     step = min(2.0, radius / 10)
     turned = np.linspace(0.0, angle, round(radius * angle / step) + 1)
-    arc = [before, 0.0] + radius * np.stack([np.sin(turned), 1 - np.cos(turned)], axis=-1)
+    arc = [before, 0.0] + radius * np.stack(
+        [np.sin(turned), 1 - np.cos(turned)], axis=-1
+    )
     first, last = np.arange(0.0, before, step), np.arange(step, after, step)
     out = arc[-1] + last[:, None] * [np.cos(angle), np.sin(angle)]
     along, left = np.concatenate([np.stack([first, 0 * first], axis=-1), arc, out]).T
     cosine, sine = np.cos(TURN), np.sin(TURN)
-    return np.stack([along * cosine - side * left * sine, along * sine + side * left * cosine], axis=-1)
+    return np.stack(
+        [along * cosine - side * left * sine, along * sine + side * left * cosine],
+        axis=-1,
+    )
 
 
 def two_lanes(way="same", points=30):
     """Two lanes of two lanelets each, 1 and 2 to the left of 3 and 4, linked in the same or the opposite direction."""
-    lanes = ((1, 0.0, "Right", 3, 0), (2, 0.0, "Right", 4, 1), (3, -3.5, "Left", 1, 0), (4, -3.5, "Left", 2, 1))
+    lanes = (
+        (1, 0.0, "Right", 3, 0),
+        (2, 0.0, "Right", 4, 1),
+        (3, -3.5, "Left", 1, 0),
+        (4, -3.5, "Left", 2, 1),
+    )
     joints = '<successor ref="{}"/>', '<predecessor ref="{}"/>'
     return "".join(
         lanelet(
@@ -70,7 +85,11 @@ RECTANGLE = "<rectangle><length>4.5</length><width>1.8</width></rectangle>"
 def moving(number, states, kind="car", shape=RECTANGLE):
     """An obstacle with recorded states: step, x, y, orientation and speed."""
     first, *rest = states
-    trajectory = f"<trajectory>{''.join(state('state', *one) for one in rest)}</trajectory>" if rest else ""
+    trajectory = (
+        f"<trajectory>{''.join(state('state', *one) for one in rest)}</trajectory>"
+        if rest
+        else ""
+    )
     return (
         f'<dynamicObstacle id="{number}"><type>{kind}</type><shape>{shape}</shape>'
         f"{state('initialState', *first)}{trajectory}</dynamicObstacle>"
@@ -79,13 +98,19 @@ def moving(number, states, kind="car", shape=RECTANGLE):
 
 def car(number, start, right, samples=STEPS, first=0, shape=RECTANGLE):
     """A car that keeps its velocity along the road, recorded from a step on."""
-    states = [(first + step, *place(start + SPEED * 0.1 * step, right), TURN) for step in range(samples)]
+    states = [
+        (first + step, *place(start + SPEED * 0.1 * step, right), TURN)
+        for step in range(samples)
+    ]
     return moving(number, states, shape=shape)
 
 
 def pedestrian(number, along, samples=STEPS):
     """A pedestrian who crosses the road from the right at 1.5 m/s."""
-    states = [(step, *place(along, 5.0 - 0.15 * step), TURN + np.pi / 2, 1.5) for step in range(samples)]
+    states = [
+        (step, *place(along, 5.0 - 0.15 * step), TURN + np.pi / 2, 1.5)
+        for step in range(samples)
+    ]
     return moving(number, states, "pedestrian", "<circle><radius>0.3</radius></circle>")
 
 

@@ -18,9 +18,18 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
     """The line at lateral position d beside an arc of curvature ``bend`` through the origin, from s = start on."""
     along = (np.arange(knots) * SPACING - BEHIND) / (1 - d * bend) + start
     heading = along * bend
-    x, y = (np.sin(heading) / bend, (1 - np.cos(heading)) / bend) if bend else (along, np.zeros(knots))
+    x, y = (
+        (np.sin(heading) / bend, (1 - np.cos(heading)) / bend)
+        if bend
+        else (along, np.zeros(knots))
+    )
     own = bend / (1 - d * bend)
-    arrays = (x - d * np.sin(heading), y + d * np.cos(heading), heading, np.full(knots, own))
+    arrays = (
+        x - d * np.sin(heading),
+        y + d * np.cos(heading),
+        heading,
+        np.full(knots, own),
+    )
     return Curve(*np.array(arrays, np.float32))
 
 
@@ -68,7 +77,9 @@ def wrecked(scene, car):
 
 def coming(scene, car):
     """The scene, on a straight road, with an oncoming car."""
-    scene.paths.x[car] = 2 * scene.paths.x[car, round(BEHIND / SPACING)] - scene.paths.x[car]
+    scene.paths.x[car] = (
+        2 * scene.paths.x[car, round(BEHIND / SPACING)] - scene.paths.x[car]
+    )
     scene.paths.heading[car] += np.pi
     return scene
 

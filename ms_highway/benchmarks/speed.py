@@ -48,7 +48,11 @@ def live_speed(comparison: Comparison, scenario: str, controller: str) -> dict:
 
 
 def batch_speed(
-    comparison: Comparison, scenario: str, controller: str, sizes: Sequence[int], devices: int | None = None
+    comparison: Comparison,
+    scenario: str,
+    controller: str,
+    sizes: Sequence[int],
+    devices: int | None = None,
 ) -> dict:
     """Time batches of a controller's episodes, after a first batch of one chunk per device, which may compile.
 
@@ -65,7 +69,10 @@ def batch_speed(
         kind.
     """
     used = use_devices(devices)  # before JAX begins to compute
-    batch = make_batch(Comparison({scenario: [controller]}, sizes[-1], config=comparison.config), scenario)
+    batch = make_batch(
+        Comparison({scenario: [controller]}, sizes[-1], config=comparison.config),
+        scenario,
+    )
     keys = batch.keys()
     first = timed(batch.simulate, keys[: batch.loop.together * len(used)], used)[1]
     rates, memory = {}, {}
@@ -74,7 +81,14 @@ def batch_speed(
         while not times or (len(times) < RUNS and sum(times) < SECONDS):
             times.append(timed(batch.simulate, keys[:size], used)[1])
         rates[str(size)] = size * batch.steps / median(times)
-        peak = Path("/proc/self/status").read_text().partition("VmHWM:")[2]  # as Linux reports it
+        peak = (
+            Path("/proc/self/status").read_text().partition("VmHWM:")[2]
+        )  # as Linux reports it
         memory[str(size)] = int(peak.split()[0]) / 1024
     kind = used[0].device_kind
-    return {"batch": rates, "memory_mib": memory, "first_seconds": first, "devices": f"{len(used)} of kind {kind}"}
+    return {
+        "batch": rates,
+        "memory_mib": memory,
+        "first_seconds": first,
+        "devices": f"{len(used)} of kind {kind}",
+    }

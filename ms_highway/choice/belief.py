@@ -18,12 +18,25 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.dynamics import keep_velocity, recover_control
 from ms_highway.game.game import Game, constant_velocity, each_human, pair, swap_players
-from ms_highway.numerics.solvers import Ascent, PlanningSettings, gradient_steps, longest_step
+from ms_highway.numerics.solvers import (
+    Ascent,
+    PlanningSettings,
+    gradient_steps,
+    longest_step,
+)
 from ms_highway.planning.human_models import following_control
 from ms_highway.planning.joint import plan_against
 from ms_highway.planning.ladders import PACKAGE_MODELS
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array, Belief, Control, Controls, Index, SameArray, State
+from ms_highway.runtime.arrays import (
+    Array,
+    Belief,
+    Control,
+    Controls,
+    Index,
+    SameArray,
+    State,
+)
 
 LOOKAHEAD = 8  # steps of humans' plans at most; only the first one counts
 
@@ -33,11 +46,17 @@ CONTROL_NOISE = (0.005, 1.0)
 """Standard deviations of a human's controls from those of its model: curvature [1/m], acceleration [m/s^2]."""
 MIN_PROBABILITY = 1e-3
 """Lower bound on the probability of each model. With it, the filter soon detects a change of model."""
-MIN_RESPONSE = 0.3  # least probability of `RESPONDING` at which plans count on a human's response
-RESPONDING = [PACKAGE_MODELS.index(name) for name in ("turn", "tom")]  # in both, the human plans for its reward
+MIN_RESPONSE = (
+    0.3  # least probability of `RESPONDING` at which plans count on a human's response
+)
+RESPONDING = [
+    PACKAGE_MODELS.index(name) for name in ("turn", "tom")
+]  # in both, the human plans for its reward
 
 
-def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "humans models 2"]:
+def next_controls(
+    game: Game, state: State, robot: Controls
+) -> Float[Any, "humans models 2"]:
     """Return the next control of every human under each model, unscaled.
 
     * naive keeps the velocity.
@@ -63,13 +82,20 @@ def next_controls(game: Game, state: State, robot: Controls) -> Float[Any, "huma
 
     def predict(human: Index) -> Float[Any, "models 2"]:
         own, seen = swap_players(game, state, human)
-        start = constant_velocity(own, seen[0]) if shortened else jnp.zeros((planner.horizon, 2))
+        start = (
+            constant_velocity(own, seen[0])
+            if shortened
+            else jnp.zeros((planner.horizon, 2))
+        )
 
         def answer(robot: Controls) -> Control:
             solution = plan_against(own, seen, robot[None], Plan(start, robot[None]))
             return solution.plan.robot[0] * planner.control_scale
 
-        answers = [answer(each) for each in (constant_velocity(own, seen[1]), robot[: planner.horizon])]
+        answers = [
+            answer(each)
+            for each in (constant_velocity(own, seen[1]), robot[: planner.horizon])
+        ]
         following = following_control(*pair(game, state, human))
         return jnp.stack([keep_velocity(game.dynamics, seen[0]), following, *answers])
 
@@ -98,8 +124,12 @@ def updated_belief(
     log_likelihood = -xp.sum(off**2, axis=-1) / 2
     known = xp.all(xp.isfinite(log_likelihood), axis=-1, keepdims=True)
     log_likelihood = xp.where(known, log_likelihood, xp.zeros_like(log_likelihood))
-    joint = mixed * xp.exp(log_likelihood - xp.max(log_likelihood, axis=-1, keepdims=True))
-    joint = xp.maximum(joint / xp.sum(joint, axis=-1, keepdims=True), xp.asarray(MIN_PROBABILITY))
+    joint = mixed * xp.exp(
+        log_likelihood - xp.max(log_likelihood, axis=-1, keepdims=True)
+    )
+    joint = xp.maximum(
+        joint / xp.sum(joint, axis=-1, keepdims=True), xp.asarray(MIN_PROBABILITY)
+    )
     return joint / xp.sum(joint, axis=-1, keepdims=True)
 
 
@@ -108,7 +138,9 @@ def first_belief(humans: int) -> Belief:
     return np.full((humans, len(PACKAGE_MODELS)), 1 / len(PACKAGE_MODELS), np.float32)
 
 
-def infer(game: Game, belief: Belief, before: State, after: State, robot: Controls) -> Belief:
+def infer(
+    game: Game, belief: Belief, before: State, after: State, robot: Controls
+) -> Belief:
     """Return the probabilities of the models after a step.
 
     Args:
@@ -120,7 +152,12 @@ def infer(game: Game, belief: Belief, before: State, after: State, robot: Contro
     """
     last = 1 + game.number
     observed = recover_control(game.world, before[1:last], after[1:last])
-    return updated_belief(belief, next_controls(game, before, robot), observed, jnp.asarray(game.world.time_step))
+    return updated_belief(
+        belief,
+        next_controls(game, before, robot),
+        observed,
+        jnp.asarray(game.world.time_step),
+    )
 
 
 def counted_on(belief: Float[SameArray, "humans models"]) -> Bool[Array, "humans"]:

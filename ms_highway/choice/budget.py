@@ -8,7 +8,14 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float, Int
 
-from ms_highway.choice.rule import FROM_START, Chooser, Evidence, GameEvidence, Memory, Rule
+from ms_highway.choice.rule import (
+    FROM_START,
+    Chooser,
+    Evidence,
+    GameEvidence,
+    Memory,
+    Rule,
+)
 from ms_highway.choice.situation import nearness
 from ms_highway.planning.costs import Costs
 from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
@@ -47,7 +54,9 @@ class Knapsack(Chooser[Evidence]):
         """Duration of a cycle [s]."""
         return self.milliseconds * 1e-3
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: Evidence) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: Evidence
+    ) -> Rungs:
         """Choose the best rungs for the time that is left."""
         gains = jnp.asarray(gains)
         known = jnp.isfinite(gains)
@@ -65,7 +74,9 @@ class Budget(Knapsack[GameEvidence]):
     If the top rung gains next to nothing for a human, a small gain replaces that, which is larger for nearer humans.
     """
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence
+    ) -> Rungs:
         """Choose the best rungs for the time that is left."""
         rank = nearness(evidence.game, evidence.outcome.after)
         little = LITTLE_GAIN * (1 - rank / evidence.game.number)
@@ -104,12 +115,16 @@ def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) ->
         The rungs; the first one for every human if nothing fits.
     """
     humans, rungs = values.shape
-    counts = jnp.indices((humans + 1,) * (rungs - 1))  # number of humans with each rung above the first
+    counts = jnp.indices(
+        (humans + 1,) * (rungs - 1)
+    )  # number of humans with each rung above the first
     counts = jnp.concatenate([humans - counts.sum(axis=0, keepdims=True), counts])
     each = jnp.asarray(costs).reshape(-1, *[1] * (rungs - 1))
     cost = jnp.where(counts == 0, 0.0, counts * each).sum(axis=0)
 
-    def add(table: Float[jax.Array, "*counts"], human: Float[jax.Array, "rungs"]) -> tuple[jax.Array, jax.Array]:
+    def add(
+        table: Float[jax.Array, "*counts"], human: Float[jax.Array, "rungs"]
+    ) -> tuple[jax.Array, jax.Array]:
         before = [table]
         for axis in range(rungs - 1):
             one_less = jnp.roll(table, 1, axis)  # humans had this rung before
@@ -122,10 +137,14 @@ def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) ->
     value = jnp.where((cost <= capacity) & (cost < jnp.inf), table, -jnp.inf)
     place = jnp.argmin(jnp.where(value == value.max(), cost, jnp.inf))
 
-    def take(place: Index, chosen: Int[jax.Array, "*counts"]) -> tuple[jax.Array, jax.Array]:
+    def take(
+        place: Index, chosen: Int[jax.Array, "*counts"]
+    ) -> tuple[jax.Array, jax.Array]:
         rung = chosen.ravel()[place]
         return place - steps[rung], rung
 
-    steps = jnp.array([0, *((humans + 1) ** (rungs - 2 - axis) for axis in range(rungs - 1))])
+    steps = jnp.array(
+        [0, *((humans + 1) ** (rungs - 2 - axis) for axis in range(rungs - 1))]
+    )
     _, best = jax.lax.scan(take, place, choices, reverse=True)
     return jnp.where(value.max() > -jnp.inf, best, 0)

@@ -20,7 +20,9 @@ TOGETHER = 4
 """Largest number of humans, the nearest ones, with a higher rung than the first
 at a price. A gap may open only if two of them yield together."""
 
-Humans = Annotated[int, Meta(ge=0, description="it must be a number of humans, 0 or more")]
+Humans = Annotated[
+    int, Meta(ge=0, description="it must be a number of humans, 0 or more")
+]
 
 
 @jax.tree_util.register_dataclass
@@ -32,7 +34,9 @@ class Price(Priced[object]):
     more, or else one rung down if that is, as it estimates no other rung.
     """
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: object
+    ) -> Rungs:
         """See `ms_highway.choice.rule.Chooser.choose`; rungs without an estimate or a cost are not taken."""
         each = jnp.asarray(costs.each)
         in_use = jnp.asarray(memory.rungs)[:, None]
@@ -58,7 +62,9 @@ class PriceFromFirst(Priced[object]):
     The rung in use does not matter: where humans come and go, as on stock roads, it may be another one's.
     """
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: object
+    ) -> Rungs:
         """See `ms_highway.choice.rule.Chooser.choose`; without such a rung, it is the first one."""
         prices = self.price * jnp.asarray(costs.each)
         places = jnp.arange(gains.shape[1])
@@ -75,12 +81,16 @@ class PriceTogether(Priced[GameEvidence]):
     sum are chosen.
     """
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence
+    ) -> Rungs:
         """See `ms_highway.choice.rule.Chooser.choose`."""
         rank = nearness(evidence.game, evidence.outcome.after)
         nearest = jnp.argsort(rank)[:TOGETHER]
         gained = gains[nearest]
-        known = jnp.isfinite(gained - jnp.asarray(costs.each)).all(axis=1, keepdims=True)
+        known = jnp.isfinite(gained - jnp.asarray(costs.each)).all(
+            axis=1, keepdims=True
+        )
 
         # What each rung is worth more than the first one, for each and for all nearer humans.
         values = jnp.where(known, gained, 0.0) - self.price * jnp.asarray(costs.each)
@@ -101,7 +111,9 @@ class Nearest(Chooser[GameEvidence]):
 
     count: Humans
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence
+    ) -> Rungs:
         """Choose by the distances after the last step."""
         rank = nearness(evidence.game, evidence.outcome.after)
         top = gains.shape[1] - 1

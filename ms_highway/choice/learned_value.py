@@ -43,14 +43,19 @@ from ms_highway.runtime.arrays import Array, Scalar, Structure, read, read_only
 from ms_highway.runtime.files import read_arrays, reading, replacing
 from ms_highway.runtime.sources import digest
 
-Network: TypeAlias = tuple[tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]], ...]
+Network: TypeAlias = tuple[
+    tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]],
+    ...,
+]
 """Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
 
 DOUBT_MARGIN = 0.5  # in standard deviations among the networks
 MIN_NOISE = LITTLE_GAIN  # least standard deviation of a gain
 
 
-File = Annotated[str | None, Meta(description="say 'shipped' or name a file of learned values")]
+File = Annotated[
+    str | None, Meta(description="say 'shipped' or name a file of learned values")
+]
 
 
 @jax.tree_util.register_dataclass
@@ -71,7 +76,9 @@ class LearnedValue(Estimator[GameEvidence]):
 
     values: File = field(default=None, metadata={"static": True})
     margin: Scalar = field(default=DOUBT_MARGIN, metadata=FROM_START)
-    nearest: int | None = field(default=TOGETHER, metadata={"static": True} | FROM_START)
+    nearest: int | None = field(
+        default=TOGETHER, metadata={"static": True} | FROM_START
+    )
     network: Network = field(default=(), metadata=FROM_START)
     centre: Float[Array, "inputs"] = field(default=None, metadata=FROM_START)
     spread: Float[Array, "inputs"] = field(default=None, metadata=FROM_START)
@@ -85,8 +92,14 @@ class LearnedValue(Estimator[GameEvidence]):
 
         Among several humans, those of physical semantics know fewer models; longer ladders take those of the paper's.
         """
-        found = load_values(self.values or SHIPPED_VALUES, shipped_kind(start.semantics, start.humans))
-        if not self.values and start.humans > 1 and not {model.name for model in start.ladder} <= {*found.ladder}:
+        found = load_values(
+            self.values or SHIPPED_VALUES, shipped_kind(start.semantics, start.humans)
+        )
+        if (
+            not self.values
+            and start.humans > 1
+            and not {model.name for model in start.ladder} <= {*found.ladder}
+        ):
             return load_values(SHIPPED_VALUES, "several")
         return found
 
@@ -110,10 +123,15 @@ class LearnedValue(Estimator[GameEvidence]):
         after = evidence.outcome.after
         nearest = jnp.argsort(nearness(game, after))[: self.nearest]
         inputs = (describe(game, after, nearest) - self.centre) / self.spread
-        means, _ = jax.vmap(partial(outputs, self.network))(inputs)  # [nearest, networks, rungs above the first]
+        means, _ = jax.vmap(partial(outputs, self.network))(
+            inputs
+        )  # [nearest, networks, rungs above the first]
 
         # Their mean less the doubt, 0 for the first rung.
-        expected, doubts = (jnp.pad(part(means, axis=1), ((0, 0), (1, 0))) for part in (jnp.mean, jnp.std))
+        expected, doubts = (
+            jnp.pad(part(means, axis=1), ((0, 0), (1, 0)))
+            for part in (jnp.mean, jnp.std)
+        )
         known = jnp.isfinite(expected).all(axis=1, keepdims=True)
         cautious = expected - self.margin * doubts
         gains = gains.at[nearest].set(jnp.where(known, cautious, NOT_ESTIMATED))
@@ -127,8 +145,12 @@ def outputs(
     *hidden, (weights, biases) = network
     inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
     for layer_weights, layer_biases in hidden:
-        inputs = jnp.tanh(jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases)
-    means, spreads = jnp.split(jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1)
+        inputs = jnp.tanh(
+            jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases
+        )
+    means, spreads = jnp.split(
+        jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1
+    )
     return means, spreads
 
 
@@ -152,9 +174,14 @@ SHIPPED_FILES = {
 
 VERSION = 3  # of the form of files
 REMEDY = "learn values with `ms-highway values learn`"
-ALTERNATIVES = f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
+ALTERNATIVES = (
+    f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
+)
 MAX_BYTES = 2**24  # of an unpacked file; the package's files have a hundredth
-MIN_SPREAD, MAX_NUMBER = 1e-9, 1e9  # bounds of `spread` that rule out overflow; the second also bounds `centre`
+MIN_SPREAD, MAX_NUMBER = (
+    1e-9,
+    1e9,
+)  # bounds of `spread` that rule out overflow; the second also bounds `centre`
 MAX_WEIGHT = 1e3  # of networks; those of the package are below 1
 
 
@@ -186,23 +213,35 @@ class Values:
             ValueError: naming the problem.
         """
         if len(self.ladder) < 2 or len({*self.ladder}) < len(self.ladder):
-            raise ValueError(f"the ladder has the models {list(self.ladder)}; it must have at least two, each once")
+            raise ValueError(
+                f"the ladder has the models {list(self.ladder)}; it must have at least two, each once"
+            )
         if self.inputs != description_names():
             raise ValueError("the networks have the inputs of another version")
         layers = [part for layer in self.network for part in layer]
         shapes = [np.shape(part) for part in layers]
         networks, sizes = shapes[0][:1] if shapes else (), [len(self.inputs)]
         sizes += [size for shape in shapes[1::2] for size in shape[-1:]]
-        wanted = [networks + shape for one, other in pairwise(sizes) for shape in ((one, other), (other,))]
+        wanted = [
+            networks + shape
+            for one, other in pairwise(sizes)
+            for shape in ((one, other), (other,))
+        ]
         if shapes != wanted or 0 in networks or sizes[-1] != 2 * (len(self.ladder) - 1):
-            raise ValueError(f"the networks have layers of shapes {shapes}, not those for {len(self.ladder)} models")
+            raise ValueError(
+                f"the networks have layers of shapes {shapes}, not those for {len(self.ladder)} models"
+            )
         standard = np.shape(self.centre), np.shape(self.spread)
         if set(standard) != {(sizes[0],)} or not all(
             (np.abs(part) <= MAX_NUMBER).all() for part in (self.centre, self.spread)
         ):
-            raise ValueError(f"centre or spread has a number beyond {MAX_NUMBER:g}, or not one for each input")
+            raise ValueError(
+                f"centre or spread has a number beyond {MAX_NUMBER:g}, or not one for each input"
+            )
         if not all((np.abs(part) <= MAX_WEIGHT).all() for part in layers):
-            raise ValueError(f"the weights of the networks are beyond {MAX_WEIGHT:g}, or not finite")
+            raise ValueError(
+                f"the weights of the networks are beyond {MAX_WEIGHT:g}, or not finite"
+            )
         if np.min(self.spread) < MIN_SPREAD:
             raise ValueError(f"spreads are below {MIN_SPREAD:g}")
 
@@ -213,11 +252,17 @@ class Values:
             ValueError: if values of a model were not learned, or the ladder begins with another model.
         """
         names = [model.name for model in models]
-        message = f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
+        message = (
+            f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
+        )
         if unknown := [name for name in names if name not in self.ladder]:
-            raise ValueError(f"{message}, without {unknown[0]!r}; {ALTERNATIVES} --set ladder={','.join(names)}")
+            raise ValueError(
+                f"{message}, without {unknown[0]!r}; {ALTERNATIVES} --set ladder={','.join(names)}"
+            )
         if names[0] != self.ladder[0]:
-            raise ValueError(f"{message}, over {self.ladder[0]!r}; begin the ladder with it, {ALTERNATIVES}")
+            raise ValueError(
+                f"{message}, over {self.ladder[0]!r}; begin the ladder with it, {ALTERNATIVES}"
+            )
         gains = len(self.ladder) - 1
         places = [self.ladder.index(name) - 1 for name in names[1:]]
         places += [gains + place for place in places]
@@ -225,7 +270,9 @@ class Values:
         network = (*hidden, (weights[..., places], biases[..., places]))
         return LearnedValue(network=network, centre=self.centre, spread=self.spread)
 
-    def rule(self, models: tuple[HumanModel, ...], costs: Costs, price: Scalar) -> Rule[GameEvidence]:
+    def rule(
+        self, models: tuple[HumanModel, ...], costs: Costs, price: Scalar
+    ) -> Rule[GameEvidence]:
         """Return the rule that chooses by these values at a price, see `estimator`."""
         return Rule(models, costs, PriceTogether(price), self.estimator(models))
 
@@ -250,11 +297,17 @@ class _About(Structure):
 
 def save_values(values: Values, path: Path) -> None:
     """Write learned values as a NumPy archive, atomically."""
-    about = {"version": VERSION, **{name: getattr(values, name) for name in _About.__struct_fields__}}
+    about = {
+        "version": VERSION,
+        **{name: getattr(values, name) for name in _About.__struct_fields__},
+    }
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about, default=dict))}
     arrays |= {"centre": values.centre, "spread": values.spread}
     for number, (weights, biases) in enumerate(values.network):
-        arrays |= {f"weights_{number}": np.asarray(weights), f"biases_{number}": np.asarray(biases)}
+        arrays |= {
+            f"weights_{number}": np.asarray(weights),
+            f"biases_{number}": np.asarray(biases),
+        }
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -289,11 +342,29 @@ def _read(path: Path, content: str) -> Values:
     version = about.pop("version", None) if isinstance(about, dict) else None
     if version != VERSION:
         raise ValueError(f"it is of version {version}, not {VERSION}")
-    if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
-        raise ValueError(f"{wrong[0]} holds {arrays[wrong[0]].dtype}; it must hold numbers")
+    if wrong := [
+        name for name, array in arrays.items() if array.dtype.kind not in "fiu"
+    ]:
+        raise ValueError(
+            f"{wrong[0]} holds {arrays[wrong[0]].dtype}; it must hold numbers"
+        )
     with np.errstate(over="ignore"):
-        numbers = read_only({name: array.astype(np.float32) for name, array in arrays.items()})  # as all share them
-    centre, spread, layers = numbers.pop("centre"), numbers.pop("spread"), range(len(numbers) // 2)
-    network = tuple((numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers)
+        numbers = read_only(
+            {name: array.astype(np.float32) for name, array in arrays.items()}
+        )  # as all share them
+    centre, spread, layers = (
+        numbers.pop("centre"),
+        numbers.pop("spread"),
+        range(len(numbers) // 2),
+    )
+    network = tuple(
+        (numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers
+    )
     read(about.get("provenance"), _Provenance)
-    return Values(network, centre, spread, **msgspec.structs.asdict(read(about, _About)), place=str(path))
+    return Values(
+        network,
+        centre,
+        spread,
+        **msgspec.structs.asdict(read(about, _About)),
+        place=str(path),
+    )

@@ -40,7 +40,15 @@ from ms_highway.numerics.second_derivatives import response
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel, scaled_prediction
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, State, Vector
+from ms_highway.runtime.arrays import (
+    Controls,
+    Flag,
+    Index,
+    Matrix,
+    Scalar,
+    State,
+    Vector,
+)
 from ms_highway.runtime.limits import Positive
 
 HALVINGS = 60  # of the shift's bracket at most, beyond what float32 resolves
@@ -75,13 +83,19 @@ def trust_region_step(
 
     def unfinished(bracket: Bracket) -> Flag:
         low, high, halvings = bracket
-        return (halvings < HALVINGS) & (jnp.abs(excess((low + high) / 2)) > tolerance * radius)
+        return (halvings < HALVINGS) & (
+            jnp.abs(excess((low + high) / 2)) > tolerance * radius
+        )
 
     def halve(bracket: Bracket) -> Bracket:
         low, high, halvings = bracket
         middle = (low + high) / 2
         outside = excess(middle) > 0
-        return jnp.where(outside, middle, low), jnp.where(outside, high, middle), halvings + 1
+        return (
+            jnp.where(outside, middle, low),
+            jnp.where(outside, high, middle),
+            halvings + 1,
+        )
 
     interior = (values[-1] < 0) & (excess(least) <= 0)
     first = least, jnp.sqrt(jnp.sum(along**2)) / radius, jnp.int32(0)
@@ -89,7 +103,9 @@ def trust_region_step(
     inside = at(jnp.where(interior, least, (low + high) / 2))
     hard = (values[-1] > 0) & (halvings == HALVINGS)
     left = radius**2 - jnp.sum(inside**2)
-    rest = jnp.where(hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0)
+    rest = jnp.where(
+        hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0
+    )
     return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
 
 
@@ -99,7 +115,12 @@ TRUST_TOLERANCE = 1e-3
 RELEASED_TRUST_TOLERANCE = 0.05
 """The same tolerance in the solver of the released code."""
 
-Cooldown = Annotated[int, Meta(ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}")]
+Cooldown = Annotated[
+    int,
+    Meta(
+        ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}"
+    ),
+]
 
 
 class RewardExpansion(NamedTuple):
@@ -149,7 +170,9 @@ class Quadratic(Estimator[GameEvidence]):
 
     def __post_init__(self) -> None:
         if self.steps is not None and self.steps < 1:
-            raise ValueError(f"Quadratic.steps is {self.steps}; give at least 1, or None for all")
+            raise ValueError(
+                f"Quadratic.steps is {self.steps}; give at least 1, or None for all"
+            )
 
     def at_start(self, start: Start) -> "Quadratic":
         """Return the estimator with the tolerance of the episode's semantics."""
@@ -179,12 +202,20 @@ class Quadratic(Estimator[GameEvidence]):
         # From gains over the rung in use to gains over the first one.
         own = jnp.where(rungs == 0, 0.0, jnp.asarray(memory.gain))
         own = jnp.where((rungs == 1) & jnp.isfinite(down), -down, own)
-        gains = jnp.where(in_use & (climbs | checks)[:, None], own[:, None], NOT_ESTIMATED)
+        gains = jnp.where(
+            in_use & (climbs | checks)[:, None], own[:, None], NOT_ESTIMATED
+        )
         gains = jnp.where(climbs[:, None] & (places == top), (own + up)[:, None], gains)
-        gains = jnp.where(checks[:, None] & (places == rungs[:, None] - 1), (own + down)[:, None], gains)
+        gains = jnp.where(
+            checks[:, None] & (places == rungs[:, None] - 1),
+            (own + down)[:, None],
+            gains,
+        )
         return Estimate(gains, jnp.bool(False))
 
-    def _gains(self, evidence: GameEvidence, rung: Index, climbs: Flag, checks: Flag) -> tuple[Scalar, Scalar]:
+    def _gains(
+        self, evidence: GameEvidence, rung: Index, climbs: Flag, checks: Flag
+    ) -> tuple[Scalar, Scalar]:
         """Estimate the gains of the top rung and of the rung below for one human; `NOT_ESTIMATED` if not due."""
         game = evidence.game
         ladder = evidence.ladder
@@ -197,25 +228,44 @@ class Quadratic(Estimator[GameEvidence]):
         def estimate() -> tuple[Scalar, Scalar]:
             # What happened in the first step, and what the plan expects of the others.
             robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
-            human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
-            later = step_rewards(game, observed, state, robot, human[None])[1:] if self.steps != 1 else jnp.zeros(0)
+            human = (
+                jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
+            )
+            later = (
+                step_rewards(game, observed, state, robot, human[None])[1:]
+                if self.steps != 1
+                else jnp.zeros(0)
+            )
             earned = outcome.reward + jnp.sum(later)
             expansion = expand(game, state, robot.ravel(), human.ravel())
 
             def gain(expected: Controls, responds: bool) -> Scalar:
-                influence = expansion.influence if responds else jnp.zeros_like(expansion.influence)
-                change = change_of_control(expansion, (expected - human).ravel(), influence, self)
+                influence = (
+                    expansion.influence
+                    if responds
+                    else jnp.zeros_like(expansion.influence)
+                )
+                change = change_of_control(
+                    expansion, (expected - human).ravel(), influence, self
+                )
                 response = (expansion.influence @ change).reshape(human.shape)
                 moved = robot + change.reshape(robot.shape)
-                rewards = step_rewards(game, observed, state, moved, (human + response)[None])
+                rewards = step_rewards(
+                    game, observed, state, moved, (human + response)[None]
+                )
                 return (jnp.sum(rewards) - earned) / len(robot)
 
             def gain_down() -> Scalar:
                 below = jnp.maximum(rung - 1, 0)
-                models = [partial(scaled_prediction, model, game, state) for model in ladder[:-1] or ladder]
+                models = [
+                    partial(scaled_prediction, model, game, state)
+                    for model in ladder[:-1] or ladder
+                ]
                 return gain(jax.lax.switch(below, models)[: len(robot)], False)
 
-            up = jax.lax.cond(climbs, lambda: gain(human, ladder[-1].responds), lambda: none)
+            up = jax.lax.cond(
+                climbs, lambda: gain(human, ladder[-1].responds), lambda: none
+            )
             return up, jax.lax.cond(checks, gain_down, lambda: none)
 
         return jax.lax.cond(climbs | checks, estimate, lambda: (none, none))
@@ -240,19 +290,31 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
     payoff = game.observed_payoff
     n = len(robot)
 
-    def earned(controls: Float[jax.Array, "both"], driver: Reward, state: State) -> Scalar:
+    def earned(
+        controls: Float[jax.Array, "both"], driver: Reward, state: State
+    ) -> Scalar:
         own, partner = controls.reshape(2, -1, 2)
         others = with_scripted(game, state, move(game, state[1], partner)[None])
         return replace(payoff, reward=driver).total(move(game, state[0], own), others)
 
-    controls = jnp.stack([jnp.concatenate([robot, human]), jnp.concatenate([human, robot])])
+    controls = jnp.stack(
+        [jnp.concatenate([robot, human]), jnp.concatenate([human, robot])]
+    )
     players = controls, game.players(), jnp.stack([state, swap_players(game, state)[1]])
-    gradients, (hessian, mirrored) = (jax.vmap(derive(earned))(*players) for derive in (jax.grad, jax.hessian))
-    human_bend = mirrored[:n, :n] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), n // 2))
-    return RewardExpansion(gradients[0], hessian, response(game.influence, human_bend, mirrored[:n, n:]))
+    gradients, (hessian, mirrored) = (
+        jax.vmap(derive(earned))(*players) for derive in (jax.grad, jax.hessian)
+    )
+    human_bend = mirrored[:n, :n] - jnp.diag(
+        jnp.tile(jnp.asarray(game.humans.comfort), n // 2)
+    )
+    return RewardExpansion(
+        gradients[0], hessian, response(game.influence, human_bend, mirrored[:n, n:])
+    )
 
 
-def change_of_control(expansion: RewardExpansion, surprise: Vector, influence: Matrix, how: Quadratic) -> Vector:
+def change_of_control(
+    expansion: RewardExpansion, surprise: Vector, influence: Matrix, how: Quadratic
+) -> Vector:
     """Return ``delta u``, which leads from the present controls to the best ones under another model.
 
     Let g and H be the gradient and the Hessian of r_R in both players' controls, and d the human controls that the

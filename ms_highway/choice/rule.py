@@ -235,7 +235,9 @@ class Chooser(Part, Generic[Evidence]):
 
     computes: ClassVar[bool] = True
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: Evidence) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: Evidence
+    ) -> Rungs:
         """Return the rung of every human in the coming step.
 
         Args:
@@ -300,7 +302,11 @@ class Rule(Generic[Evidence]):
     @property
     def parts(self) -> tuple[Part, ...]:
         """The parts that it has."""
-        return (self.chooser,) if self.estimator is None else (self.chooser, self.estimator)
+        return (
+            (self.chooser,)
+            if self.estimator is None
+            else (self.chooser, self.estimator)
+        )
 
     def check(self) -> None:
         """Check the ladder, the costs and the price.
@@ -314,8 +320,12 @@ class Rule(Generic[Evidence]):
             compilable(self)
 
         # The ladder.
-        if strange := [model for model in self.ladder if not isinstance(model, HumanModel)]:
-            raise ValueError(f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`")
+        if strange := [
+            model for model in self.ladder if not isinstance(model, HumanModel)
+        ]:
+            raise ValueError(
+                f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`"
+            )
         names = tuple(model.name for model in self.ladder)
 
         # One cost for each of its rungs.
@@ -325,14 +335,22 @@ class Rule(Generic[Evidence]):
         each = np.asarray(self.costs.each)
         known = self.costs.names
         if known != names or each.shape != (len(names),):
-            message = f"the costs are {each.tolist()} for {', '.join(known) or 'no model'}"
+            message = (
+                f"the costs are {each.tolist()} for {', '.join(known) or 'no model'}"
+            )
             remedy = "in this order, as costs.select(names) does"
-            raise ValueError(f"{message}; give one for each of {', '.join(names)}, {remedy}")
+            raise ValueError(
+                f"{message}; give one for each of {', '.join(names)}, {remedy}"
+            )
 
         # Neither negative costs nor a negative price.
-        price = np.asarray(self.chooser.price if isinstance(self.chooser, Priced) else 0.0)
+        price = np.asarray(
+            self.chooser.price if isinstance(self.chooser, Priced) else 0.0
+        )
         if not (price >= 0).all() or (each < 0).any():
-            raise ValueError(f"the price is {price} and the costs are {each.tolist()}; neither may be negative")
+            raise ValueError(
+                f"the price is {price} and the costs are {each.tolist()}; neither may be negative"
+            )
 
 
 def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
@@ -357,7 +375,9 @@ class Order(Chooser[object]):
     rungs: Int[Array, "steps humans"]
     computes: ClassVar[bool] = False
 
-    def choose(self, memory: Memory, gains: Gains, costs: Costs, evidence: object) -> Rungs:
+    def choose(
+        self, memory: Memory, gains: Gains, costs: Costs, evidence: object
+    ) -> Rungs:
         """Return the rungs of this step."""
         xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
         table = xp.asarray(self.rungs)
@@ -365,7 +385,9 @@ class Order(Chooser[object]):
         return xp.broadcast_to(row, memory.rungs.shape)
 
 
-def in_order(rungs: Int[Array, "steps humans"], ladder: tuple[HumanModel, ...]) -> Rule[Any]:
+def in_order(
+    rungs: Int[Array, "steps humans"], ladder: tuple[HumanModel, ...]
+) -> Rule[Any]:
     """Return the rule that takes the rungs of a ladder from a table, see `Order`; its costs are unknown."""
     costs = UNKNOWN.select(model.name for model in ladder)
     return Rule(ladder, costs, Order(rungs))
@@ -392,14 +414,18 @@ def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], int]:
         return in_order(rule.chooser.rungs, (*rule.ladder, Naive())), len(names)
     if first.responds:
         message = f"the ladder begins with {first.name}, which counts on a response"
-        raise ValueError(f"{message}; with a belief, begin it with a model that does not, such as naive")
+        raise ValueError(
+            f"{message}; with a belief, begin it with a model that does not, such as naive"
+        )
     return rule, 0
 
 
 # Decisions
 
 
-def decide(rule: Rule[GameEvidence], game: Game, memory: Memory, outcome: Outcome) -> Decision:
+def decide(
+    rule: Rule[GameEvidence], game: Game, memory: Memory, outcome: Outcome
+) -> Decision:
     """Choose the rungs of the coming step in a game, see `decide_on`.
 
     Args:
@@ -437,7 +463,12 @@ def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decis
     return Decision(_remembered(memory, rungs, gains), gains, jnp.asarray(failed))
 
 
-def _estimated(rule: Rule[Evidence], estimator: Estimator[Evidence], memory: Memory, evidence: Evidence) -> Estimate:
+def _estimated(
+    rule: Rule[Evidence],
+    estimator: Estimator[Evidence],
+    memory: Memory,
+    evidence: Evidence,
+) -> Estimate:
     """Return what an estimator says; check it, if the estimator is not the package's."""
     if _is_own(estimator):
         return estimator.estimate(memory, evidence)
@@ -471,14 +502,18 @@ def _estimated(rule: Rule[Evidence], estimator: Estimator[Evidence], memory: Mem
     return Estimate(gains, failed)
 
 
-def _chosen(rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Evidence) -> Rungs:
+def _chosen(
+    rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Evidence
+) -> Rungs:
     """Return the rungs that a chooser returns; check them, if the chooser is not the package's."""
     if _is_own(rule.chooser):
         return rule.chooser.choose(memory, gains, rule.costs, evidence)
     name = rule.name
     number = len(memory.rungs)
     with naming_writes(f"the rule {name}"):
-        returned = rule.chooser.choose(*read_only((memory, gains, rule.costs, evidence)))
+        returned = rule.chooser.choose(
+            *read_only((memory, gains, rule.costs, evidence))
+        )
 
     # One whole number for each human.
     remedy = _rungs_remedy(rule, number)
@@ -487,7 +522,11 @@ def _chosen(rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Eviden
         raise ValueError(f"the rule {name} returned {shown(returned)}; {remedy}")
     traced = isinstance(rungs, jax.core.Tracer)
     if rungs.shape != (number,) or not jnp.isdtype(rungs.dtype, ("bool", "integral")):
-        found = f"{rungs.dtype} numbers of shape {rungs.shape}" if traced else f"the rungs {rungs.tolist()}"
+        found = (
+            f"{rungs.dtype} numbers of shape {rungs.shape}"
+            if traced
+            else f"the rungs {rungs.tolist()}"
+        )
         raise ValueError(f"the rule {name} returned {found}; {remedy}")
 
     # Of the ladder.
@@ -528,7 +567,9 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
     below = gains[humans, jnp.maximum(before - 1, 0)]
     checked = (before > 0) & (below != NOT_ESTIMATED) & (rungs <= before)
     in_use = places == before[:, None]
-    last_check = jnp.where(checked[:, None] & in_use, memory.step + 1, memory.last_check)
+    last_check = jnp.where(
+        checked[:, None] & in_use, memory.step + 1, memory.last_check
+    )
 
     # Gain of the new rung. Without an estimate, a rung that stays keeps the remembered one.
     gain = gains[humans, jnp.clip(rungs, 0, gains.shape[1] - 1)]
@@ -540,17 +581,26 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
 def first_memory(rule: Rule[Any], humans: int) -> Memory:
     """Return the memory before the first step. Every human is on the first rung, and every rung may be checked."""
     checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
-    return Memory(np.zeros(humans, np.int32), np.zeros((), np.int32), checks, np.zeros(humans, np.float32))
+    return Memory(
+        np.zeros(humans, np.int32),
+        np.zeros((), np.int32),
+        checks,
+        np.zeros(humans, np.float32),
+    )
 
 
 def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     """Return the decision for these rungs, without estimated gains."""
     xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
     gains = xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
-    if isinstance(rungs, np.ndarray) and rungs.dtype.kind in "iu":  # of 64 bits, which JAX cuts to 32
+    if (
+        isinstance(rungs, np.ndarray) and rungs.dtype.kind in "iu"
+    ):  # of 64 bits, which JAX cuts to 32
         rungs = np.clip(rungs, -1, np.iinfo(np.int32).max)
     rungs = xp.asarray(rungs)
-    if not xp.isdtype(rungs.dtype, "real floating"):  # which is refused, instead of cutting its numbers off
+    if not xp.isdtype(
+        rungs.dtype, "real floating"
+    ):  # which is refused, instead of cutting its numbers off
         rungs = xp.asarray(rungs, dtype=xp.int32)
     return Decision(memory._replace(rungs=rungs), gains, xp.asarray(False))
 
@@ -601,11 +651,15 @@ def refuse_rungs(rule: Rule[Any], rungs: Int[Any, "*steps humans"]) -> None:
     if wrong.any():
         first = rungs[wrong][0] if rungs.ndim > 1 else rungs
         remedy = _rungs_remedy(rule, rungs.shape[-1])
-        raise ValueError(f"the rule {rule.name} returned the rungs {first.tolist()}; {remedy}")
+        raise ValueError(
+            f"the rule {rule.name} returned the rungs {first.tolist()}; {remedy}"
+        )
 
 
 def _rungs_remedy(rule: Rule[Any], humans: int) -> str:
-    names = ", ".join(f"{place} for {model.name}" for place, model in enumerate(rule.ladder))
+    names = ", ".join(
+        f"{place} for {model.name}" for place, model in enumerate(rule.ladder)
+    )
     return f"return one whole number for each human, {humans} in all: {names}"
 
 
@@ -621,7 +675,11 @@ def shipped_kind(semantics: str, humans: int) -> str:
     return "physical several" if semantics == "physical" else "several"
 
 
-def highest_gains(gains: Float[np.ndarray, "*steps humans rungs"]) -> Float[np.ndarray, "*steps rungs"]:
+def highest_gains(
+    gains: Float[np.ndarray, "*steps humans rungs"],
+) -> Float[np.ndarray, "*steps rungs"]:
     """Return the highest gain of each rung over all humans, NaN where none was estimated."""
     known = np.isfinite(gains)
-    return np.where(known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan)
+    return np.where(
+        known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan
+    )

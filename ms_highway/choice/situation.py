@@ -21,15 +21,30 @@ PLACES = ("ahead", "behind", "ahead left", "behind left", "ahead right", "behind
 
 def description_names() -> tuple[str, ...]:
     """Return the names of the numbers of `describe`, in their order."""
-    terms = (*PAPER_FEATURES, "other", *(f"d/d {whose} {part}" for whose in ("own", "partner's") for part in STATE))
-    of_drivers = [f"{driver}: {term} after {time:g} s" for driver in DRIVERS for time in LOOKAHEADS for term in terms]
+    terms = (
+        *PAPER_FEATURES,
+        "other",
+        *(f"d/d {whose} {part}" for whose in ("own", "partner's") for part in STATE),
+    )
+    of_drivers = [
+        f"{driver}: {term} after {time:g} s"
+        for driver in DRIVERS
+        for time in LOOKAHEADS
+        for term in terms
+    ]
     relative = [f"{part} ahead of human" for part in ("x", "y", "speed")]
-    own = [f"{driver}: {part}" for driver in DRIVERS for part in ("heading", "speed", "y from target lane")]
+    own = [
+        f"{driver}: {part}"
+        for driver in DRIVERS
+        for part in ("heading", "speed", "y from target lane")
+    ]
     gaps = [f"{driver}: time gap {place}" for driver in DRIVERS for place in PLACES]
     return (*of_drivers, *relative, *own, *gaps, "share of humans nearer to the robot")
 
 
-def describe(game: Game, state: State, humans: Int[Array, "some"]) -> Float[jax.Array, "some numbers"]:
+def describe(
+    game: Game, state: State, humans: Int[Array, "some"]
+) -> Float[jax.Array, "some numbers"]:
     """Compute the numbers by which learned values choose, for some humans; `description_names` names them.
 
     For robot and human, after all cars have kept their velocity for each of `LOOKAHEADS`: the weighted features of
@@ -50,11 +65,15 @@ def describe(game: Game, state: State, humans: Int[Array, "some"]) -> Float[jax.
     def gaps(car: Index) -> Float[jax.Array, "6"]:
         others = state[jnp.asarray(others_of(len(state)))[car]]
         present, width = jnp.ones(len(others), bool), jnp.asarray(game.scene.lane_width)
-        return jnp.log1p(headways(state[car], neighbours(state[car], others, present, width), length))
+        return jnp.log1p(
+            headways(state[car], neighbours(state[car], others, present, width), length)
+        )
 
     def one(human: Index) -> Float[jax.Array, "numbers"]:
         numbers = _describe_pair(*pair(game, state, human))
-        return jnp.concatenate([numbers, gaps(0), gaps(1 + human), rank[human][None] / game.number])
+        return jnp.concatenate(
+            [numbers, gaps(0), gaps(1 + human), rank[human][None] / game.number]
+        )
 
     return jax.vmap(one)(humans)
 
@@ -66,25 +85,43 @@ def nearness(game: Game, state: State) -> Rungs:
 
 
 def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
-    unit, limit = jnp.asarray(game.scene.length_unit), jnp.asarray(game.robot.speed_limit)
+    unit, limit = (
+        jnp.asarray(game.scene.length_unit),
+        jnp.asarray(game.robot.speed_limit),
+    )
     _, y, turned, speed = jnp.moveaxis(state, -1, 0)
     heading = without_turns(turned)
     none = jnp.zeros_like(speed)
-    velocity = jnp.stack([speed * jnp.cos(heading), speed * jnp.sin(heading), none, none], axis=-1)
+    velocity = jnp.stack(
+        [speed * jnp.cos(heading), speed * jnp.sin(heading), none, none], axis=-1
+    )
     coasted = state + jnp.asarray(LOOKAHEADS)[:, None, None] * velocity
     mirrored = jnp.concatenate([coasted[:, 1::-1], coasted[:, 2:]], axis=1)
-    terms = jax.vmap(partial(_terms, game))(game.players(), jnp.stack([coasted, mirrored]))
-    relative = (state[0] - state[1]) / jnp.stack([unit, unit, jnp.ones_like(unit), limit])
+    terms = jax.vmap(partial(_terms, game))(
+        game.players(), jnp.stack([coasted, mirrored])
+    )
+    relative = (state[0] - state[1]) / jnp.stack(
+        [unit, unit, jnp.ones_like(unit), limit]
+    )
     aside = (y[:2] - game.scene.target_lane) / unit
     own = jnp.stack([heading[:2], speed[:2] / limit, aside], axis=1)
-    numbers = jnp.concatenate([terms.ravel(), relative[jnp.array([0, 1, 3])], own.ravel()])
+    numbers = jnp.concatenate(
+        [terms.ravel(), relative[jnp.array([0, 1, 3])], own.ravel()]
+    )
     return jnp.sign(numbers) * jnp.log1p(jnp.abs(numbers))
 
 
-def _terms(game: Game, driver: Reward, states: Float[jax.Array, "times cars 4"]) -> Float[jax.Array, "times terms"]:
+def _terms(
+    game: Game, driver: Reward, states: Float[jax.Array, "times cars 4"]
+) -> Float[jax.Array, "times terms"]:
     """Return the weighted features of one driver, car 0, and its reward's derivatives in both cars' states."""
-    weighted, pull = jax.vjp(lambda states: features(game.scene, driver, states) * driver.weights, states)
-    papers, other = weighted[:, : len(PAPER_FEATURES)], weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True)
+    weighted, pull = jax.vjp(
+        lambda states: features(game.scene, driver, states) * driver.weights, states
+    )
+    papers, other = (
+        weighted[:, : len(PAPER_FEATURES)],
+        weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True),
+    )
     slopes = pull(jnp.ones_like(weighted))[0][:, :2]
     unit = jnp.asarray(game.scene.length_unit)
     slopes = slopes * jnp.stack([unit, unit, jnp.ones_like(unit), unit])

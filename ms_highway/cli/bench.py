@@ -15,8 +15,23 @@ from ms_highway.benchmarks.road import (
     TRAFFIC,
     known_scenes,
 )
-from ms_highway.cli.console import command, number, option, output, print_tables, tell, telling_often
-from ms_highway.cli.options import DEVICES, MAX_SEEDS, SCENARIOS, SET, comparison, controllers
+from ms_highway.cli.console import (
+    command,
+    number,
+    option,
+    output,
+    print_tables,
+    tell,
+    telling_often,
+)
+from ms_highway.cli.options import (
+    DEVICES,
+    MAX_SEEDS,
+    SCENARIOS,
+    SET,
+    comparison,
+    controllers,
+)
 
 STOCK = f"stock environments; all versions of a name without version (default: {' '.join(SCENES)})"
 OTHERS = (
@@ -31,7 +46,13 @@ JSON = output("--json", "write all figures to a JSON file")
     "measure planning time and the closed loop",
     SCENARIOS,
     controllers("(default: all models of the ladder, and switching)"),
-    number("--batches", [], "also measure batches of simulated episodes", nargs="+", metavar="SIZE"),
+    number(
+        "--batches",
+        [],
+        "also measure batches of simulated episodes",
+        nargs="+",
+        metavar="SIZE",
+    ),
     DEVICES,
     SET,
     JSON,
@@ -51,21 +72,39 @@ def bench(options: argparse.Namespace) -> None:
     """
     from ms_highway.benchmarks.speed import batch_speed, live_speed
     from ms_highway.runtime.files import write_json
-    from ms_highway.runtime.jax_settings import high_throughput, low_latency_on_core, own_process
+    from ms_highway.runtime.jax_settings import (
+        high_throughput,
+        low_latency_on_core,
+        own_process,
+    )
     from ms_highway.visualization.tables import speed_table
 
     asked, devices = comparison(options), options.devices
-    measures: list[tuple[Callable, Callable]] = [(partial(low_latency_on_core, 0), live_speed)]
+    measures: list[tuple[Callable, Callable]] = [
+        (partial(low_latency_on_core, 0), live_speed)
+    ]
     if options.batches:
-        measures.append((high_throughput, partial(batch_speed, sizes=sorted(options.batches), devices=devices)))
-    results: dict = {scenario: {name: {} for name in names} for scenario, names in asked.controllers.items()}
+        measures.append(
+            (
+                high_throughput,
+                partial(batch_speed, sizes=sorted(options.batches), devices=devices),
+            )
+        )
+    results: dict = {
+        scenario: {name: {} for name in names}
+        for scenario, names in asked.controllers.items()
+    }
     for (scenario, found), (configure, measure) in product(results.items(), measures):
-        with own_process(configure, options.modules) as process:  # warm after its first controller
+        with own_process(
+            configure, options.modules
+        ) as process:  # warm after its first controller
             for name in found:
                 figures = process.submit(measure, asked, scenario, name).result()
                 tell(f"measured {scenario}, {name}: {', '.join(figures)}")
                 found[name] |= figures
-    print_tables(*(speed_table(scenario, measured) for scenario, measured in results.items()))
+    print_tables(
+        *(speed_table(scenario, measured) for scenario, measured in results.items())
+    )
     if options.json:
         write_json(options.json, results)
 
@@ -75,13 +114,33 @@ def bench(options: argparse.Namespace) -> None:
     "measure drivers in highway-env's own scenes",
     option("scenes", STOCK, nargs="*", metavar="SCENE"),
     option("--drivers", "drivers to compare", DRIVERS, nargs="+", metavar="DRIVER"),
-    number("--seeds", None, "episodes of each driver (default: 20; in recordings, all)"),
+    number(
+        "--seeds", None, "episodes of each driver (default: 20; in recordings, all)"
+    ),
     number("--seed", 0, "seed of the first episode", 0, MAX_SEEDS),
-    option("--traffic", OTHERS, choices=list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC])), metavar="KIND"),
-    option("--data", "CommonRoad scenarios, for the scene recorded", type=Path, metavar="DIR"),
-    option("--egos", "starts of the ego in recordings (default: problem)", choices=EGOS),
-    output("--export", "write drives of planning problems as CommonRoad files", directory=True),
-    output("--films", "film the first success and failure of each driver", directory=True),
+    option(
+        "--traffic",
+        OTHERS,
+        choices=list(dict.fromkeys([*TRAFFIC, *RECORDED_TRAFFIC])),
+        metavar="KIND",
+    ),
+    option(
+        "--data",
+        "CommonRoad scenarios, for the scene recorded",
+        type=Path,
+        metavar="DIR",
+    ),
+    option(
+        "--egos", "starts of the ego in recordings (default: problem)", choices=EGOS
+    ),
+    output(
+        "--export",
+        "write drives of planning problems as CommonRoad files",
+        directory=True,
+    ),
+    output(
+        "--films", "film the first success and failure of each driver", directory=True
+    ),
     JSON,
     output("--log", "write a row per episode to a CSV file"),
 )
@@ -131,7 +190,14 @@ def bench_road(options: argparse.Namespace) -> None:
     """
     import pandas as pd
 
-    from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver, row, run_blocks, summary
+    from ms_highway.benchmarks.road.episodes import (
+        Block,
+        check_driver,
+        make_driver,
+        row,
+        run_blocks,
+        summary,
+    )
     from ms_highway.benchmarks.road.peers import starts_of
     from ms_highway.envs.agents import is_agent
     from ms_highway.experiments.directory import write_table
@@ -139,32 +205,53 @@ def bench_road(options: argparse.Namespace) -> None:
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import driver_table
 
-    scenes, drivers = known_scenes(options.scenes or SCENES), list(dict.fromkeys(options.drivers))
+    scenes, drivers = (
+        known_scenes(options.scenes or SCENES),
+        list(dict.fromkeys(options.drivers)),
+    )
     for driver in drivers:
         check_driver(driver)
     recorded = RECORDED in scenes
     if recorded and scenes != [RECORDED]:
-        raise ValueError(f"the scene {RECORDED} has its own traffic and starts; name no other scene beside it")
+        raise ValueError(
+            f"the scene {RECORDED} has its own traffic and starts; name no other scene beside it"
+        )
     if not recorded and (options.data or options.egos or options.export):
-        raise ValueError(f"--data, --egos and --export need the scene {RECORDED}: ms-highway bench road {RECORDED}")
+        raise ValueError(
+            f"--data, --egos and --export need the scene {RECORDED}: ms-highway bench road {RECORDED}"
+        )
     if options.export and (options.egos == "changing" or not options.data):
-        raise ValueError("--export writes solutions of planning problems: give --data, and leave --egos out")
+        raise ValueError(
+            "--export writes solutions of planning problems: give --data, and leave --egos out"
+        )
     kinds = list(RECORDED_TRAFFIC if recorded else TRAFFIC)
     traffic = options.traffic or kinds[0]
     if traffic not in kinds:
-        raise ValueError(f"--traffic {traffic} is not for {scenes[0]}; choose one of {', '.join(kinds)}")
+        raise ValueError(
+            f"--traffic {traffic} is not for {scenes[0]}; choose one of {', '.join(kinds)}"
+        )
     starts = tuple(starts_of(options.data, options.egos or EGOS[0])) if recorded else ()
     seeds = range(options.seed, options.seed + (options.seeds or 20))
     if recorded:
         seeds = range(len(starts))[options.seed :][: options.seeds]
         if not seeds:
-            raise ValueError(f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number")
+            raise ValueError(
+                f"--seed is {options.seed}, but there are {len(starts)} starts; give a smaller number"
+            )
     asked = [starts[seed] for seed in seeds] if recorded else []
-    own = [start for start in asked if start.replaced is not None and start.replaced != start.ego]
+    own = [
+        start
+        for start in asked
+        if start.replaced is not None and start.replaced != start.ego
+    ]
     if own:
         taken = ", ".join(f"{start.replaced} in {start.name}" for start in own)
         tell(f"the ego takes the place of the recorded vehicle {taken}")
-    blocks = [Block(scene, driver, traffic, starts, options.export) for scene in scenes for driver in drivers]
+    blocks = [
+        Block(scene, driver, traffic, starts, options.export)
+        for scene in scenes
+        for driver in drivers
+    ]
     for block in blocks:
         if is_agent(block.driver):
             make_driver(block).close()  # refuses scenes that the agent does not fit
@@ -176,7 +263,9 @@ def bench_road(options: argparse.Namespace) -> None:
         return f"episodes: {len(rows)} of {len(blocks) * len(seeds)}"
 
     with telling_often(progress):
-        for block, episodes in run_blocks(blocks, seeds, options.films, options.modules):
+        for block, episodes in run_blocks(
+            blocks, seeds, options.films, options.modules
+        ):
             tell(f"drove {block.scene}, {block.driver}")
             results[block.scene][block.driver] = summary(block, episodes)
             rows.extend(row(block, episode) for episode in episodes)

@@ -51,12 +51,23 @@ class Option(NamedTuple):
 def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
     """Return an option; append its default, if any, to its help text."""
     if default is not None and default != []:
-        shown = default if isinstance(default, (str, float, int)) else " ".join(map(str, default))
+        shown = (
+            default
+            if isinstance(default, (str, float, int))
+            else " ".join(map(str, default))
+        )
         text += f" (default: {shown})"
     return Option(name, {"help": text, "default": default, **more})
 
 
-def number(name: str, default: Any, text: str, least: float = 1, most: float = MOST, **more: Any) -> Option:
+def number(
+    name: str,
+    default: Any,
+    text: str,
+    least: float = 1,
+    most: float = MOST,
+    **more: Any,
+) -> Option:
     """Return an option that is a number in a range, a whole number unless ``least`` is a float."""
     kind = type(least)
 
@@ -65,19 +76,25 @@ def number(name: str, default: Any, text: str, least: float = 1, most: float = M
             if least <= kind(word) <= most:
                 return kind(word)
         whole = "whole " if kind is int else ""
-        raise argparse.ArgumentTypeError(f"{word!r} is no {whole}number from {least:,} to {most:,}")
+        raise argparse.ArgumentTypeError(
+            f"{word!r} is no {whole}number from {least:,} to {most:,}"
+        )
 
     return option(name, text, default, type=read, **more)
 
 
-def output(name: str, text: str, *ends: str, directory: bool = False, **more: Any) -> Option:
+def output(
+    name: str, text: str, *ends: str, directory: bool = False, **more: Any
+) -> Option:
     """Return an option that is the path of a writable file whose name has one of these ends, or of a directory."""
 
     def path(word: str) -> Path:
         word.encode()  # fails for a name that UTF-8 results cannot contain
         check_writable(Path(word), directory)
         if not word.endswith(ends or ""):
-            raise argparse.ArgumentTypeError(f"{word!r} is no name that ends in {', '.join(ends)}")
+            raise argparse.ArgumentTypeError(
+                f"{word!r} is no name that ends in {', '.join(ends)}"
+            )
         return Path(word)
 
     return option(name, text, type=path, metavar="DIR" if directory else "FILE", **more)
@@ -106,13 +123,17 @@ class Command(NamedTuple):
         text, _, examples = (getdoc(self.run) or "").partition("\n\nExamples:\n")
         notes = [wrapped_text(each.notes) for each in self.options if each.notes]
         epilog = "\n\n".join([*notes, f"examples:\n{examples}"])
-        parser = commands.add_parser(self.name, help=self.summary, description=wrapped_text(text), epilog=epilog)
+        parser = commands.add_parser(
+            self.name, help=self.summary, description=wrapped_text(text), epilog=epilog
+        )
         for each in self.options:
             parser.add_argument(each.name, **each.arguments)
         parser.set_defaults(command=self)
 
 
-def command(name: str, summary: str, *options: Option, simulates: bool = False) -> partial[Command]:
+def command(
+    name: str, summary: str, *options: Option, simulates: bool = False
+) -> partial[Command]:
     """Make a `Command` of the function that runs it."""
     return partial(Command, name, summary, options, simulates)
 
@@ -121,7 +142,9 @@ class Parser(argparse.ArgumentParser):
     """A parser that accepts no abbreviations and refuses arguments in one line."""
 
     def __init__(self, **more: Any) -> None:
-        super().__init__(formatter_class=layout, allow_abbrev=False, **more)  # --seed must not mean --seeds
+        super().__init__(
+            formatter_class=layout, allow_abbrev=False, **more
+        )  # --seed must not mean --seeds
 
     def error(self, message: str) -> NoReturn:
         """Refuse arguments.
@@ -129,7 +152,9 @@ class Parser(argparse.ArgumentParser):
         Raises:
             ValueError: always.
         """
-        raise ValueError(f"{message}; see the --help of the command, and that of ms-highway")
+        raise ValueError(
+            f"{message}; see the --help of the command, and that of ms-highway"
+        )
 
 
 def help_width() -> int:
@@ -148,7 +173,10 @@ def wrapped_text(text: str) -> str:
     for row in re.split(r"\n(?=\n|  \S)", text.rstrip()):
         wrap = textwrap.TextWrapper(help_width(), break_on_hyphens=False)
         wrap.subsequent_indent = " " * COLUMN * row.startswith("  ")
-        rows.append("\n" * row.startswith("\n") + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n"))))
+        rows.append(
+            "\n" * row.startswith("\n")
+            + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n")))
+        )
     return "\n".join(rows)
 
 
@@ -157,7 +185,9 @@ def replace_unprintable() -> None:
 
     Python does so for standard error by itself.
     """
-    if isinstance(sys.stdout, io.TextIOWrapper):  # not None, as after ``>&-``, nor that of a notebook
+    if isinstance(
+        sys.stdout, io.TextIOWrapper
+    ):  # not None, as after ``>&-``, nor that of a notebook
         sys.stdout.reconfigure(errors="replace")
 
 
@@ -179,9 +209,13 @@ def printing() -> Iterator[None]:
         yield
         print(end="", flush=True)
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or Python would try again when it exits
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # or Python would try again when it exits
         if not isinstance(error, BrokenPipeError):
-            raise OSError(f"standard output cannot be written: {error.strerror}") from error
+            raise OSError(
+                f"standard output cannot be written: {error.strerror}"
+            ) from error
 
 
 def say(text: str) -> None:
@@ -248,7 +282,9 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
         """Say how many episodes are done and, from the first new one on, how long the others will take."""
         new = done - already
         left = (total - done) * (perf_counter() - start) / max(new, 1)
-        return f"episodes: {done:,} of {total:,}" + (f", {left:.0f} s left" if new else "")
+        return f"episodes: {done:,} of {total:,}" + (
+            f", {left:.0f} s left" if new else ""
+        )
 
     if is_terminal(sys.stderr):
         for count in counts:
@@ -263,7 +299,9 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     return done
 
 
-def record(results: "ResultsDirectory", options: argparse.Namespace, computes: bool = True) -> None:
+def record(
+    results: "ResultsDirectory", options: argparse.Namespace, computes: bool = True
+) -> None:
     """Record the command and versions that make the results; warn if earlier results were made with others.
 
     Args:
@@ -273,14 +311,22 @@ def record(results: "ResultsDirectory", options: argparse.Namespace, computes: b
     """
     from ms_highway.experiments.directory import this_run
 
-    differing = results.record(options.command_line) if computes else results.differing(this_run())
+    differing = (
+        results.record(options.command_line)
+        if computes
+        else results.differing(this_run())
+    )
     if differing and computes:
         warn(f"{options.out} continues with {differing}; results may not agree")
     elif differing:
-        warn(f"{options.out} was computed by other software ({differing} now); nothing is computed again")
+        warn(
+            f"{options.out} was computed by other software ({differing} now); nothing is computed again"
+        )
 
 
-def save_figures(figures: Mapping[str, "Callable[[], Figure]"], directory: Path, kind: str) -> None:
+def save_figures(
+    figures: Mapping[str, "Callable[[], Figure]"], directory: Path, kind: str
+) -> None:
     """Draw figures into files of a directory, ``NAME.png``, ``.pdf`` or ``.svg``.
 
     Results are to be on disk before. A figure that cannot be drawn or written is a warning.

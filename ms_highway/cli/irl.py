@@ -53,7 +53,9 @@ def read_recordings(data: str) -> "list[Recording]":
     return read_directory(Path(data))
 
 
-def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "RewardModel":
+def chosen_model(
+    learn: list[str] | None, recordings: "list[Recording]"
+) -> "RewardModel":
     """Return the reward model with the weights of ``--learn``, by default one that suits the recordings.
 
     Raises:
@@ -66,7 +68,11 @@ def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "Rew
     if not learn:
         return usual
     given = {**dict.fromkeys(COMFORT, COMFORT_GIVEN), **usual.given}
-    return RewardModel(tuple(learn), {name: given[name] for name in given if name not in learn}, usual.tails)
+    return RewardModel(
+        tuple(learn),
+        {name: given[name] for name in given if name not in learn},
+        usual.tails,
+    )
 
 
 @command(
@@ -74,7 +80,9 @@ def chosen_model(learn: list[str] | None, recordings: "list[Recording]") -> "Rew
     "predict recorded drivers",
     RECORDINGS,
     option(
-        "--theta", "a reward learned from real recordings: a file of `ms-highway irl fit`, or us101", metavar="FILE"
+        "--theta",
+        "a reward learned from real recordings: a file of `ms-highway irl fit`, or us101",
+        metavar="FILE",
     ),
     number("--folds", None, "cross-validate by recording, in N folds", 2, metavar="N"),
     output("--figures", "a directory for figures", directory=True),
@@ -105,19 +113,30 @@ def evaluate(options: argparse.Namespace) -> None:
     from ms_highway.irl.evaluation import evaluate
     from ms_highway.irl.prediction import check_peers
     from ms_highway.irl.recording import known_from
-    from ms_highway.visualization.irl import PANELS, evaluation_tables, metrics_figure, paths_figure
+    from ms_highway.visualization.irl import (
+        PANELS,
+        evaluation_tables,
+        metrics_figure,
+        paths_figure,
+    )
 
     if bool(options.theta) == bool(options.folds):
-        raise ValueError("give either --theta FILE, to predict by, or --folds N, to learn and predict")
+        raise ValueError(
+            "give either --theta FILE, to predict by, or --folds N, to learn and predict"
+        )
     reward = named(options.theta) if options.theta else None
     learned = reward.drivers if reward else None
     if reward and not learned:
-        raise ValueError(f"--theta {options.theta} has no drivers that were learned from real recordings; use us101")
+        raise ValueError(
+            f"--theta {options.theta} has no drivers that were learned from real recordings; use us101"
+        )
     if learned:
         try:
             check_peers(learned)
         except ValueError as error:
-            raise ValueError(f"--theta {options.theta} cannot be used ({error})") from error
+            raise ValueError(
+                f"--theta {options.theta} cannot be used ({error})"
+            ) from error
     recordings = read_recordings(options.data)
     known = known_from(recordings, reward.learned_from) if reward else []
     if known:
@@ -144,7 +163,13 @@ def evaluate(options: argparse.Namespace) -> None:
     "learn a reward",
     RECORDINGS,
     option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
-    number("--horizon", HORIZON, "length of segments, in steps", most=MAX_STEPS, metavar="K"),
+    number(
+        "--horizon",
+        HORIZON,
+        "length of segments, in steps",
+        most=MAX_STEPS,
+        metavar="K",
+    ),
     output("--out", "a .json file for the learned reward", required=True),
 )
 def fit(options: argparse.Namespace) -> None:
@@ -168,13 +193,21 @@ def fit(options: argparse.Namespace) -> None:
     from ms_highway.irl.learning import learn_reward
     from ms_highway.visualization.irl import learned_tables
 
-    source = options.data if options.data.startswith(MINARI) else Path(options.data).resolve().name
+    source = (
+        options.data
+        if options.data.startswith(MINARI)
+        else Path(options.data).resolve().name
+    )
     recordings = read_recordings(options.data)
     model = chosen_model(options.learn, recordings)
     learned = learn_reward(recordings, model, options.horizon, source, progress=tell)
     save(learned, options.out)
     print_tables(*learned_tables(learned))
-    told = [f"{part} {value:.3f}" for part, value in learned.log_likelihood.items() if value is not None]
+    told = [
+        f"{part} {value:.3f}"
+        for part, value in learned.log_likelihood.items()
+        if value is not None
+    ]
     say(f"log-likelihood per segment: {', '.join(told)}")
     say(f"the learned reward is in {options.out}")
 
@@ -188,9 +221,27 @@ def fit(options: argparse.Namespace) -> None:
         choices=list(DRIVERS),
         required=True,
     ),
-    number("--episodes", None, "number of episodes of the complete data set", required=True, metavar="N"),
-    option("--dataset", "name of the data set, such as ms-highway/maxent-v0", required=True, metavar="NAME"),
-    option("--density", "of the traffic, in turn", DENSITY_NAMES, nargs="+", choices=DENSITY_NAMES, metavar="DENSITY"),
+    number(
+        "--episodes",
+        None,
+        "number of episodes of the complete data set",
+        required=True,
+        metavar="N",
+    ),
+    option(
+        "--dataset",
+        "name of the data set, such as ms-highway/maxent-v0",
+        required=True,
+        metavar="NAME",
+    ),
+    option(
+        "--density",
+        "of the traffic, in turn",
+        DENSITY_NAMES,
+        nargs="+",
+        choices=DENSITY_NAMES,
+        metavar="DENSITY",
+    ),
     option("--temperature", "of the driver maxent, in reward", TEMPERATURE, type=float),
     number("--seed", 0, "seed of the first episode", 0, MAX_SEED),
 )
@@ -207,8 +258,17 @@ def record(options: argparse.Namespace) -> None:
     """
     from ms_highway.irl.demonstrations import record
 
-    asked = options.driver, options.episodes, options.dataset, options.density, options.seed, options.temperature
+    asked = (
+        options.driver,
+        options.episodes,
+        options.dataset,
+        options.density,
+        options.seed,
+        options.temperature,
+    )
     counts = record(*asked)
     already = next(counts)
     done = count_episodes(counts, already, options.episodes)
-    say(f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new")
+    say(
+        f"{options.dataset}: {done} episodes of {options.driver}, {done - already} of them new"
+    )

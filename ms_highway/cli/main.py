@@ -9,14 +9,33 @@ from itertools import pairwise
 from typing import Any
 
 from ms_highway.cli.bench import bench, bench_road
-from ms_highway.cli.console import Parser, printing, replace_unprintable, warn, wrapped_text
+from ms_highway.cli.console import (
+    Parser,
+    printing,
+    replace_unprintable,
+    warn,
+    wrapped_text,
+)
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
 from ms_highway.cli.show import frontier, learn, report, validate, video
 from ms_highway.runtime.process import INTERRUPTED, STOPPED
 from ms_highway.runtime.sources import import_modules
 
-ALL = compare, sweep, frontier, video, report, bench, bench_road, validate, learn, record, fit, evaluate
+ALL = (
+    compare,
+    sweep,
+    frontier,
+    video,
+    report,
+    bench,
+    bench_road,
+    validate,
+    learn,
+    record,
+    fit,
+    evaluate,
+)
 COMMANDS = {each.name: each for each in ALL}
 
 ABOUT = "Robot cars that choose how hard to think about human drivers."
@@ -39,10 +58,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with printing():
                 pass
             raise
-        from ms_highway.runtime.jax_settings import check_platforms, high_throughput, keep_compilations, low_latency
+        from ms_highway.runtime.jax_settings import (
+            check_platforms,
+            high_throughput,
+            keep_compilations,
+            low_latency,
+        )
 
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: warn(message)  # without file and line
+            warnings.showwarning = lambda message, *_, **__: warn(
+                message
+            )  # without file and line
             (high_throughput if options.command.simulates else low_latency)()
             check_platforms()
             if not options.no_compilation_cache:
@@ -70,8 +96,17 @@ def parse(given: Sequence[str]) -> Any:
     """
     parser = Parser(prog="ms-highway", description=wrapped_text(ABOUT))
     parser.add_argument("--no-compilation-cache", help=CACHE, action="store_true")
-    parser.add_argument("--import", help=IMPORT, default=[], dest="modules", action="append", metavar="MODULE")
-    parser.add_argument("--version", action="version", version=f"ms-highway {version('ms-highway')}")
+    parser.add_argument(
+        "--import",
+        help=IMPORT,
+        default=[],
+        dest="modules",
+        action="append",
+        metavar="MODULE",
+    )
+    parser.add_argument(
+        "--version", action="version", version=f"ms-highway {version('ms-highway')}"
+    )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for each in COMMANDS.values():
         each.add_to(commands)

@@ -66,17 +66,26 @@ keys; the most useful ones are:
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
 
-SCENARIOS = option("scenarios", f"{', '.join(SCENARIO_CLASSES)} (default: the paper's)", nargs="*", metavar="SCENARIO")
+SCENARIOS = option(
+    "scenarios",
+    f"{', '.join(SCENARIO_CLASSES)} (default: the paper's)",
+    nargs="*",
+    metavar="SCENARIO",
+)
 KEY = {"default": [], "dest": "keys", "action": "append", "metavar": "KEY=VALUE"}
 SET = Option("--set", {"help": "see below", **KEY}, KEYS)
-DEVICES = number("--devices", None, "how many devices to use (default: all, or one per core)")
+DEVICES = number(
+    "--devices", None, "how many devices to use (default: all, or one per core)"
+)
 FORMATS = ("png", "pdf", "svg")
 FORMAT = option("--format", "of figures", FORMATS[0], choices=FORMATS)
 
 
 def controllers(text: str) -> Option:
     """Return ``--controllers``, with a text that its help shows behind the names."""
-    return option("--controllers", f"{CONTROLLERS}. {text}", nargs="+", metavar="CONTROLLER")
+    return option(
+        "--controllers", f"{CONTROLLERS}. {text}", nargs="+", metavar="CONTROLLER"
+    )
 
 
 def compared(
@@ -100,7 +109,13 @@ def compared(
         controllers(f"{kinds} {beside}"),
         option("--lambdas", several, nargs="+", type=lambdas, metavar="LAMBDA"),
         number("--seeds", seeds, "episodes per controller"),
-        number("--first-seed", 0, "seed of the first episode; the others count on from it", 0, MAX_SEEDS),
+        number(
+            "--first-seed",
+            0,
+            "seed of the first episode; the others count on from it",
+            0,
+            MAX_SEEDS,
+        ),
         output("--out", "of results", directory=True, default=out, required=not out),
         FORMAT,
         SET,
@@ -128,7 +143,9 @@ def configuration(options: argparse.Namespace) -> dict:
         try:
             config["human_reward"] = load(Path(reward)).weights
         except ValueError as error:
-            raise ValueError(f"--set human_reward is neither {' nor '.join(NAMED_REWARDS)}: {error}") from error
+            raise ValueError(
+                f"--set human_reward is neither {' nor '.join(NAMED_REWARDS)}: {error}"
+            ) from error
     return config
 
 
@@ -137,12 +154,17 @@ def _value(text: str) -> Any:
         return json.loads(text)
     parts = [part for part in text.split(",") if part]
     if "=" in text:
-        return {name: _value(value) for name, _, value in (part.partition("=") for part in parts)}
+        return {
+            name: _value(value)
+            for name, _, value in (part.partition("=") for part in parts)
+        }
     return list(map(_value, parts)) if "," in text else text
 
 
 def comparison(
-    options: argparse.Namespace, always: Sequence[str] = (), prices: Sequence[float] | None = None
+    options: argparse.Namespace,
+    always: Sequence[str] = (),
+    prices: Sequence[float] | None = None,
 ) -> "Comparison":
     """Return the comparison that a command's options describe.
 
@@ -164,12 +186,26 @@ def comparison(
         scenario = ENVIRONMENTS[name].scenario
         given = list(options.controllers or ["switching"])
         if always or not options.controllers:
-            given = [*rung_names(config.get("ladder", scenario.ladder)), *given, *always]
+            given = [
+                *rung_names(config.get("ladder", scenario.ladder)),
+                *given,
+                *always,
+            ]
         several = list(chain(*(getattr(options, "lambdas", None) or [scenario.prices])))
-        kinds = {kind: prices if kind == "learned" and prices else several for kind in priced_types()}
-        named = ([f"{kind}:{price:g}" for price in kinds[kind]] if kind in kinds else [kind] for kind in given)
+        kinds = {
+            kind: prices if kind == "learned" and prices else several
+            for kind in priced_types()
+        }
+        named = (
+            [f"{kind}:{price:g}" for price in kinds[kind]] if kind in kinds else [kind]
+            for kind in given
+        )
         controllers[name] = list(dict.fromkeys(chain(*named)))
-    seeds = {name: getattr(options, name) for name in ("seeds", "first_seed") if hasattr(options, name)}
+    seeds = {
+        name: getattr(options, name)
+        for name in ("seeds", "first_seed")
+        if hasattr(options, name)
+    }
     return Comparison(controllers, config=config, **seeds)
 
 
@@ -190,8 +226,15 @@ def lambdas(text: str) -> list[float]:
             case [price]:
                 values = [float(price) + 0.0]  # -0 is 0
             case [low, high, count] if 1 < int(count) <= MAX_LAMBDAS:
-                values = [float(f"{value:.3g}") for value in np.geomspace(float(low), float(high), int(count))]
-    if not values or len(set(values)) < len(values) or not all(0 <= value < np.inf for value in values):
+                values = [
+                    float(f"{value:.3g}")
+                    for value in np.geomspace(float(low), float(high), int(count))
+                ]
+    if (
+        not values
+        or len(set(values)) < len(values)
+        or not all(0 <= value < np.inf for value in values)
+    ):
         remedy = "give a number like 0.1, or LOW:HIGH:COUNT that differ in three digits, such as 0.001:10:25"
         raise argparse.ArgumentTypeError(f"lambdas are {text!r}; {remedy}")
     return values

@@ -27,7 +27,11 @@ if TYPE_CHECKING:
 @command(
     "compare",
     "compare controllers over many episodes",
-    *compared(30, "results/compare", f"(default: all models of the ladder, {LEARNED}, and switching)"),
+    *compared(
+        30,
+        "results/compare",
+        f"(default: all models of the ladder, {LEARNED}, and switching)",
+    ),
 )
 def compare(options: argparse.Namespace) -> None:
     """Run the same seeded episodes with several controllers and compare reward and computation.
@@ -84,11 +88,16 @@ def compare(options: argparse.Namespace) -> None:
     if not options.controllers:
         asked = _with_learned(asked)
     with ResultsDirectory(options.out).owned() as directory:
-        counts, wanted = run(asked, options.out, 2, options.modules), len(list(asked.episodes()))
+        counts, wanted = (
+            run(asked, options.out, 2, options.modules),
+            len(list(asked.episodes())),
+        )
         already = next(counts)
         record(directory, options, computes=already < wanted)
         if already < wanted:
-            for scenario, name, kind in product(asked.controllers, CAPTIONS, FORMATS):  # of fewer episodes
+            for scenario, name, kind in product(
+                asked.controllers, CAPTIONS, FORMATS
+            ):  # of fewer episodes
                 (options.out / f"{scenario}_{name}.{kind}").unlink(missing_ok=True)
         count_episodes(counts, already, wanted)
         results = read_results(options.out)  # of this command and of those before
@@ -107,7 +116,10 @@ def _with_learned(asked: "Comparison") -> "Comparison":
     controllers = {}
     for scenario, names in asked.controllers.items():
         controllers[scenario] = list(names)
-        place = next((place for place, name in enumerate(names) if name.startswith("switching")), len(names))
+        place = next(
+            (place for place, name in enumerate(names) if name.startswith("switching")),
+            len(names),
+        )
         try:
             asked.environment_config(scenario, LEARNED)
             controllers[scenario].insert(place, LEARNED)
@@ -120,10 +132,18 @@ def _with_learned(asked: "Comparison") -> "Comparison":
     "sweep",
     "simulate thousands of episodes at once",
     *compared(1000, None),
-    option("--steps", "also keep a row per step, about 40 times as much data", action="store_true"),
+    option(
+        "--steps",
+        "also keep a row per step, about 40 times as much data",
+        action="store_true",
+    ),
     number("--part", 1024, "episodes per part"),
     DEVICES,
-    option("--scheduler", "address of a Dask cluster that computes, tcp://HOST:PORT", metavar="ADDRESS"),
+    option(
+        "--scheduler",
+        "address of a Dask cluster that computes, tcp://HOST:PORT",
+        metavar="ADDRESS",
+    ),
     simulates=True,
 )
 def sweep(options: argparse.Namespace) -> None:
@@ -179,7 +199,9 @@ def sweep(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import table
 
     if options.devices and options.scheduler:
-        raise ValueError("--devices compute on this machine, and --scheduler on others; leave one out")
+        raise ValueError(
+            "--devices compute on this machine, and --scheduler on others; leave one out"
+        )
     asked, out = comparison(options), options.out
     with needing("sweep"):
         import pyarrow  # noqa: F401  # writes the parts
@@ -187,11 +209,18 @@ def sweep(options: argparse.Namespace) -> None:
         if options.scheduler:
             from ms_highway.experiments.cluster import connected
     if options.scheduler:
-        computing: AbstractContextManager[Compute] = connected(options.scheduler, asked, options.modules)
+        computing: AbstractContextManager[Compute] = connected(
+            options.scheduler, asked, options.modules
+        )
     else:
-        computing = nullcontext(partial(simulate_parts, devices=use_devices(options.devices)))
+        computing = nullcontext(
+            partial(simulate_parts, devices=use_devices(options.devices))
+        )
     with ResultsDirectory(out).owned() as directory, computing as compute:
-        counts, wanted = run_batched(asked, out, options.part, options.steps, compute), len(list(asked.episodes()))
+        counts, wanted = (
+            run_batched(asked, out, options.part, options.steps, compute),
+            len(list(asked.episodes())),
+        )
         already = next(counts)
         record(directory, options, computes=already < wanted)
         count_episodes(counts, already, wanted)
@@ -199,5 +228,9 @@ def sweep(options: argparse.Namespace) -> None:
         summaries = summary(read_episodes(out, asked, options.part))
         write_table(summaries, out / "summary.csv")
         print_tables(table(summaries, scenario))
-        save_figures({f"{scenario}_curve": partial(curve, summaries, scenario)}, out, options.format)
+        save_figures(
+            {f"{scenario}_curve": partial(curve, summaries, scenario)},
+            out,
+            options.format,
+        )
     say(f"results are in {out}")

@@ -36,14 +36,23 @@ OWN = (
     "film also controllers that are not of this package: agents in files that DIR names, which can run any code when "
     "they are opened, and what --import adds"
 )
-KINDS = {"action_error": "robot's control", "reward_error": "reward", "human_error": "human's control"}
+KINDS = {
+    "action_error": "robot's control",
+    "reward_error": "reward",
+    "human_error": "human's control",
+}
 
 
 @command(
     "report",
     "make a page of a comparison",
     option("directory", "of `ms-highway compare`", type=Path, metavar="DIR"),
-    output("--out", "an .html file (default: report.html in DIR), or a .tex file for the tables only", ".html", ".tex"),
+    output(
+        "--out",
+        "an .html file (default: report.html in DIR), or a .tex file for the tables only",
+        ".html",
+        ".tex",
+    ),
     option("--videos", FILM, action=argparse.BooleanOptionalAction, default=True),
     option("--film-own", OWN, action="store_true"),
 )
@@ -88,7 +97,9 @@ def report(options: argparse.Namespace) -> None:
         unseen = [name for name in controllers if not of_package(name)]
         if unseen:
             names = ", ".join(unseen)
-            warn(f"films do not show {names}, which would run other code; add --film-own if you trust it")
+            warn(
+                f"films do not show {names}, which would run other code; add --film-own if you trust it"
+            )
     text = page(results, options.videos, tell, options.film_own)
     with replacing(out) as path:
         path.write_text(text, encoding="utf-8")
@@ -100,10 +111,16 @@ def report(options: argparse.Namespace) -> None:
     "film an episode",
     option("scenario", ", ".join(SCENARIO_CLASSES), metavar="SCENARIO"),
     option("--controller", CONTROLLERS, LEARNED, metavar="CONTROLLER"),
-    option("--against", "a second controller, filmed from the same start", metavar="CONTROLLER"),
+    option(
+        "--against",
+        "a second controller, filmed from the same start",
+        metavar="CONTROLLER",
+    ),
     number("--seed", 0, "of the episode", 0, MAX_SEEDS),
     number("--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100),
-    number("--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS"),
+    number(
+        "--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS"
+    ),
     output("--out", "an .mp4 or .gif file", ".mp4", ".gif", required=True),
     SET,
 )
@@ -136,7 +153,12 @@ def video(options: argparse.Namespace) -> None:
 @command(
     "validate",
     "replay reference episodes",
-    option("directory", "directory of reference files, SCENARIO__KIND.npz", type=Path, metavar="DIR"),
+    option(
+        "directory",
+        "directory of reference files, SCENARIO__KIND.npz",
+        type=Path,
+        metavar="DIR",
+    ),
     option("--json", "print JSON instead of a table", action="store_true"),
 )
 def validate(options: argparse.Namespace) -> None:
@@ -159,14 +181,35 @@ def validate(options: argparse.Namespace) -> None:
         row = {"file": name}
         for kind, heading in KINDS.items():
             row[heading] = " ".join(f"{value:.0e}" for value in errors[kind].values())
-        row["decisions"] = "{agree} of {all}".format(**errors["decisions"]) if "decisions" in errors else ""
+        row["decisions"] = (
+            "{agree} of {all}".format(**errors["decisions"])
+            if "decisions" in errors
+            else ""
+        )
         rows.append(row)
     print_tables(grid("errors against the logs: median, 90 %, 99 %, largest", rows))
 
 
 # Search and learning
 
-LAMBDAS = [0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0]
+LAMBDAS = [
+    0.0,
+    0.0001,
+    0.0003,
+    0.001,
+    0.003,
+    0.01,
+    0.02,
+    0.03,
+    0.05,
+    0.1,
+    0.2,
+    0.3,
+    0.6,
+    1.0,
+    3.0,
+    10.0,
+]
 PRICE = "lambdas of the meta-reward of orders and controllers: reward for a second of planning"
 STATES = (
     "states from which rollouts start in round 1 in each scenario; later rounds have 5 for every 8 (default: 400; "
@@ -222,38 +265,66 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import regret_tables
 
     options.lambdas = options.lambdas or [LAMBDAS]
-    asked, devices, out = comparison(options, ["switching"], options.prices), use_devices(options.devices), options.out
+    asked, devices, out = (
+        comparison(options, ["switching"], options.prices),
+        use_devices(options.devices),
+        options.out,
+    )
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
-        if unknown := [model for model in batch.models if model not in batch.costs.seconds]:
+        if unknown := [
+            model for model in batch.models if model not in batch.costs.seconds
+        ]:
             remedy = "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
-            raise ValueError(f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}")
+            raise ValueError(
+                f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}"
+            )
     seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()
     with ResultsDirectory(out).owned() as directory:
         settings = directory.take_up(asked.common_config(), asked.sources())
-        every = {name: Outcomes(batch, out / f"{name}_episodes.csv", devices) for name, batch in batches.items()}
+        every = {
+            name: Outcomes(batch, out / f"{name}_episodes.csv", devices)
+            for name, batch in batches.items()
+        }
         directory.write_settings(settings)
         record(directory, options)
 
         def progress() -> str:
             """Say how many episodes are done in every scenario."""
-            return ", ".join(f"{name}: {len(outcomes.table)} episodes" for name, outcomes in every.items())
+            return ", ".join(
+                f"{name}: {len(outcomes.table)} episodes"
+                for name, outcomes in every.items()
+            )
 
         with telling_often(progress):
             for scenario, outcomes in every.items():
                 tell(f"{scenario}: compiling, and driving fixed models and controllers")
                 outcomes.of(outcomes.batch.keys())
                 directory.add_late_sources(settings, late_sources())
-                for count in search(outcomes, seeds, options.prices, options.population, options.rounds):
-                    tell(f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes")
+                for count in search(
+                    outcomes, seeds, options.prices, options.population, options.rounds
+                ):
+                    tell(
+                        f"{scenario}: round {count} of {options.rounds + 1} done, {len(outcomes.table)} episodes"
+                    )
                 for price in dict.fromkeys(options.prices):
                     found = best(outcomes.table, seeds, price).reset_index()
-                    own = regrets(outcomes.table, asked.controllers[scenario], seeds, price)
-                    orders = pd.concat([orders, found.assign(scenario=scenario, price=price)])
-                    behind = pd.concat([behind, own.assign(scenario=scenario, price=price)])
+                    own = regrets(
+                        outcomes.table, asked.controllers[scenario], seeds, price
+                    )
+                    orders = pd.concat(
+                        [orders, found.assign(scenario=scenario, price=price)]
+                    )
+                    behind = pd.concat(
+                        [behind, own.assign(scenario=scenario, price=price)]
+                    )
                 write_table(orders, out / "orders.csv")
                 write_table(behind, out / "regrets.csv")
-                drawing = {f"{scenario}_frontier": partial(frontier, behind, scenario, options.seeds)}
+                drawing = {
+                    f"{scenario}_frontier": partial(
+                        frontier, behind, scenario, options.seeds
+                    )
+                }
                 save_figures(drawing, out, options.format)
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
@@ -266,7 +337,12 @@ def frontier(options: argparse.Namespace) -> None:
     SCENARIOS,
     output("--out", "of the values, such as values.npz", ".npz", required=True),
     number("--states", None, STATES),
-    number("--rounds", None, "of rollouts and fits (default: 4; among several humans 2)", most=100),
+    number(
+        "--rounds",
+        None,
+        "of rollouts and fits (default: 4; among several humans 2)",
+        most=100,
+    ),
     number(
         "--horizon-steps",
         None,
@@ -308,9 +384,13 @@ def learn(options: argparse.Namespace) -> None:
     from ms_highway.experiments.learning import learn, prepare
     from ms_highway.runtime.compilation import use_devices
 
-    everywhere = {name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS}
+    everywhere = {
+        name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS
+    }
     asked = Comparison(everywhere, config=configuration(options))
-    learning, batches = prepare(asked, options.rounds, options.states, options.horizon, options.seed)
+    learning, batches = prepare(
+        asked, options.rounds, options.states, options.horizon, options.seed
+    )
     values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
     tell(f"{next(iter(asked.controllers))}: compiling")
     for done, fitted in learn(learning, batches, kept, use_devices(options.devices)):

@@ -120,7 +120,9 @@ class Batch:
         """
         settings, rule = self.settings(controller), self.loop.rule
         if settings.chooses:
-            start = self.environment.settings.start(self.steps, np.random.default_rng(), self.costs)
+            start = self.environment.settings.start(
+                self.steps, np.random.default_rng(), self.costs
+            )
             rule = compilable(settings.rule(start))
         return replace(self.loop, rule=rule, belief=settings.belief)
 
@@ -129,7 +131,9 @@ class Batch:
         drawn = []
         for name, seed in keys:
             random = seeding.np_random(seed)[0]
-            drawn.append(draw_start(self.environment, self.loop, self.settings(name), random))
+            drawn.append(
+                draw_start(self.environment, self.loop, self.settings(name), random)
+            )
         return stack_episodes(drawn)
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
@@ -137,7 +141,10 @@ class Batch:
         names, seeds = zip(*keys, strict=True)
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
-        states, gains = np.asarray(records.states, float), highest_gains(np.asarray(records.gains))
+        states, gains = (
+            np.asarray(records.states, float),
+            highest_gains(np.asarray(records.gains)),
+        )
         arrived = self.loop.game.scene.is_reached(states[:, :, 0, 1])
         cells = {
             "scenario": self.environment.scenario.name,
@@ -149,13 +156,23 @@ class Batch:
             "collision": records.collision,
             COUNTED: self.costs.total(records.planned),
             "status": np.array(STATUSES)[records.status],
-            **by_column(dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states),
-            **{f"humans_{name}": np.sum(records.rungs == rung, axis=2) for rung, name in enumerate(self.rungs)},
+            **by_column(
+                dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states
+            ),
+            **{
+                f"humans_{name}": np.sum(records.rungs == rung, axis=2)
+                for rung, name in enumerate(self.rungs)
+            },
             "success": arrived & ~np.logical_or.accumulate(records.collision, axis=1),
         }
         columns = [name for name in self.comparison.columns() if name not in MEASURED]
         shape = records.reward.shape
-        return pd.DataFrame({name: np.broadcast_to(cells.get(name, np.nan), shape).ravel() for name in columns})
+        return pd.DataFrame(
+            {
+                name: np.broadcast_to(cells.get(name, np.nan), shape).ravel()
+                for name in columns
+            }
+        )
 
     def tables(self, keys: Sequence[Key], devices: Devices | None = None) -> Tables:
         """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row per episode.
@@ -168,7 +185,9 @@ class Batch:
         """
         steps = self.steps_table(keys, self.simulate(keys, devices))
         episodes = per_episode(steps, self.models)
-        prices = {name: self.settings(name).price for name in episodes["controller"].unique()}
+        prices = {
+            name: self.settings(name).price for name in episodes["controller"].unique()
+        }
         episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
         check_table(episodes)
         return {"steps": steps, "episodes": episodes}
@@ -187,7 +206,9 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     """
     names = comparison.controllers.get(scenario, [])
     if not names:
-        raise ValueError(f"the comparison has no controllers for {scenario!r}; name one at least")
+        raise ValueError(
+            f"the comparison has no controllers for {scenario!r}; name one at least"
+        )
     for name in filter(is_agent, names):
         raise ValueError(f"the agent {name!r} is not simulated; use `compare`")
     configs = [comparison.environment_config(scenario, name) for name in names]
@@ -196,7 +217,9 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         reason = f"{scenario} is configured with terminate_on_collision True, which a simulation does not do"
         raise ValueError(f"{reason}; use `compare`")
     environment = ENVIRONMENTS[scenario](dict(configs[0]))
-    controllers = {name: one.controller for name, one in zip(names, settings, strict=True)}
+    controllers = {
+        name: one.controller for name, one in zip(names, settings, strict=True)
+    }
     loop = shared_loop(environment, controllers.values())
     known = environment.settings.costs_of(loop.models)
     costs = known.select(model.name for model in loop.models)
@@ -229,5 +252,9 @@ def simulated(comparison: Comparison) -> pd.DataFrame:
         ValueError: see `make_batch`.
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
-    tables = [batch.steps_table(keys, batch.simulate(keys)) for batch in batches for keys in [batch.keys()]]
+    tables = [
+        batch.steps_table(keys, batch.simulate(keys))
+        for batch in batches
+        for keys in [batch.keys()]
+    ]
     return pd.concat(tables, ignore_index=True)

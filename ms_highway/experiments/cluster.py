@@ -29,7 +29,9 @@ from ms_highway.runtime.process import jax_has_begun
 from ms_highway.runtime.sources import Sources, import_modules
 
 PATIENCE = 10  # s, within which a scheduler has to answer
-AHEAD = 2  # parts that are submitted per thread of a worker; more would only wait in memory
+AHEAD = (
+    2  # parts that are submitted per thread of a worker; more would only wait in memory
+)
 
 
 class Setup(distributed.WorkerPlugin):
@@ -47,7 +49,9 @@ class Setup(distributed.WorkerPlugin):
         self.sources = sources
         self.versions = _versions()
         self.xla_flags = os.environ.get("XLA_FLAGS", "")
-        self.keeps_compilations = jax.config.values["jax_compilation_cache_dir"] is not None
+        self.keeps_compilations = (
+            jax.config.values["jax_compilation_cache_dir"] is not None
+        )
 
     def setup(self, worker: distributed.Worker) -> None:
         """Set up a worker.
@@ -59,7 +63,9 @@ class Setup(distributed.WorkerPlugin):
         for there, wanted in zip(_versions(), self.versions, strict=True):
             if there != wanted:
                 remedy = f"install {wanted} there and start it again"
-                raise ValueError(f"worker {worker.address} has {there} instead of {wanted}; {remedy}")
+                raise ValueError(
+                    f"worker {worker.address} has {there} instead of {wanted}; {remedy}"
+                )
         if os.environ.get("XLA_FLAGS", "") != self.xla_flags:
             if jax_has_begun():
                 reason = "runs JAX with other XLA_FLAGS, which change the last digits"
@@ -72,11 +78,15 @@ class Setup(distributed.WorkerPlugin):
         for name, content in self.sources.items():
             if source_now(name) != content:
                 remedy = "copy its file there and start the worker again"
-                raise ValueError(f"worker {worker.address} has other content of {name}; {remedy}")
+                raise ValueError(
+                    f"worker {worker.address} has other content of {name}; {remedy}"
+                )
 
 
 @contextmanager
-def connected(address: str, comparison: Comparison, modules: Sequence[str] = ()) -> Iterator[Compute]:
+def connected(
+    address: str, comparison: Comparison, modules: Sequence[str] = ()
+) -> Iterator[Compute]:
     """Connect to a scheduler and set up its workers; yield the function that computes there.
 
     Args:
@@ -87,19 +97,30 @@ def connected(address: str, comparison: Comparison, modules: Sequence[str] = ())
     Raises:
         ValueError: if there is no scheduler, or a worker has other versions or cannot be set up.
     """
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its errors are raised as well
+    logging.getLogger("distributed.client").setLevel(
+        logging.CRITICAL
+    )  # its errors are raised as well
     try:
         get_address_host_port(address, strict=True)
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         remedy = "start it with `dask scheduler` and give its address, such as tcp://host:8786"
-        raise ValueError(f"no scheduler answers at {address} ({error}); {remedy}") from error
+        raise ValueError(
+            f"no scheduler answers at {address} ({error}); {remedy}"
+        ) from error
     with client:
         if not client.nthreads():
             start = f"start some with `dask worker {address}`"
-            print(f"ms-highway: waiting for the first worker of {address}; {start}", file=sys.stderr)
+            print(
+                f"ms-highway: waiting for the first worker of {address}; {start}",
+                file=sys.stderr,
+            )
             client.wait_for_workers(1)
-        controllers = [each for scenario in comparison.sources().values() for each in scenario.values()]
+        controllers = [
+            each
+            for scenario in comparison.sources().values()
+            for each in scenario.values()
+        ]
         client.register_plugin(Setup(modules, dict(ChainMap(*controllers))))
         yield partial(_compute, client, address)
 
@@ -108,12 +129,17 @@ def _versions() -> list[str]:
     return [f"{package} {version(package)}" for package in PACKAGES]
 
 
-def _compute_there(comparison: Comparison, name: str, part: range) -> tuple[str, Tables]:
+def _compute_there(
+    comparison: Comparison, name: str, part: range
+) -> tuple[str, Tables]:
     return next(simulate_parts(comparison, {name: part}))
 
 
 def _compute(
-    client: distributed.Client, address: str, comparison: Comparison, parts: Mapping[str, range]
+    client: distributed.Client,
+    address: str,
+    comparison: Comparison,
+    parts: Mapping[str, range],
 ) -> Iterator[tuple[str, Tables]]:
     """Submit parts, `AHEAD` for each thread of a worker at a time; yield each with its tables when it is done.
 
@@ -121,7 +147,10 @@ def _compute(
         ValueError: if workers die again and again, or the scheduler is lost.
     """
     compute = partial(_compute_there, comparison)
-    waiting, running = iter(parts.items()), distributed.as_completed([], loop=client.loop)
+    waiting, running = (
+        iter(parts.items()),
+        distributed.as_completed([], loop=client.loop),
+    )
 
     def submit(count: int) -> None:
         for name, part in islice(waiting, count):

@@ -48,7 +48,10 @@ class Comparison:
             ValueError: for an unknown scenario or controller, an impossible configuration, or a controller that does
                 not fit it.
         """
-        named = {scenario_name(scenario): controllers for scenario, controllers in self.controllers.items()}
+        named = {
+            scenario_name(scenario): controllers
+            for scenario, controllers in self.controllers.items()
+        }
         object.__setattr__(self, "controllers", named)
         for scenario, controllers in named.items():
             for controller in controllers:
@@ -70,16 +73,31 @@ class Comparison:
         Raises:
             ValueError: for the same reasons as `Comparison`.
         """
-        return ENVIRONMENTS[scenario_name(scenario)].checked_config({**self.config, **robot_config(controller)})
+        return ENVIRONMENTS[scenario_name(scenario)].checked_config(
+            {**self.config, **robot_config(controller)}
+        )
 
     def common_config(self) -> dict:
         """Return the common configuration, under which results are resumed: `USUAL` and all keys of ``config``."""
-        defaults = [{**ENVIRONMENTS[name].default_config(), **self.config} for name in self.controllers]
+        defaults = [
+            {**ENVIRONMENTS[name].default_config(), **self.config}
+            for name in self.controllers
+        ]
         for config in defaults:
-            config["human_reward"] = config["human_reward"] or HUMAN_REWARDS[config["semantics"]]
+            config["human_reward"] = (
+                config["human_reward"] or HUMAN_REWARDS[config["semantics"]]
+            )
         first = defaults[0]
-        usual = {key: first[key] for key in USUAL if all(first[key] == each[key] for each in defaults)}
-        ladder = {"ladder": rung_names(self.config["ladder"])} if "ladder" in self.config else {}
+        usual = {
+            key: first[key]
+            for key in USUAL
+            if all(first[key] == each[key] for each in defaults)
+        }
+        ladder = (
+            {"ladder": rung_names(self.config["ladder"])}
+            if "ladder" in self.config
+            else {}
+        )
         return {**usual, **self.config, **ladder}
 
     def sources(self) -> dict[str, dict[str, Sources]]:
@@ -93,8 +111,17 @@ class Comparison:
             scenario = ENVIRONMENTS[name].scenario
             weights = [*scenario.robot_weights, *scenario.human_weights]
             for controller in controllers:
-                named = [name, controller, *scenario.ladder, *weights, json.dumps(self.config, default=str)]
-                files = {file: digest(Path(file)) for file in controller_settings(controller).files()}
+                named = [
+                    name,
+                    controller,
+                    *scenario.ladder,
+                    *weights,
+                    json.dumps(self.config, default=str),
+                ]
+                files = {
+                    file: digest(Path(file))
+                    for file in controller_settings(controller).files()
+                }
                 own = imported_sources() | definition_sources(" ".join(named)) | files
                 found.setdefault(name, {})[controller] = own
         return found
@@ -110,12 +137,33 @@ class Comparison:
         whether the robot has succeeded so far.
         """
         scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
-        ladders = [rung_names(self.config.get("ladder", scenario.ladder)) for scenario in scenarios]
+        ladders = [
+            rung_names(self.config.get("ladder", scenario.ladder))
+            for scenario in scenarios
+        ]
         planning, decision, compiling = MEASURED
-        steps = ["step", "model", "reward", "collision", planning, COUNTED, decision, compiling, "status"]
+        steps = [
+            "step",
+            "model",
+            "reward",
+            "collision",
+            planning,
+            COUNTED,
+            decision,
+            compiling,
+            "status",
+        ]
         gains = [f"gain_{name}" for name in known_models(chain(*ladders))]
-        above = [ladder[1:] for scenario, ladder in zip(scenarios, ladders, strict=True) if scenario.streams]
-        several = [*dict.fromkeys(f"humans_{name}" for name in chain(*above)), "success"] if above else []
+        above = [
+            ladder[1:]
+            for scenario, ladder in zip(scenarios, ladders, strict=True)
+            if scenario.streams
+        ]
+        several = (
+            [*dict.fromkeys(f"humans_{name}" for name in chain(*above)), "success"]
+            if above
+            else []
+        )
         return [*KEYS, *steps, *gains, *STATES, *several]
 
 
@@ -126,7 +174,10 @@ def paper_controllers(scenario: str) -> list[str]:
         ValueError: for an unknown scenario.
     """
     choice = ENVIRONMENTS[scenario_name(scenario)].scenario
-    return [*rung_names(choice.ladder), *(f"switching:{price:g}" for price in choice.prices)]
+    return [
+        *rung_names(choice.ladder),
+        *(f"switching:{price:g}" for price in choice.prices),
+    ]
 
 
 KEYS = ["scenario", "controller", "seed"]
@@ -141,19 +192,31 @@ NEEDED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]
 
 TEXTS = ("scenario", "controller", "model", "status")
 FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
-STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
+STATES = [
+    f"{car}_{name}"
+    for car in ("robot", "human")
+    for name in ("x", "y", "heading", "speed")
+]
 """Columns of the states of the first two cars."""
 
 
 def by_column(gains: Mapping, states: Any) -> dict:
     """Return the columns of records for gains by model and for the first two cars of states [..., cars, 4]."""
-    first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(len(STATES), *np.shape(states)[:-2])
-    return {f"gain_{name}": gain for name, gain in gains.items()} | dict(zip(STATES, first, strict=True))
+    first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(
+        len(STATES), *np.shape(states)[:-2]
+    )
+    return {f"gain_{name}": gain for name, gain in gains.items()} | dict(
+        zip(STATES, first, strict=True)
+    )
 
 
 def models_of(table: pd.DataFrame, what: str) -> list[str]:
     """Return the known models that have a column ``WHAT_MODEL``, such as ``gain_tom``, in a table, cheapest first."""
-    names = {str(name).removeprefix(f"{what}_") for name in table if str(name).startswith(f"{what}_")}
+    names = {
+        str(name).removeprefix(f"{what}_")
+        for name in table
+        if str(name).startswith(f"{what}_")
+    }
     return [name for name in known_models(names) if name in names]
 
 
@@ -185,7 +248,12 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
     episodes = steps.assign(**shares, **sums).groupby((steps["step"] == 0).cumsum())
     means = episodes[["reward", COUNTED, *measured, *counts, *shares]]
     known = means.count().eq(episodes.size(), axis=0)
-    table = episodes[KEYS].first().join(means.mean().where(known)).join(episodes[list(sums)].sum())
+    table = (
+        episodes[KEYS]
+        .first()
+        .join(means.mean().where(known))
+        .join(episodes[list(sums)].sum())
+    )
     if "success" in steps:
         ended = episodes["success"].last()  # empty where there is one human
         table["success"] = ended if ended.isna().any() else ended.astype(int)
@@ -207,7 +275,9 @@ def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
         raise ValueError(f"it has no column {', '.join(absent)}")
     for name in table.columns.intersection(TEXTS):
         if table[name].isna().any() and name in NEEDED:
-            raise ValueError(f"it has no {name} in row {1 + int(table[name].isna().argmax())}")
+            raise ValueError(
+                f"it has no {name} in row {1 + int(table[name].isna().argmax())}"
+            )
     for name in table.columns.difference(TEXTS):
         numbers = pd.to_numeric(table[name], errors="coerce").astype(float)
         wrong = ~np.isfinite(numbers) & (table[name].notna() | (name in NEEDED))
@@ -216,19 +286,27 @@ def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
             raise ValueError(f"{where} is {row[name]}; it must be a finite number")
 
 
-def one_episode(records: pd.DataFrame, scenario: str, controller: str, seed: int) -> pd.DataFrame:
+def one_episode(
+    records: pd.DataFrame, scenario: str, controller: str, seed: int
+) -> pd.DataFrame:
     """Return the records of one episode, in the order of its steps.
 
     Raises:
         ValueError: if there are none.
     """
-    chosen = records.query("scenario == @scenario and controller == @controller and seed == @seed")
+    chosen = records.query(
+        "scenario == @scenario and controller == @controller and seed == @seed"
+    )
     if chosen.empty:
-        raise ValueError(f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in these records")
+        raise ValueError(
+            f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in these records"
+        )
     return chosen.sort_values("step")
 
 
-def common_seeds(records: pd.DataFrame, scenario: str, controllers: Sequence[str]) -> list[int]:
+def common_seeds(
+    records: pd.DataFrame, scenario: str, controllers: Sequence[str]
+) -> list[int]:
     """Return the seeds of the episodes that every one of these controllers has driven, ascending."""
     rows = records.query("scenario == @scenario and controller in @controllers")
     driven = rows.groupby("seed")["controller"].nunique()

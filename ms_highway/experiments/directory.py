@@ -16,7 +16,15 @@ import pandas as pd
 from msgspec import Meta
 
 from ms_highway.runtime.arrays import Positive, read
-from ms_highway.runtime.files import PART, held, read_json, reading, replacing, tidy, write_json
+from ms_highway.runtime.files import (
+    PART,
+    held,
+    read_json,
+    reading,
+    replacing,
+    tidy,
+    write_json,
+)
 from ms_highway.runtime.jax_settings import cores
 from ms_highway.runtime.sources import Sources, digest, package_digest
 
@@ -131,8 +139,12 @@ class ResultsDirectory:
         self.runs()  # to which this run will be added
         wanted = json.loads(json.dumps(settings))
         if not known:
-            if self.path.exists() and any(not file.name.startswith(PART) for file in self.path.iterdir()):
-                raise ValueError(f"{self.path} is not empty, and has no {SETTINGS_FILE}; {REMEDY}")
+            if self.path.exists() and any(
+                not file.name.startswith(PART) for file in self.path.iterdir()
+            ):
+                raise ValueError(
+                    f"{self.path} is not empty, and has no {SETTINGS_FILE}; {REMEDY}"
+                )
             known = wanted
         differing = _differences(known, wanted, "the default", EXTENDED)
         if differing:
@@ -157,7 +169,11 @@ class ResultsDirectory:
                 everything |= now
         for scenario, controllers in kept.items():
             for controller, before in controllers.items():
-                common = {name: content for name, content in before.items() if name in everything}
+                common = {
+                    name: content
+                    for name, content in before.items()
+                    if name in everything
+                }
                 place = f"{self.path} holds results of {controller} in {scenario}"
                 refuse_changed(place, common, everything, REMEDY)
 
@@ -165,7 +181,10 @@ class ResultsDirectory:
 
         for scenario, controllers in sources.items():
             for controller, now in controllers.items():
-                results = {**kept.get(scenario, {}), **known.get("asked", {}).get(scenario, {})}
+                results = {
+                    **kept.get(scenario, {}),
+                    **known.get("asked", {}).get(scenario, {}),
+                }
                 if now and controller not in results:
                     own = known.setdefault("sources", {}).setdefault(scenario, {})
                     own[controller] = now
@@ -202,7 +221,9 @@ class ResultsDirectory:
         file = self.path / PROVENANCE_FILE
         if not file.exists():
             return []
-        with reading(file, "move it away or choose another directory", " as a list of runs"):
+        with reading(
+            file, "move it away or choose another directory", " as a list of runs"
+        ):
             return read(read_json(file), list[Run])
 
     def record(self, command: str) -> str:
@@ -236,16 +257,28 @@ def _software(run: Run) -> dict[str, str]:
     return {**run["versions"], "XLA_FLAGS": flags, **names}
 
 
-def _differences(one: Mapping, other: Mapping, absent: str, but: tuple[str, ...] = ()) -> str:
+def _differences(
+    one: Mapping, other: Mapping, absent: str, but: tuple[str, ...] = ()
+) -> str:
     """Say in which keys two mappings differ, and what the first one has instead of the second."""
-    pairs = {key: (one.get(key, absent), other.get(key, absent)) for key in {**one, **other} if key not in but}
-    return ", ".join(f"{key} {mine} instead of {yours}" for key, (mine, yours) in pairs.items() if mine != yours)
+    pairs = {
+        key: (one.get(key, absent), other.get(key, absent))
+        for key in {**one, **other}
+        if key not in but
+    }
+    return ", ".join(
+        f"{key} {mine} instead of {yours}"
+        for key, (mine, yours) in pairs.items()
+        if mine != yours
+    )
 
 
 def refuse_changed_files(what: str, settings: Mapping, remedy: str) -> None:
     """Refuse to go on with results after one of their ``late_sources`` has changed; see `refuse_changed`."""
     late = settings.get("late_sources", {})
-    now = {name: digest(Path(name)) if Path(name).is_file() else "missing" for name in late}
+    now = {
+        name: digest(Path(name)) if Path(name).is_file() else "missing" for name in late
+    }
     refuse_changed(what, late, now, remedy)
 
 
@@ -263,9 +296,13 @@ def refuse_changed(what: str, before: Sources, now: Sources, remedy: str) -> Non
     """
     for name, content in before.items():
         if name not in now:
-            raise ValueError(f"{what} that were computed with {name}, which is not imported now; {remedy}")
+            raise ValueError(
+                f"{what} that were computed with {name}, which is not imported now; {remedy}"
+            )
         if now[name] != content:
-            raise ValueError(f"{what} that were computed before {name} changed; {remedy}")
+            raise ValueError(
+                f"{what} that were computed before {name} changed; {remedy}"
+            )
 
 
 def write_table(table: pd.DataFrame, file: Path) -> None:
@@ -282,8 +319,15 @@ def this_run(command: str = "") -> Run:
     return {
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
-        "machine": {"processor": _processor(), "cores": cores(), "platform": platform.platform()},
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in PACKAGES},
+        },
+        "machine": {
+            "processor": _processor(),
+            "cores": cores(),
+            "platform": platform.platform(),
+        },
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "code": package_digest(),
         **_checkout(CHECKOUT),
@@ -293,10 +337,24 @@ def this_run(command: str = "") -> Run:
 def _checkout(directory: Path) -> dict:
     if not (directory / ".git").exists():
         return {}
-    command = ["git", "-C", str(directory), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    command = [
+        "git",
+        "-C",
+        str(directory),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=40",
+        "--exclude=*",
+    ]
     try:
-        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):  # git is missing, or does not trust the directory's owner
+        told = subprocess.run(
+            command, capture_output=True, text=True, check=True
+        ).stdout.strip()
+    except (
+        OSError,
+        subprocess.CalledProcessError,
+    ):  # git is missing, or does not trust the directory's owner
         return {}
     return {"commit": told.removesuffix("-dirty"), "dirty": told.endswith("-dirty")}
 
@@ -306,4 +364,6 @@ def _processor() -> str:
     information = Path("/proc/cpuinfo")
     text = information.read_text() if information.exists() else ""
     _, found, name = text.partition("model name\t: ")
-    return name.partition("\n")[0] if found else platform.processor() or platform.machine()
+    return (
+        name.partition("\n")[0] if found else platform.processor() or platform.machine()
+    )

@@ -23,7 +23,13 @@ from ms_highway.runtime.files import reading, whole_lines
 MEAN_STRETCH = 4  # mean number of steps in a stretch that a mutant changes
 SWITCHES = 12  # number of steps at which the first orders may change their rung
 INDEX = ["controller", "seed"]
-KEPT_COLUMNS = {"scenario": str, "reward": float, "counted_seconds": float, "collisions": int, "fallbacks": int}
+KEPT_COLUMNS = {
+    "scenario": str,
+    "reward": float,
+    "counted_seconds": float,
+    "collisions": int,
+    "fallbacks": int,
+}
 
 BEST_PER_START = "best order of each start"
 """Name that `regrets` gives to the best orders that were found, one for each start."""
@@ -38,7 +44,9 @@ class Outcomes:
             and ``fallbacks`` as in `ms_highway.experiments.comparison.per_episode`.
     """
 
-    def __init__(self, batch: Batch, file: Path, devices: Devices | None = None) -> None:
+    def __init__(
+        self, batch: Batch, file: Path, devices: Devices | None = None
+    ) -> None:
         """Begin with the episodes in a file.
 
         Args:
@@ -58,10 +66,14 @@ class Outcomes:
                 check_table(known)
                 own = batch.environment.scenario.name
                 if other := {*known["scenario"]} - {own}:
-                    raise ValueError(f"it holds episodes of {min(other)!r}, not of {own!r}")
+                    raise ValueError(
+                        f"it holds episodes of {min(other)!r}, not of {own!r}"
+                    )
                 if twice := known[INDEX][known.duplicated(INDEX)].to_numpy().tolist():
                     controller, seed = twice[0]
-                    raise ValueError(f"it holds the episode of {controller} with seed {seed} twice")
+                    raise ValueError(
+                        f"it holds the episode of {controller} with seed {seed} twice"
+                    )
                 self.table = known.set_index(INDEX)[list(KEPT_COLUMNS)]
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
@@ -86,11 +98,17 @@ def controller_name(models: Sequence[str], order: Array) -> str:
     *stretches, (last, _) = [(name, len(list(steps))) for name, steps in groupby(names)]
     if not stretches:
         return last
-    return "schedule:" + ",".join([*(f"{name}={steps}" for name, steps in stretches), last])
+    return "schedule:" + ",".join(
+        [*(f"{name}={steps}" for name, steps in stretches), last]
+    )
 
 
 def search(
-    outcomes: Outcomes, seeds: Sequence[int], prices: Sequence[float], population: int = 32, rounds: int = 8
+    outcomes: Outcomes,
+    seeds: Sequence[int],
+    prices: Sequence[float],
+    population: int = 32,
+    rounds: int = 8,
 ) -> Iterator[int]:
     """Search for the orders of models with the highest meta-reward, for each start and price separately.
 
@@ -114,7 +132,9 @@ def search(
     rungs = range(len(batch.rungs))
     steps = np.arange(batch.steps)
     ends = np.unique(np.round(np.geomspace(1, batch.steps, SWITCHES)).astype(int))
-    drawn = [np.where(steps < end, *pair) for end in ends for pair in product(rungs, rungs)]
+    drawn = [
+        np.where(steps < end, *pair) for end in ends for pair in product(rungs, rungs)
+    ]
     orders = {controller_name(batch.rungs, order): order for order in drawn}
     tried = {(name, seed): None for seed in seeds for name in orders}
     for number in range(1, rounds + 1):
@@ -156,7 +176,9 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
     return rows.loc[rows.groupby("seed")["meta_reward"].idxmax()].set_index("seed")
 
 
-def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int], price: float) -> pd.DataFrame:
+def regrets(
+    table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int], price: float
+) -> pd.DataFrame:
     """Compute by how much controllers fall short of the best order that was found for each start.
 
     Args:
@@ -178,15 +200,25 @@ def regrets(table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int
     found = best(table, seeds, price)
     everywhere = table["meta_reward"].unstack("seed")[list(seeds)].dropna().mean(axis=1)
     kinds = everywhere.index.map(lambda name: controller_config(name)["type"])
-    names = dict.fromkeys([*controllers, str(everywhere[kinds.isin(fixed_order_types())].idxmax())])
-    driven = {name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller") for name in names}
+    names = dict.fromkeys(
+        [*controllers, str(everywhere[kinds.isin(fixed_order_types())].idxmax())]
+    )
+    driven = {
+        name: table.loc[[(name, seed) for seed in seeds]].droplevel("controller")
+        for name in names
+    }
     rows = []
     for name, own in {**driven, BEST_PER_START: found}.items():
         behind = found["meta_reward"] - own["meta_reward"]
         low, high = interval(behind)
-        row = {"controller": name, "kind": "search" if own is found else controller_config(name)["type"]}
+        row = {
+            "controller": name,
+            "kind": "search" if own is found else controller_config(name)["type"],
+        }
         row |= own[["reward", "counted_seconds", "meta_reward"]].mean()
-        rows.append(row | {"regret": behind.mean(), "regret_low": low, "regret_high": high})
+        rows.append(
+            row | {"regret": behind.mean(), "regret_low": low, "regret_high": high}
+        )
     return pd.DataFrame(rows)
 
 

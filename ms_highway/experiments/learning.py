@@ -47,7 +47,11 @@ DECAY = 0.5  # share that weights lose per step, times the learning rate
 
 
 def prepare(
-    comparison: Comparison, rounds: int | None, states: int | None, horizon: int | None, seed: int
+    comparison: Comparison,
+    rounds: int | None,
+    states: int | None,
+    horizon: int | None,
+    seed: int,
 ) -> tuple[Learning, list[Batch]]:
     """Return the settings of learning, and the scenarios. None stands for the usual number.
 
@@ -64,15 +68,25 @@ def prepare(
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
-    costs = {name: seconds for batch in batches for name, seconds in batch.costs.seconds.items()}
+    costs = {
+        name: seconds
+        for batch in batches
+        for name, seconds in batch.costs.seconds.items()
+    }
     several = batches[0].humans > 1
     if any((batch.humans > 1) != several for batch in batches):
-        raise ValueError("some scenarios have one human, others several; learn a file for each kind")
+        raise ValueError(
+            "some scenarios have one human, others several; learn a file for each kind"
+        )
     if any(human_model(name).warm for name in models):
-        raise ValueError("rollouts begin without a last plan; leave +warm out of the ladder")
+        raise ValueError(
+            "rollouts begin without a last plan; leave +warm out of the ladder"
+        )
     if batches[0].loop.drivers:
         remedy = "leave config['yielding'] and config['human_driver'] out"
-        raise ValueError(f"values are learned among humans who plan for their reward; {remedy}")
+        raise ValueError(
+            f"values are learned among humans who plan for their reward; {remedy}"
+        )
     horizons = sorted({batch.environment.settings.horizon for batch in batches})
     settings = {
         **comparison.common_config(),
@@ -84,8 +98,12 @@ def prepare(
     }
     later = states and (states if several else ceil(states * 5 / 8))
     given = {"rounds": rounds, "horizon": horizon, "states": later and (states, later)}
-    own: dict = (SEVERAL if several else {}) | {name: value for name, value in given.items() if value}
-    return Learning({name: costs[name] for name in models}, seed=seed, settings=settings, **own), batches
+    own: dict = (SEVERAL if several else {}) | {
+        name: value for name, value in given.items() if value
+    }
+    return Learning(
+        {name: costs[name] for name in models}, seed=seed, settings=settings, **own
+    ), batches
 
 
 def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
@@ -97,12 +115,23 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
         rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
         centre = rollouts.descriptions.mean(axis=0)
         spread = rollouts.descriptions.std(axis=0) + MIN_SPREAD
-        chosen = random.integers(len(rollouts.descriptions), size=(STEPS, NETWORKS, EXAMPLES))
+        chosen = random.integers(
+            len(rollouts.descriptions), size=(STEPS, NETWORKS, EXAMPLES)
+        )
         standard = np.float32((rollouts.descriptions - centre) / spread)
-        network = jax.tree.map(np.asarray, _fit(network, chosen, standard, np.float32(rollouts.gains)))
+        network = jax.tree.map(
+            np.asarray, _fit(network, chosen, standard, np.float32(rollouts.gains))
+        )
     examples = sum(len(part.descriptions) for part in done)
-    settings = {"examples": examples, "rounds": number, "horizon": how.horizon, "held": how.held}
-    return Values(network, centre, spread, tuple(how.costs), names, {**how.settings, **settings})
+    settings = {
+        "examples": examples,
+        "rounds": number,
+        "horizon": how.horizon,
+        "held": how.held,
+    }
+    return Values(
+        network, centre, spread, tuple(how.costs), names, {**how.settings, **settings}
+    )
 
 
 def _stream(how: Learning, *place: int) -> Random:
@@ -111,7 +140,10 @@ def _stream(how: Learning, *place: int) -> Random:
 
 
 def learn(
-    learning: Learning, batches: Sequence[Batch], kept: Path, devices: Devices | None = None
+    learning: Learning,
+    batches: Sequence[Batch],
+    kept: Path,
+    devices: Devices | None = None,
 ) -> Iterator[tuple[str, Values | None]]:
     """Learn values in some scenarios.
 
@@ -129,10 +161,15 @@ def learn(
     """
     names, games = [batch.environment.scenario.name for batch in batches], []
     for name, batch in zip(names, batches, strict=True):
-        numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in jax.tree.leaves(batch.loop.game)]
+        numbers = [
+            np.asarray(leaf, np.float32).tobytes()
+            for leaf in jax.tree.leaves(batch.loop.game)
+        ]
         games.append((name, batch.steps, batch.rungs, crc32(b"".join(numbers))))
     results = ResultsDirectory(kept)
-    settings = results.take_up({**asdict(learning), "games": games}, batches[0].comparison.sources())
+    settings = results.take_up(
+        {**asdict(learning), "games": games}, batches[0].comparison.sources()
+    )
     results.write_settings(settings)
     values, done = fitted(learning, [], 0), list[Rollouts]()
     for number in range(1, learning.rounds + 1):
@@ -143,7 +180,10 @@ def learn(
                 costs = Costs.of(seconds, batch.humans)
                 rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
                 driving = Driving(batch, learning, rule, number > 1, devices)
-                found = driving.roll_out(_stream(learning, number, SCENARIO, place), learning.states[number > 1])
+                found = driving.roll_out(
+                    _stream(learning, number, SCENARIO, place),
+                    learning.states[number > 1],
+                )
                 results.add_late_sources(settings, late_sources())
                 with replacing(file) as path:
                     np.savez(path, **found._asdict())
@@ -160,7 +200,9 @@ def read_rollouts(file: Path) -> Rollouts:
         ValueError: if the file is damaged, or holds numbers that are not finite.
     """
     with reading(file, REMEDY):
-        kept = Rollouts(**read_arrays(file, file.stat().st_size))  # it is not compressed
+        kept = Rollouts(
+            **read_arrays(file, file.stat().st_size)
+        )  # it is not compressed
         if not np.isfinite(kept.descriptions).all() or not (kept.gains < np.inf).all():
             raise ValueError("it holds numbers that are not finite")
     return kept
@@ -170,7 +212,9 @@ def new_network(random: Random, inputs: int, means: int) -> Network:
     """Draw first weights whose variance keeps the scale of activations across tanh layers (LeCun et al. 1998)."""
     return tuple(
         (
-            (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(np.float32),
+            (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(
+                np.float32
+            ),
             np.zeros((NETWORKS, other), np.float32),
         )
         for one, other in pairwise([inputs, *HIDDEN, 2 * means])
@@ -196,18 +240,26 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         return means[0], noise(spreads[0])
 
     def loss(network: Network, chosen: Array) -> Array:
-        means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(network, inputs[chosen])
+        means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(
+            network, inputs[chosen]
+        )
         counts = jnp.isfinite(gains[chosen])
         errors = means - jnp.where(counts, gains[chosen], 0)
         surprise = errors**2 / (2 * apart**2) + jnp.log(apart)
-        surprise *= jax.lax.stop_gradient(apart)  # errors weigh more than their likelihood says (Seitzer et al. 2022)
+        surprise *= jax.lax.stop_gradient(
+            apart
+        )  # errors weigh more than their likelihood says (Seitzer et al. 2022)
         return jnp.where(counts, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
 
-    optimizer = optax.adamw(optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY)
+    optimizer = optax.adamw(
+        optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY
+    )
 
     def step(carry: Any, chosen: Array) -> tuple[Any, None]:
         network, state = carry
-        updates, state = optimizer.update(jax.grad(loss)(network, chosen), state, network)
+        updates, state = optimizer.update(
+            jax.grad(loss)(network, chosen), state, network
+        )
         return (optax.apply_updates(network, updates), state), None
 
     (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), chosen)

@@ -112,7 +112,9 @@ class Driving:
         mean of the draws, and ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation.
         """
         drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
-        starts, weights = (np.array(part, np.float32) for part in zip(*drawn, strict=True))
+        starts, weights = (
+            np.array(part, np.float32) for part in zip(*drawn, strict=True)
+        )
         noise = random.uniform(1.0, self.how.noise, (count, 1, 1)).astype(np.float32)
         return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
 
@@ -124,10 +126,14 @@ class Driving:
         """
         rungs, steps = len(self.batch.rungs), self.batch.steps
         orders = np.zeros((count, steps, self.batch.humans), np.int32)
-        for order, share in zip(orders, random.dirichlet(np.ones(rungs), count), strict=True):
+        for order, share in zip(
+            orders, random.dirichlet(np.ones(rungs), count), strict=True
+        ):
             drawn = random.choice(rungs, order.shape, p=share)
             changes = random.random(steps) > self.how.stays
-            order[:] = drawn[np.maximum.accumulate(np.where(changes, np.arange(steps), 0))]
+            order[:] = drawn[
+                np.maximum.accumulate(np.where(changes, np.arange(steps), 0))
+            ]
         return orders
 
     def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> Records:
@@ -148,11 +154,23 @@ class Driving:
         robot = np.tile(np.asarray(loop.game.robot.weights, np.float32), (count, 1))
         usual = np.full((count, humans), HUMAN_PLANS)
         parts = []
-        last = np.minimum(np.arange(steps + -steps % horizon), steps - 1)  # whole rollouts
-        for part in np.split(schedules[:, last].astype(np.int32), len(last) // horizon, axis=1):
-            parts.append(simulate(loop, Episodes(starts, lambdas, part, robot, weights, usual), self.devices))
+        last = np.minimum(
+            np.arange(steps + -steps % horizon), steps - 1
+        )  # whole rollouts
+        for part in np.split(
+            schedules[:, last].astype(np.int32), len(last) // horizon, axis=1
+        ):
+            parts.append(
+                simulate(
+                    loop,
+                    Episodes(starts, lambdas, part, robot, weights, usual),
+                    self.devices,
+                )
+            )
             starts = np.asarray(parts[-1].states[:, -1])
-        return jax.tree.map(lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts)
+        return jax.tree.map(
+            lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts
+        )
 
     def roll_out(self, random: Random, count: int) -> Rollouts:
         """Visit ``count`` states and roll out from each of them.
@@ -167,22 +185,41 @@ class Driving:
         held = min(how.held, how.horizon)
         ranks = np.asarray(_rank(game, states))
         asked = min(TOGETHER, humans)
-        ways = [(0, 0), *product(range(1, len(own)), range(1, asked + 1))]  # rung, and how many humans have it
-        schedules = np.full((len(states), len(ways), how.horizon, humans), DECIDES if self.learned else 0, np.int32)
+        ways = [
+            (0, 0),
+            *product(range(1, len(own)), range(1, asked + 1)),
+        ]  # rung, and how many humans have it
+        schedules = np.full(
+            (len(states), len(ways), how.horizon, humans),
+            DECIDES if self.learned else 0,
+            np.int32,
+        )
         for place, (rung, number) in enumerate(ways):
             schedules[:, place, :held] = np.where(ranks < number, rung, 0)[:, None]
-        starts, drivers = (np.repeat(part, len(ways), axis=0) for part in (states, weights))
+        starts, drivers = (
+            np.repeat(part, len(ways), axis=0) for part in (states, weights)
+        )
         price = float(np.sqrt(np.prod(how.prices)))
-        rewards = self.drive(starts, drivers, schedules.reshape(-1, how.horizon, humans), price).reward
-        earned = np.clip(np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None).sum(axis=1, dtype=float)
+        rewards = self.drive(
+            starts, drivers, schedules.reshape(-1, how.horizon, humans), price
+        ).reward
+        earned = np.clip(
+            np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None
+        ).sum(axis=1, dtype=float)
         naive, others = np.split(earned.reshape(len(states), -1) / held, [1], axis=1)
         others = others.reshape(len(states), -1, asked)
         nobody = np.broadcast_to(naive[:, None], (*others.shape[:2], 1))
-        each_more = np.diff(np.concatenate([nobody, others], axis=2), axis=2)  # [states, rungs, humans]
+        each_more = np.diff(
+            np.concatenate([nobody, others], axis=2), axis=2
+        )  # [states, rungs, humans]
         gains = np.full((len(states) * asked, len(how.costs) - 1), -np.inf)
-        gains[:, np.array(own[1:], int) - 1] = np.swapaxes(each_more, 1, 2).reshape(len(gains), -1)
+        gains[:, np.array(own[1:], int) - 1] = np.swapaxes(each_more, 1, 2).reshape(
+            len(gains), -1
+        )
         nearest = np.argsort(ranks, axis=1)[:, :asked]
-        return Rollouts(np.asarray(_describe(game, states, nearest)).reshape(len(gains), -1), gains)
+        return Rollouts(
+            np.asarray(_describe(game, states, nearest)).reshape(len(gains), -1), gains
+        )
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
         """Draw states from episodes that random orders and the rule have planned; return them and the humans' weights.
@@ -191,7 +228,11 @@ class Driving:
         several humans, states in which the robot drives and is not in its lane yet are drawn more often, as predictions
         hardly matter in the others.
         """
-        steps, game, each = self.batch.steps, self.batch.loop.game, self.how.states_of_an_episode
+        steps, game, each = (
+            self.batch.steps,
+            self.batch.loop.game,
+            self.how.states_of_an_episode,
+        )
         number = ceil(count / each)
         starts, weights = self.starts(random, number)
         orders = self.orders(random, number)
@@ -205,11 +246,17 @@ class Driving:
         states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
         finite = np.isfinite(states).all(axis=(1, 2, 3))
         states, weights = states[finite], weights[finite]
-        away = np.abs(states[:, :, 0, 1] - float(game.scene.target_lane)) > float(game.scene.lane_width) / 2
+        away = (
+            np.abs(states[:, :, 0, 1] - float(game.scene.target_lane))
+            > float(game.scene.lane_width) / 2
+        )
         likely = away * states[:, :, 0, 3] / float(game.robot.speed_limit)
         likely = np.clip(likely, self.how.min_likely, 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
-        visited = [own[random.choice(steps, each, replace=False, p=p)] for own, p in zip(states, likely, strict=True)]
+        visited = [
+            own[random.choice(steps, each, replace=False, p=p)]
+            for own, p in zip(states, likely, strict=True)
+        ]
         return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
 
 

@@ -30,7 +30,14 @@ from ms_highway.envs.agents import AgentDrives, is_agent
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.registry import controller_config, robot_config
 from ms_highway.experiments.batch import Tables, make_batch, simulate_parts
-from ms_highway.experiments.comparison import KEYS, NEEDED, Comparison, EpisodeKey, by_column, check_table
+from ms_highway.experiments.comparison import (
+    KEYS,
+    NEEDED,
+    Comparison,
+    EpisodeKey,
+    by_column,
+    check_table,
+)
 from ms_highway.experiments.directory import ResultsDirectory, write_table
 from ms_highway.runtime.files import reading, whole_lines
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
@@ -39,9 +46,13 @@ from ms_highway.runtime.sources import Sources, late_sources
 STEPS_FILE, PARTS = "steps.csv", "parts"
 EPISODES, STEPS = "episodes", "steps"
 REMEDY = "remove it, to have it computed again"
-MIN_EPISODES = 60  # with fewer, further processes take more time to start than they save
+MIN_EPISODES = (
+    60  # with fewer, further processes take more time to start than they save
+)
 
-Compute: TypeAlias = Callable[[Comparison, Mapping[str, range]], Iterator[tuple[str, Tables]]]
+Compute: TypeAlias = Callable[
+    [Comparison, Mapping[str, range]], Iterator[tuple[str, Tables]]
+]
 """Computes named parts, each a range of places in `Comparison.episodes`; yields them by name, in any order."""
 
 Driven: TypeAlias = tuple[pd.DataFrame, Sources]
@@ -49,7 +60,10 @@ Driven: TypeAlias = tuple[pd.DataFrame, Sources]
 
 
 def run(
-    comparison: Comparison, directory: str | Path, processes: int = 1, modules: Sequence[str] = ()
+    comparison: Comparison,
+    directory: str | Path,
+    processes: int = 1,
+    modules: Sequence[str] = (),
 ) -> Iterator[int]:
     """Drive the episodes that a directory lacks; put the records of all into ``steps.csv`` at the end.
 
@@ -75,15 +89,21 @@ def run(
     environments: dict[str, Any] = {}
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
-        asked.update({name: max(comparison.seeds, asked.get(name, 0)) for name in controllers})
-        environments[scenario] = make_environment(scenario, "naive", **comparison.config).unwrapped
+        asked.update(
+            {name: max(comparison.seeds, asked.get(name, 0)) for name in controllers}
+        )
+        environments[scenario] = make_environment(
+            scenario, "naive", **comparison.config
+        ).unwrapped
         settings["lengths"][scenario] = environments[scenario].episode_steps
 
     # Episodes that are there: only whole ones count.
     records = read_steps(results.path, settings, tells=True)
     if len(records) and list(records) != comparison.columns():
         columns = ", ".join(comparison.columns())
-        raise ValueError(f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory")
+        raise ValueError(
+            f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory"
+        )
     known = {*records[KEYS].itertuples(index=False, name=None)}
     wanted = list(comparison.episodes())
     missing = [key for key in wanted if key not in known]
@@ -108,7 +128,11 @@ def run(
 
 
 def run_batched(
-    comparison: Comparison, directory: Path, part: int = 1024, steps: bool = False, compute: Compute = simulate_parts
+    comparison: Comparison,
+    directory: Path,
+    part: int = 1024,
+    steps: bool = False,
+    compute: Compute = simulate_parts,
 ) -> Iterator[int]:
     """Simulate the episodes that a directory lacks, part by part, of a single scenario.
 
@@ -127,10 +151,15 @@ def run_batched(
             files.
     """
     if len(comparison.controllers) != 1:
-        raise ValueError(f"there are {len(comparison.controllers)} scenarios; a sweep is of one")
+        raise ValueError(
+            f"there are {len(comparison.controllers)} scenarios; a sweep is of one"
+        )
     # Refuse what cannot be simulated before anything is written.
     batch = make_batch(comparison, *comparison.controllers)
-    asked = {name: getattr(comparison, name) for name in ("controllers", "seeds", "first_seed")}
+    asked = {
+        name: getattr(comparison, name)
+        for name in ("controllers", "seeds", "first_seed")
+    }
     results = ResultsDirectory(directory)
     settings = {**comparison.common_config(), **asked, "part": part, "steps": steps}
     settings = results.take_up(settings, comparison.sources())
@@ -138,19 +167,38 @@ def run_batched(
 
     # Parts that are there: only whole ones count.
     whole = len(read_episodes(directory, comparison, part))
-    missing = {name: own for name, own in parts.items() if not (directory / EPISODES / name).exists()}
+    missing = {
+        name: own
+        for name, own in parts.items()
+        if not (directory / EPISODES / name).exists()
+    }
     if steps:
-        rows = {name: batch.steps * len(own) for name, own in parts.items() if name not in missing}
-        cut = [name for name, count in rows.items() if _rows(directory / STEPS / name) != count]
+        rows = {
+            name: batch.steps * len(own)
+            for name, own in parts.items()
+            if name not in missing
+        }
+        cut = [
+            name
+            for name, count in rows.items()
+            if _rows(directory / STEPS / name) != count
+        ]
         if cut:
-            warn(f"{directory / STEPS}: parts that are not whole are computed again: {len(cut)}", stacklevel=2)
-        missing = {name: own for name, own in parts.items() if name in missing or name in cut}
+            warn(
+                f"{directory / STEPS}: parts that are not whole are computed again: {len(cut)}",
+                stacklevel=2,
+            )
+        missing = {
+            name: own for name, own in parts.items() if name in missing or name in cut
+        }
         whole -= sum(len(parts[name]) for name in cut)
     results.write_settings(settings)
 
     number = whole
     yield number
-    kinds = (STEPS, EPISODES) if steps else (EPISODES,)  # episodes last: with them, the part is done
+    kinds = (
+        (STEPS, EPISODES) if steps else (EPISODES,)
+    )  # episodes last: with them, the part is done
     for name, tables in compute(comparison, missing):
         results.add_late_sources(settings, late_sources())
         for kind in kinds:
@@ -163,7 +211,10 @@ def episode_parts(comparison: Comparison, part: int) -> dict[str, range]:
     """Return the places of the episodes of a sweep in `Comparison.episodes`, by the name of the file of their part."""
     places = range(len(list(comparison.episodes())))
     starts = places[::part]
-    return {f"part-{number:06d}.parquet": places[start : start + part] for number, start in enumerate(starts)}
+    return {
+        f"part-{number:06d}.parquet": places[start : start + part]
+        for number, start in enumerate(starts)
+    }
 
 
 def _rows(file: Path) -> int:
@@ -177,7 +228,10 @@ def _rows(file: Path) -> int:
 
 
 def _in_processes(
-    drive: Callable[[EpisodeKey], Driven], keys: Sequence[EpisodeKey], number: int, modules: Sequence[str]
+    drive: Callable[[EpisodeKey], Driven],
+    keys: Sequence[EpisodeKey],
+    number: int,
+    modules: Sequence[str],
 ) -> Iterator[Driven]:
     """Drive episodes in this process or, if they are many, in several; yield what `_driven` returns in any order.
 
@@ -187,10 +241,15 @@ def _in_processes(
     if number == 1 or len(keys) < MIN_EPISODES:
         yield from map(drive, keys)
         return
-    pools = [own_process(partial(low_latency_on_core, core), modules) for core in range(number)]
+    pools = [
+        own_process(partial(low_latency_on_core, core), modules)
+        for core in range(number)
+    ]
     share = ceil(len(keys) / number)
     try:
-        driven = (pools[place // share].submit(drive, key) for place, key in enumerate(keys))
+        driven = (
+            pools[place // share].submit(drive, key) for place, key in enumerate(keys)
+        )
         for done in as_completed(driven):
             yield done.result()
     except BrokenProcessPool as error:
@@ -226,13 +285,21 @@ def read_steps(directory: Path, settings: Mapping, tells: bool = False) -> pd.Da
         ValueError: for a file that cannot be read.
     """
     tables = [pd.DataFrame(columns=KEYS)]
-    for file in [directory / STEPS_FILE, *sorted((directory / PARTS).glob("[!.]*.csv"))]:
+    for file in [
+        directory / STEPS_FILE,
+        *sorted((directory / PARTS).glob("[!.]*.csv")),
+    ]:
         if file.exists():
-            with reading(file, "choose another directory" if file.parent == directory else REMEDY):
+            with reading(
+                file, "choose another directory" if file.parent == directory else REMEDY
+            ):
                 steps, cut = _whole_episodes(file, settings)
             tables.append(steps)
             if cut and tells:
-                warn(f"{file}: episodes that are not whole are computed again: {cut}", stacklevel=2)
+                warn(
+                    f"{file}: episodes that are not whole are computed again: {cut}",
+                    stacklevel=2,
+                )
     records = pd.concat(tables[1:] or tables)
     if records.empty:
         return records
@@ -243,7 +310,9 @@ def read_steps(directory: Path, settings: Mapping, tells: bool = False) -> pd.Da
     records = records[first == files]
 
     asked = settings.get("asked", {})
-    order = pd.DataFrame([(name, each) for name in asked for each in asked[name]], columns=KEYS[:2])
+    order = pd.DataFrame(
+        [(name, each) for name in asked for each in asked[name]], columns=KEYS[:2]
+    )
     order = pd.concat([order, records[KEYS[:2]]]).drop_duplicates()
     return order.merge(records.sort_values(["seed", "step"]))
 
@@ -260,7 +329,12 @@ def _whole_episodes(file: Path, settings: Mapping) -> tuple[pd.DataFrame, int]:
     # Of each episode: whether its steps count from 0, and whether it was driven to its end.
     by_episode = steps.groupby(KEYS, sort=False)
     counts = by_episode["step"].transform("size")
-    in_order = steps["step"].eq(by_episode.cumcount()).groupby([steps[key] for key in KEYS]).transform("all")
+    in_order = (
+        steps["step"]
+        .eq(by_episode.cumcount())
+        .groupby([steps[key] for key in KEYS])
+        .transform("all")
+    )
     lengths = steps["scenario"].map(settings.get("lengths", {})).fillna(counts)
     ended = counts == lengths
     if settings.get("terminate_on_collision"):
@@ -289,7 +363,9 @@ def read_episodes(directory: Path, comparison: Comparison, part: int) -> pd.Data
             with reading(file, REMEDY):
                 table = pd.read_parquet(file)
                 check_table(table)
-                if [*table[KEYS].itertuples(index=False, name=None)] != keys[places.start : places.stop]:
+                if [*table[KEYS].itertuples(index=False, name=None)] != keys[
+                    places.start : places.stop
+                ]:
                     raise ValueError("it holds other episodes than its number says")
                 tables.append(table)
     return pd.concat(tables[1:] or tables)
@@ -299,10 +375,14 @@ def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> Drive
     """Drive one episode; return its records, and what modules have imported and read in this process so far."""
     scenario, controller, seed = key
     config = dict(comparison.config)
-    if scenario in measured and controller_config(controller)["type"] != "budget":  # budgets need a high quantile
+    if (
+        scenario in measured and controller_config(controller)["type"] != "budget"
+    ):  # budgets need a high quantile
         config["costs"] = measured[scenario]
     env = _environment(scenario, controller, json.dumps(config))
-    records = pd.DataFrame(episode(env, seed)).assign(scenario=scenario, controller=controller, seed=seed)
+    records = pd.DataFrame(episode(env, seed)).assign(
+        scenario=scenario, controller=controller, seed=seed
+    )
     return records.reindex(columns=comparison.columns()), late_sources()
 
 
@@ -312,7 +392,9 @@ def _environment(scenario: str, controller: str, config: str) -> gym.Env:
     return make_environment(scenario, controller, **json.loads(config))
 
 
-def make_environment(scenario: str, controller: str, render: bool = False, **config: Any) -> gym.Env:
+def make_environment(
+    scenario: str, controller: str, render: bool = False, **config: Any
+) -> gym.Env:
     """Make the environment of a scenario with the robot driven by a controller.
 
     Args:
@@ -325,7 +407,11 @@ def make_environment(scenario: str, controller: str, render: bool = False, **con
         ValueError: for an unknown scenario, controller or configuration.
     """
     whole = {**config, **robot_config(controller)}
-    env = gym.make(environment_id(scenario), render_mode="rgb_array" if render else None, config=whole)
+    env = gym.make(
+        environment_id(scenario),
+        render_mode="rgb_array" if render else None,
+        config=whole,
+    )
     return AgentDrives(env, controller) if is_agent(controller) else env
 
 
@@ -340,8 +426,16 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     assert isinstance(inner, InteractionEnv)
     for step in count():
         _, reward, terminated, truncated, info = env.step(0)
-        estimated = {name: gain for name, gain in info["gains"].items() if gain != NOT_ESTIMATED}
+        estimated = {
+            name: gain for name, gain in info["gains"].items() if gain != NOT_ESTIMATED
+        }
         columns = by_column(estimated, inner.car_states)
-        yield {**info, **asdict(info["timing"]), **columns, "step": step, "reward": reward}
+        yield {
+            **info,
+            **asdict(info["timing"]),
+            **columns,
+            "step": step,
+            "reward": reward,
+        }
         if terminated or truncated:
             return

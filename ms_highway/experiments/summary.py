@@ -23,7 +23,11 @@ from ms_highway.experiments.directory import (
 from ms_highway.experiments.runner import read_steps
 
 CONFIDENCE = 0.9
-MILLISECONDS = {"planning_ms": "planning_seconds", "counted_ms": "counted_seconds", "decision_ms": "decision_seconds"}
+MILLISECONDS = {
+    "planning_ms": "planning_seconds",
+    "counted_ms": "counted_seconds",
+    "decision_ms": "decision_seconds",
+}
 
 
 def summary(records: pd.DataFrame) -> pd.DataFrame:
@@ -50,23 +54,53 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     Raises:
         ValueError: for an unknown controller.
     """
-    table, by = per_episode(records) if "step" in records else records, ["scenario", "controller"]
-    shares = [f"{what}_{name}" for what in ("share", "humans") for name in models_of(table, what)]
+    table, by = (
+        per_episode(records) if "step" in records else records,
+        ["scenario", "controller"],
+    )
+    shares = [
+        f"{what}_{name}"
+        for what in ("share", "humans")
+        for name in models_of(table, what)
+    ]
     shares += [name for name in ("success", "late", "way_out") if name in table]
     rows = []
     for (scenario, controller), some in table.groupby(by, sort=False):
         config, rewards = controller_config(controller), some["reward"]
         low, high = interval(rewards)
         row = {"scenario": scenario, "controller": controller}
-        row |= {"kind": config["type"], "price": config.get("lambda", np.nan), "episodes": len(some)}
-        row |= {"reward": rewards.mean(), "reward_low": low, "reward_high": high, "reward_std": rewards.std()}
-        row |= {name: 1e3 * some[column].mean(skipna=False) for name, column in MILLISECONDS.items() if column in some}
-        row |= {"collision_episodes": (some["collisions"] > 0).sum(), "fallbacks": some["fallbacks"].sum()}
+        row |= {
+            "kind": config["type"],
+            "price": config.get("lambda", np.nan),
+            "episodes": len(some),
+        }
+        row |= {
+            "reward": rewards.mean(),
+            "reward_low": low,
+            "reward_high": high,
+            "reward_std": rewards.std(),
+        }
+        row |= {
+            name: 1e3 * some[column].mean(skipna=False)
+            for name, column in MILLISECONDS.items()
+            if column in some
+        }
+        row |= {
+            "collision_episodes": (some["collisions"] > 0).sum(),
+            "fallbacks": some["fallbacks"].sum(),
+        }
         rows.append(row | dict(some[shares].mean()))
     summaries = pd.DataFrame(rows)
     if "planning_seconds" in records:
-        cycles = records.assign(ms=1e3 * (records["planning_seconds"] + records["decision_seconds"])).groupby(by)["ms"]
-        quantiles = pd.DataFrame({"cycle_ms_p50": cycles.quantile(0.5), "cycle_ms_p99": cycles.quantile(0.99)})
+        cycles = records.assign(
+            ms=1e3 * (records["planning_seconds"] + records["decision_seconds"])
+        ).groupby(by)["ms"]
+        quantiles = pd.DataFrame(
+            {
+                "cycle_ms_p50": cycles.quantile(0.5),
+                "cycle_ms_p99": cycles.quantile(0.99),
+            }
+        )
         summaries = summaries.join(quantiles, on=by)
     return summaries
 
@@ -79,11 +113,17 @@ def interval(values: pd.Series) -> tuple[float, float]:
 
 def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
     """Return one controller of each kind that chooses online, with the smallest lambda, in the table's order."""
-    rows = summaries[(summaries["scenario"] == scenario) & summaries["kind"].isin(priced_types())]
-    return rows.loc[rows.groupby("kind", sort=False)["price"].idxmin(), "controller"].to_list()
+    rows = summaries[
+        (summaries["scenario"] == scenario) & summaries["kind"].isin(priced_types())
+    ]
+    return rows.loc[
+        rows.groupby("kind", sort=False)["price"].idxmin(), "controller"
+    ].to_list()
 
 
-def most_informative_pair(summaries: pd.DataFrame, scenario: str, own: bool = True) -> list[str]:
+def most_informative_pair(
+    summaries: pd.DataFrame, scenario: str, own: bool = True
+) -> list[str]:
     """Return the two controllers of a scenario that are most informative side by side.
 
     These are the fixed model with the highest mean reward, and the first of `choosing_controllers`. If either is
@@ -118,14 +158,22 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     models = rows.query("kind == 'fixed'").index
     models = rows.index if models.empty else models
     best, cheapest = str(reward[models].idxmax()), str(counted[models].idxmin())
-    driven = records.query("scenario == @scenario").pivot_table("reward", "seed", "controller")
+    driven = records.query("scenario == @scenario").pivot_table(
+        "reward", "seed", "controller"
+    )
     gains = (driven[best] - driven[cheapest]).dropna()
     low, high = interval(gains)
     sentences = [f"{best} earns a reward of {reward[best]:.2f} per step."]
     if best != cheapest:
         chance = "" if low > 0 else ", which may be chance"
-        sure = f"90 % interval {low:.2f} to {high:.2f}, starts: {len(gains)}" if len(gains) > 1 else "one start"
-        sentences.append(f"That is {gains.mean():.2f} more than {cheapest} ({sure}){chance}.")
+        sure = (
+            f"90 % interval {low:.2f} to {high:.2f}, starts: {len(gains)}"
+            if len(gains) > 1
+            else "one start"
+        )
+        sentences.append(
+            f"That is {gains.mean():.2f} more than {cheapest} ({sure}){chance}."
+        )
     for name in choosing_controllers(summaries, scenario):
         text, effort = f"{name} earns {reward[name]:.2f}", counted[name] / counted[best]
         if low > 0:
@@ -134,8 +182,15 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
             text += f", for {100 * effort:.0f} % of {best}'s planning"
         sentences.append(f"{text}.")
     hit = rows[rows["collision_episodes"] > 0]
-    collisions = (f"{name} in {row['collision_episodes']} of {row['episodes']}" for name, row in hit.iterrows())
-    last = "No controller collides" if hit.empty else f"Episodes with a collision: {', '.join(collisions)}"
+    collisions = (
+        f"{name} in {row['collision_episodes']} of {row['episodes']}"
+        for name, row in hit.iterrows()
+    )
+    last = (
+        "No controller collides"
+        if hit.empty
+        else f"Episodes with a collision: {', '.join(collisions)}"
+    )
     return " ".join([*sentences, f"{last}."])
 
 
@@ -204,23 +259,35 @@ class Results:
         """The number of requested episodes that are missing."""
         there = self.summaries.set_index(["scenario", "controller"])["episodes"]
         asked = {
-            (scenario, name): most for scenario, own in self.settings["asked"].items() for name, most in own.items()
+            (scenario, name): most
+            for scenario, own in self.settings["asked"].items()
+            for name, most in own.items()
         }
         return sum(max(most - there.get(key, 0), 0) for key, most in asked.items())
 
     @property
     def common(self) -> dict:
         """The part of the settings that configures all environments."""
-        return {key: value for key, value in self.settings.items() if key not in EXTENDED and value is not None}
+        return {
+            key: value
+            for key, value in self.settings.items()
+            if key not in EXTENDED and value is not None
+        }
 
     def published(self, scenario: str, controller: str) -> tuple[float, float] | None:
         """Return the published results of a controller, if these results may be compared with them."""
-        return PUBLISHED.get((scenario, controller)) if self.common == PUBLISHED_WITH else None
+        return (
+            PUBLISHED.get((scenario, controller))
+            if self.common == PUBLISHED_WITH
+            else None
+        )
 
     def config(self, scenario: str) -> dict:
         """Return the configuration of a scenario's environment, without the controller."""
         measured = self.settings.get("measured", {})
-        return self.common | ({"costs": measured[scenario]} if scenario in measured else {})
+        return self.common | (
+            {"costs": measured[scenario]} if scenario in measured else {}
+        )
 
     def refuse_changed(self, scenario: str, controllers: Sequence[str]) -> None:
         """Refuse to drive controllers that cannot be driven now, or depend on other content than in these results.
@@ -232,10 +299,14 @@ class Results:
         refuse_changed_files("these are results", self.settings, remedy)
         before = self.settings.get("sources", {}).get(scenario, {})
         try:
-            now = Comparison({scenario: controllers}, config=self.config(scenario)).sources()[scenario]
+            now = Comparison(
+                {scenario: controllers}, config=self.config(scenario)
+            ).sources()[scenario]
         except ValueError as error:
             needed = "import what these results need with --import, or add --no-videos"
-            raise ValueError(f"{scenario} cannot be filmed ({error}); {needed}") from error
+            raise ValueError(
+                f"{scenario} cannot be filmed ({error}); {needed}"
+            ) from error
         for name in controllers:
             what = f"these are results of {name} in {scenario}"
             refuse_changed(what, before.get(name, {}), now[name], remedy)
@@ -253,5 +324,7 @@ def read_results(directory: Path) -> Results:
         raise ValueError(f"{directory} holds no results of a comparison; {NO_PAGE}")
     records = read_steps(directory, settings)
     if records.empty:
-        raise ValueError(f"{directory} holds no whole episodes yet; let `ms-highway compare` finish one")
+        raise ValueError(
+            f"{directory} holds no whole episodes yet; let `ms-highway compare` finish one"
+        )
     return Results(records, summary(records), settings, directory_of_results.runs())

@@ -53,7 +53,9 @@ def validate(directory: Path) -> dict:
     """
     files = sorted(directory.glob("*.npz"))
     if not files:
-        raise FileNotFoundError(f"no reference episodes (*.npz) in {directory}; name the directory that holds them")
+        raise FileNotFoundError(
+            f"no reference episodes (*.npz) in {directory}; name the directory that holds them"
+        )
     return {"files": {file.name: validate_file(file) for file in files}}
 
 
@@ -73,9 +75,13 @@ def validate_file(file: Path) -> dict:
     robot, human = episodes["robot_controls"], episodes["human_controls"]
     planned = np.empty(robot.shape)
     for index in np.unique(models):
-        planned[models == index] = _first_controls(MODELS[PAPER_MODELS[index]], game, states[models == index])
+        planned[models == index] = _first_controls(
+            MODELS[PAPER_MODELS[index]], game, states[models == index]
+        )
     swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
-    answered = _first_controls(Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])).reshape(human.shape)
+    answered = _first_controls(
+        Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])
+    ).reshape(human.shape)
     rewards = np.asarray(_rewards(game.scene, game.robot, states[:, 1:]))
     errors = {
         "action_error": np.abs(planned - robot).max(axis=-1),
@@ -83,12 +89,17 @@ def validate_file(file: Path) -> dict:
         "human_error": np.abs(answered - human).max(axis=-1),
     }
     report: dict = {
-        name: {place: float(np.quantile(error, share)) for place, share in QUANTILES.items()}
+        name: {
+            place: float(np.quantile(error, share))
+            for place, share in QUANTILES.items()
+        }
         for name, error in errors.items()
     }
     kind = file.stem.partition("__")[2]
     if kind.startswith(SWITCHING):
-        report["decisions"] = _decisions(game, episodes, float(kind.removeprefix(SWITCHING)))
+        report["decisions"] = _decisions(
+            game, episodes, float(kind.removeprefix(SWITCHING))
+        )
     return report
 
 
@@ -98,16 +109,32 @@ def read_episodes(file: Path) -> tuple[Scenario, dict[str, Array]]:
     Raises:
         ValueError: if the file cannot be read, or its name or numbers are not those of a reference file.
     """
-    with reading(file, "name the logs that were released, SCENARIO__KIND.npz", " as a reference file"):
+    with reading(
+        file,
+        "name the logs that were released, SCENARIO__KIND.npz",
+        " as a reference file",
+    ):
         arrays = read_arrays(file, MAX_BYTES)
         episodes = {name: arrays[name] for name in ARRAYS}
         for name, array in episodes.items():
             if not (np.abs(array) < LARGEST).all():
                 raise ValueError(f"{name} holds numbers that are not finite")
-        if len({episodes[name].shape[:2] for name in ("states", "robot_controls", "rewards", "models")}) > 1:
+        if (
+            len(
+                {
+                    episodes[name].shape[:2]
+                    for name in ("states", "robot_controls", "rewards", "models")
+                }
+            )
+            > 1
+        ):
             raise ValueError("its arrays have different numbers of episodes or steps")
-        if not np.isin(episodes["models"], episodes["ladder"]).all() or max(episodes["ladder"]) >= len(PAPER_MODELS):
-            raise ValueError(f"its models are not indices into {', '.join(PAPER_MODELS)}")
+        if not np.isin(episodes["models"], episodes["ladder"]).all() or max(
+            episodes["ladder"]
+        ) >= len(PAPER_MODELS):
+            raise ValueError(
+                f"its models are not indices into {', '.join(PAPER_MODELS)}"
+            )
         return SCENARIOS[file.stem.partition("__")[0]], episodes
 
 
@@ -123,23 +150,36 @@ def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str
     """Count the choices that agree with the logged ones; each is made after the logged step before it."""
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
     costs = Costs.of({name: PUBLISHED_COSTS[name] for name in names}, 1)
-    switching = Switching(costs, price, ladder(names), trust_tolerance=RELEASED_TRUST_TOLERANCE)
-    logged = np.argmax(episodes["models"][..., None] == episodes["ladder"], axis=-1).astype(np.int32)
-    happened = [episodes[name].astype(np.float32) for name in ("states", "robot_controls", "human_controls", "rewards")]
+    switching = Switching(
+        costs, price, ladder(names), trust_tolerance=RELEASED_TRUST_TOLERANCE
+    )
+    logged = np.argmax(
+        episodes["models"][..., None] == episodes["ladder"], axis=-1
+    ).astype(np.int32)
+    happened = [
+        episodes[name].astype(np.float32)
+        for name in ("states", "robot_controls", "human_controls", "rewards")
+    ]
     before = [numbers[:, : logged.shape[1] - 1] for numbers in (logged, *happened)]
-    chosen = np.array([_choices(switching, game, *run) for run in zip(*before, strict=True)])
+    chosen = np.array(
+        [_choices(switching, game, *run) for run in zip(*before, strict=True)]
+    )
     return {"agree": int(np.sum(chosen == logged[:, 1:])), "all": chosen.size}
 
 
 @jit_quickly
-def _choices(switching: Rule[GameEvidence], game: Game, rungs: Any, *happened: Any) -> Array:
+def _choices(
+    switching: Rule[GameEvidence], game: Game, rungs: Any, *happened: Any
+) -> Array:
     """Return the rung that is chosen after each step; each step was driven with the logged rung."""
 
     def choose(memory: Memory, step: tuple) -> tuple[Memory, Array]:
         rung, state, robot, human, earned = step
         plan = Plan(robot[None], human[None, None])  # not used
         outcome = Outcome(state, state, robot, human[None], earned, plan)
-        memory = decide(switching, game, memory._replace(rungs=rung[None]), outcome).memory
+        memory = decide(
+            switching, game, memory._replace(rungs=rung[None]), outcome
+        ).memory
         return memory._replace(step=memory.step + 1), memory.rungs[0]
 
     first = first_memory(switching, 1)._replace(step=jnp.int32(1))

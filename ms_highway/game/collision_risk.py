@@ -44,23 +44,38 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
     if not obstacles:
         return Bodies(others, *numbers)
     x, y = jnp.asarray(scene.obstacles).T.reshape(2, -1, *[1] * len(times))
-    standing = (jnp.broadcast_to(part, (obstacles, *times)) for part in (x, y, 1.0, 0.0, 0.0))
-    motion = Motion(*(jnp.concatenate(parts) for parts in zip(others, standing, strict=True)))
-    of_obstacles = jnp.stack([*jnp.asarray(scene.obstacle_size), OBSTACLE_SHARE, OBSTACLE_SHARPNESS])
+    standing = (
+        jnp.broadcast_to(part, (obstacles, *times)) for part in (x, y, 1.0, 0.0, 0.0)
+    )
+    motion = Motion(
+        *(jnp.concatenate(parts) for parts in zip(others, standing, strict=True))
+    )
+    of_obstacles = jnp.stack(
+        [*jnp.asarray(scene.obstacle_size), OBSTACLE_SHARE, OBSTACLE_SHARPNESS]
+    )
     is_car = (np.arange(cars + obstacles) < cars).reshape(-1, 1, *[1] * len(times))
     return Bodies(
         motion,
-        *(jnp.where(is_car, of_car, of_obstacle) for of_car, of_obstacle in zip(numbers, of_obstacles, strict=True)),
+        *(
+            jnp.where(is_car, of_car, of_obstacle)
+            for of_car, of_obstacle in zip(numbers, of_obstacles, strict=True)
+        ),
     )
 
 
-def _distance(scene: Scene, own: Motion, bodies: Bodies) -> Float[jax.Array, "bodies points *times"]:
+def _distance(
+    scene: Scene, own: Motion, bodies: Bodies
+) -> Float[jax.Array, "bodies points *times"]:
     """Return the `ellipse_distance` D - 1 from the points of the car's body to other bodies."""
     points = body_points(jnp.asarray(scene.car_size), scene.corner)
-    return ellipse_distance(own[:4], points, bodies.motion[:4], bodies.length, bodies.width)
+    return ellipse_distance(
+        own[:4], points, bodies.motion[:4], bodies.length, bodies.width
+    )
 
 
-def touches(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -> Bool[jax.Array, "*times"]:
+def touches(
+    scene: Scene, own: Motion, others: Motion, clearance: float = 0.0
+) -> Bool[jax.Array, "*times"]:
     """Return whether the car collides with another body, by the scene's ``contact``.
 
     Args:
@@ -80,7 +95,9 @@ def touches(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -
     return (distance < 0).any(axis=(0, 1))
 
 
-def collision_risk(scene: Scene, own: Motion, others: Motion, smooth: bool = False) -> tuple[Times, Times]:
+def collision_risk(
+    scene: Scene, own: Motion, others: Motion, smooth: bool = False
+) -> tuple[Times, Times]:
     """Return the risk of a collision, and the indicator of a collision: 1 where any point has D < 1, else 0.
 
     With the `ellipse_distance` D - 1 from nine points of the car's body to all cars and obstacles::

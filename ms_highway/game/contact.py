@@ -49,7 +49,9 @@ OBSTACLE_POINTS = 3.0
 """Weight of an obstacle: its centre counts alone, where a car counts with several points."""
 
 
-def overlap(scene: Scene, own: Motion, others: Motion, clearance: float = 0.0) -> Bool[jax.Array, "*times"]:
+def overlap(
+    scene: Scene, own: Motion, others: Motion, clearance: float = 0.0
+) -> Bool[jax.Array, "*times"]:
     """Return whether the car's body overlaps another car's or an obstacle's.
 
     Args:
@@ -115,7 +117,9 @@ def car_residuals(
     return _residual(_distance(jnp.asarray(scene.car_size), *offsets))
 
 
-def obstacle_residuals(scene: Scene, own: Motion) -> Float[jax.Array, "obstacles steps"]:
+def obstacle_residuals(
+    scene: Scene, own: Motion
+) -> Float[jax.Array, "obstacles steps"]:
     """Return the same as `car_residuals` for obstacles."""
     return OBSTACLE_POINTS**0.5 * _residual(_distance_of_obstacles(scene, own))
 
@@ -131,7 +135,9 @@ def _residual(distance: Numbers) -> Numbers:
     return jnp.sqrt(second_derivative / 2) * distance
 
 
-def _distance_of_obstacles(scene: Scene, own: Motion) -> Float[jax.Array, "obstacles *times"]:
+def _distance_of_obstacles(
+    scene: Scene, own: Motion
+) -> Float[jax.Array, "obstacles *times"]:
     """Return D of the obstacles' centres from the car, widened by their diameter."""
     diameter = jnp.asarray(scene.obstacle_size)[1]
     size = jnp.asarray(scene.car_size) + diameter

@@ -88,7 +88,9 @@ def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
 
 
 def step(
-    dynamics: Dynamics, state: Float[SameArray, "*cars 4"], control: Float[SameArray, "*cars 2"]
+    dynamics: Dynamics,
+    state: Float[SameArray, "*cars 4"],
+    control: Float[SameArray, "*cars 2"],
 ) -> Float[SameArray, "*cars 4"]:
     """Return the state one time step later.
 
@@ -98,7 +100,9 @@ def step(
     """
     xp = state.__array_namespace__()
     heading, speed = state[..., 2], state[..., 3]
-    yaw_rate = speed * control[..., 0] if dynamics.steering == "curvature" else control[..., 0]
+    yaw_rate = (
+        speed * control[..., 0] if dynamics.steering == "curvature" else control[..., 0]
+    )
     acceleration = control[..., 1] - _resistance(dynamics, speed)
     dt = dynamics.time_step
     distance = speed * dt + acceleration * dt**2 / 2
@@ -115,7 +119,9 @@ def step(
 
 @jax.jit  # traced once for all cars of a plan
 def rollout(
-    dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], controls: Float[jax.Array, "*cars steps 2"]
+    dynamics: Dynamics,
+    state: Float[jax.Array, "*cars 4"],
+    controls: Float[jax.Array, "*cars steps 2"],
 ) -> Motion:
     """Return the motion after each of a sequence of controls, arrays [*cars, steps] (without the initial state).
 
@@ -127,11 +133,16 @@ def rollout(
         ValueError: for quadratic friction, which has no such closed form.
     """
     if dynamics.friction != "linear":
-        raise ValueError("a rollout needs linear friction; with quadratic friction, repeat `step`")
+        raise ValueError(
+            "a rollout needs linear friction; with quadratic friction, repeat `step`"
+        )
     dt, (omega, acceleration) = dynamics.time_step, jnp.moveaxis(controls, -1, 0)
     speed = speeds(dynamics, state[..., 3], acceleration)
     before = speed[..., :-1]
-    heading = _accumulate(state[..., 2], (before * omega if dynamics.steering == "curvature" else omega) * dt)
+    heading = _accumulate(
+        state[..., 2],
+        (before * omega if dynamics.steering == "curvature" else omega) * dt,
+    )
     cosine, sine = jnp.cos(heading), jnp.sin(heading)
     distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
     x = _accumulate(state[..., 0], distance * cosine[..., :-1])
@@ -141,7 +152,9 @@ def rollout(
 
 @jax.jit
 def rollout_jacobian(
-    dynamics: Dynamics, car: Float[jax.Array, "4"], controls: Float[jax.Array, "steps 2"]
+    dynamics: Dynamics,
+    car: Float[jax.Array, "4"],
+    controls: Float[jax.Array, "steps 2"],
 ) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of a `rollout` of one car, its fields stacked, in the ravelled controls.
 
@@ -153,21 +166,35 @@ def rollout_jacobian(
 
     With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a `rollout`.
     """
-    dt, steps, curved = dynamics.time_step, len(controls), dynamics.steering == "curvature"
+    dt, steps, curved = (
+        dynamics.time_step,
+        len(controls),
+        dynamics.steering == "curvature",
+    )
     omega, acceleration = controls.T
-    own_controls = np.eye(2 * steps, dtype=np.float32).reshape(steps, 2, 2 * steps)  # of each step
+    own_controls = np.eye(2 * steps, dtype=np.float32).reshape(
+        steps, 2, 2 * steps
+    )  # of each step
     of_omega, of_acceleration = own_controls[:, 0], own_controls[:, 1]
     earlier = _shares(steps)[:, 1:]  # [states, steps], 1 for steps before a state
     left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
     speed = speeds(dynamics, car[3], acceleration)
     per_acceleration = _shares(steps, left)[:, 1:] * dt
-    faster = jnp.stack([jnp.zeros_like(per_acceleration), per_acceleration], axis=-1).reshape(1 + steps, -1)
+    faster = jnp.stack(
+        [jnp.zeros_like(per_acceleration), per_acceleration], axis=-1
+    ).reshape(1 + steps, -1)
     before, faster_before = speed[:-1], faster[:-1]
     heading = _accumulate(car[2], (before * omega if curved else omega) * dt)
-    yaw = before[:, None] * of_omega + omega[:, None] * faster_before if curved else of_omega
+    yaw = (
+        before[:, None] * of_omega + omega[:, None] * faster_before
+        if curved
+        else of_omega
+    )
     turned = earlier @ yaw * dt
     distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
-    farther = faster_before * dt + (of_acceleration - dynamics.drag * faster_before) * (dt**2 / 2)
+    farther = faster_before * dt + (of_acceleration - dynamics.drag * faster_before) * (
+        dt**2 / 2
+    )
     cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
     turning = distance[:, None] * turned[:-1]
     x = earlier @ (cosine[:-1] * farther - sine[:-1] * turning)
@@ -176,20 +203,29 @@ def rollout_jacobian(
 
 
 def speeds(
-    dynamics: Dynamics, speed: Float[jax.Array, "*cars"], accelerations: Float[jax.Array, "*cars steps"]
+    dynamics: Dynamics,
+    speed: Float[jax.Array, "*cars"],
+    accelerations: Float[jax.Array, "*cars steps"],
 ) -> Float[jax.Array, "*cars states"]:
     """Return the speeds now and after each of a sequence of accelerations under linear friction, see `rollout`."""
-    left = 1 - dynamics.drag * dynamics.time_step  # share of a speed that friction leaves after a step
+    left = (
+        1 - dynamics.drag * dynamics.time_step
+    )  # share of a speed that friction leaves after a step
     return _accumulate(speed, accelerations * dynamics.time_step, left)
 
 
-def _accumulate(initial: jax.Array, changes: jax.Array, left: Scalar | None = None) -> jax.Array:
+def _accumulate(
+    initial: jax.Array, changes: jax.Array, left: Scalar | None = None
+) -> jax.Array:
     """Add the changes of all steps to an initial value. Each step multiplies the sum by ``left``, if given.
 
     Unlike a small matrix product, XLA fuses this.
     """
     shares = _shares(changes.shape[-1], left)
-    return jnp.sum(shares * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :], axis=-1)
+    return jnp.sum(
+        shares * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :],
+        axis=-1,
+    )
 
 
 def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
@@ -223,7 +259,10 @@ def within_grip(
     turn = bend if dynamics.steering == "curvature" else bend * speed
     per_omega = speed**2 if dynamics.steering == "curvature" else speed
     friction = _resistance(dynamics, speed)
-    omega, acceleration = control[..., 0] + turn, xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step)
+    omega, acceleration = (
+        control[..., 0] + turn,
+        xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step),
+    )
     total = xp.hypot(per_omega * omega, acceleration)
     share = xp.minimum(grip / xp.maximum(total, 1e-6), 1.0)
     return xp.stack([share * omega - turn, share * acceleration + friction], axis=-1)
@@ -237,7 +276,9 @@ def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) ->
     return Motion(*jnp.broadcast_arrays(*moved))
 
 
-def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars 2"]:
+def keep_velocity(
+    dynamics: Dynamics, state: Float[SameArray, "*cars 4"]
+) -> Float[SameArray, "*cars 2"]:
     """Return the control that keeps speed and heading; it only compensates friction."""
     xp = state.__array_namespace__()
     speed = state[..., 3]
@@ -245,7 +286,9 @@ def keep_velocity(dynamics: Dynamics, state: Float[SameArray, "*cars 4"]) -> Flo
 
 
 def recover_control(
-    dynamics: Dynamics, state: Float[SameArray, "*cars 4"], next_state: Float[SameArray, "*cars 4"]
+    dynamics: Dynamics,
+    state: Float[SameArray, "*cars 4"],
+    next_state: Float[SameArray, "*cars 4"],
 ) -> Float[SameArray, "*cars 2"]:
     """Recover the control between two states: the inverse of `step`.
 
@@ -255,7 +298,9 @@ def recover_control(
     xp = state.__array_namespace__()
     speed = state[..., 3]
     yaw_rate = without_turns(next_state[..., 2] - state[..., 2]) / dynamics.time_step
-    acceleration = (next_state[..., 3] - speed) / dynamics.time_step + _resistance(dynamics, speed)
+    acceleration = (next_state[..., 3] - speed) / dynamics.time_step + _resistance(
+        dynamics, speed
+    )
     if dynamics.steering == "yaw_rate":
         return xp.stack([yaw_rate, acceleration], axis=-1)
     moving = speed != 0

@@ -96,7 +96,11 @@ class Game:
 
     def human(self, human: Index = 0) -> Reward:
         """Return the reward of a human."""
-        weights = self.humans.weights if isinstance(human, int) else jnp.asarray(self.humans.weights)
+        weights = (
+            self.humans.weights
+            if isinstance(human, int)
+            else jnp.asarray(self.humans.weights)
+        )
         return replace(self.humans, weights=weights[human])
 
     def players(self) -> Reward:
@@ -108,14 +112,18 @@ class Game:
         robot, human = self.robot, self.human()
         if (robot.names, robot.own) != (human.names, human.own):
             both = f"{', '.join(robot.names)} and {', '.join(human.names)}"
-            raise ValueError(f"robot and human have rewards of other features, {both}; build both with the same ones")
+            raise ValueError(
+                f"robot and human have rewards of other features, {both}; build both with the same ones"
+            )
         return jax.tree.map(lambda *sides: jnp.stack(sides), robot, human)
 
 
 @cache
 def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
     """Return for each of some cars the numbers of all others, in ascending order."""
-    return np.array([[other for other in range(cars) if other != car] for car in range(cars)], int).reshape(cars, -1)
+    return np.array(
+        [[other for other in range(cars) if other != car] for car in range(cars)], int
+    ).reshape(cars, -1)
 
 
 def each_human(game: Game, function: Callable[[Index], Any]) -> Any:
@@ -129,7 +137,9 @@ def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
         return game, state
     others = jnp.asarray(others_of(len(state) - 1))[human]
     robot, rest = jnp.split(jnp.asarray(state), [1])
-    return replace(game, humans=_alone(game.human(human))), jnp.concatenate([robot, rest[human][None], rest[others]])
+    return replace(game, humans=_alone(game.human(human))), jnp.concatenate(
+        [robot, rest[human][None], rest[others]]
+    )
 
 
 def _alone(reward: Reward) -> Reward:
@@ -148,12 +158,18 @@ def swap_roles(game: Game, human: Index = 0) -> Game:
     Humans plan by the robot's solver, but anew in every step and without its ease.
     """
     planner = replace(game.planner, solver=game.planner.solver.of_human())
-    return replace(game, robot=game.human(human), humans=_alone(game.robot), planner=planner)
+    return replace(
+        game, robot=game.human(human), humans=_alone(game.robot), planner=planner
+    )
 
 
-def constant_velocity(game: Game, cars: Float[SameArray, "*cars 4"]) -> Float[SameArray, "*cars steps 2"]:
+def constant_velocity(
+    game: Game, cars: Float[SameArray, "*cars 4"]
+) -> Float[SameArray, "*cars steps 2"]:
     """Return the scaled controls of cars that keep speed and heading over the horizon."""
-    control = keep_velocity(game.dynamics, cars)[..., None, :] / game.planner.control_scale
+    control = (
+        keep_velocity(game.dynamics, cars)[..., None, :] / game.planner.control_scale
+    )
     return cars.__array_namespace__().repeat(control, game.planner.horizon, axis=-2)
 
 
@@ -170,11 +186,18 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
         return controls
     bend = 0.0 if game.scene.bend is None else game.scene.bend
     physical = controls * planner.control_scale
-    return _held(game.dynamics, jnp.asarray(planner.grip), jnp.asarray(bend), car, physical) / planner.control_scale
+    return (
+        _held(
+            game.dynamics, jnp.asarray(planner.grip), jnp.asarray(bend), car, physical
+        )
+        / planner.control_scale
+    )
 
 
 @jax.jit
-def _held(dynamics: Dynamics, grip: Scalar, bend: Scalar, car: Car, controls: ManyControls) -> ManyControls:
+def _held(
+    dynamics: Dynamics, grip: Scalar, bend: Scalar, car: Car, controls: ManyControls
+) -> ManyControls:
     now = jnp.broadcast_to(car[3], controls.shape[:-2])
     speed = jnp.maximum(speeds(dynamics, now, controls[..., 1])[..., :-1], 0.0)
     return within_grip(dynamics, grip, speed, controls, bend)
@@ -202,13 +225,19 @@ def move(game: Game, car: Car, controls: Controls) -> Trajectory:
     return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
 
 
-def move_jacobian(game: Game, car: Car, controls: Controls) -> Float[jax.Array, "fields steps controls"]:
+def move_jacobian(
+    game: Game, car: Car, controls: Controls
+) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of `move` in the ravelled scaled controls."""
     scale = jnp.asarray(game.planner.control_scale)
-    return rollout_jacobian(game.dynamics, car, controls * scale) * jnp.tile(scale, len(controls))
+    return rollout_jacobian(game.dynamics, car, controls * scale) * jnp.tile(
+        scale, len(controls)
+    )
 
 
-def move_all(game: Game, cars: State, controls: Float[Any, "cars steps 2"]) -> Trajectories:
+def move_all(
+    game: Game, cars: State, controls: Float[Any, "cars steps 2"]
+) -> Trajectories:
     """Return the trajectories of some cars under scaled controls."""
     return for_rows(partial(move, game), cars, controls)
 
@@ -242,6 +271,8 @@ def step_rewards(
     return payoff.steps(move(game, state[0], robot), others)
 
 
-def total_reward(game: Game, state: State, robot: Controls, humans: HumansControls) -> Scalar:
+def total_reward(
+    game: Game, state: State, robot: Controls, humans: HumansControls
+) -> Scalar:
     """Return the sum of `step_rewards` of plans, R_R(x, u_R, u_H)."""
     return jnp.sum(step_rewards(game, game.payoff, state, robot, humans))

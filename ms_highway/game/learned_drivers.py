@@ -16,7 +16,14 @@ Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0, le=LARGEST)]
 
-LEARNED = ("speed", "headway", "closing_speed", "lane_alignment", "direction", "comfort_steering")
+LEARNED = (
+    "speed",
+    "headway",
+    "closing_speed",
+    "lane_alignment",
+    "direction",
+    "comfort_steering",
+)
 """Weights that are learned seconds ahead, relative to that of the comfort of acceleration."""
 
 CHANGING = (*LEARNED, "desired speed", "typical headway")
@@ -52,16 +59,22 @@ class TraitPrior(Structure):
     deviations: tuple[Positive, Positive, Positive]
     noise: Positive
 
-    def traits(self, logarithms: Float[Any, "*drivers 3"], speed_limit: Scalar) -> RewardTraits:
+    def traits(
+        self, logarithms: Float[Any, "*drivers 3"], speed_limit: Scalar
+    ) -> RewardTraits:
         """Return the traits of drivers whose logarithms differ from those of the medians by these numbers."""
         xp = logarithms.__array_namespace__()
         shares = xp.asarray(self.median) * xp.exp(logarithms)
-        return RewardTraits(shares[..., 0] * speed_limit, shares[..., 1], shares[..., 2])
+        return RewardTraits(
+            shares[..., 0] * speed_limit, shares[..., 1], shares[..., 2]
+        )
 
     def draw(self, random: np.random.Generator, speed_limit: float) -> RewardTraits:
         """Draw the traits of a driver, within two standard deviations of the medians."""
         normal = np.clip(random.normal(size=3), -2.0, 2.0)
-        return RewardTraits(*map(float, self.traits(normal * np.asarray(self.deviations), speed_limit)))
+        return RewardTraits(
+            *map(float, self.traits(normal * np.asarray(self.deviations), speed_limit))
+        )
 
 
 @pytree
@@ -102,7 +115,10 @@ class Spread(Structure):
         """Return the scales of each mode after each step of 0.1 s [m]."""
         times = jnp.log(0.1 * jnp.arange(1, steps + 1))
         powers = jnp.stack([jnp.ones_like(times), times, times**2])
-        logs = jnp.stack([jnp.asarray(self.along) @ powers, jnp.asarray(self.across) @ powers], axis=-1)
+        logs = jnp.stack(
+            [jnp.asarray(self.along) @ powers, jnp.asarray(self.across) @ powers],
+            axis=-1,
+        )
         changes = (jnp.arange(modes) > 0)[:, None, None] * jnp.asarray(self.changing)
         return jnp.exp(logs + changes)
 
@@ -129,9 +145,14 @@ class Drivers(Structure):
     intention: Intention
 
     def __post_init__(self) -> None:
-        for part, names in (("weights", (*LEARNED, "comfort_acceleration")), ("changing", CHANGING)):
+        for part, names in (
+            ("weights", (*LEARNED, "comfort_acceleration")),
+            ("changing", CHANGING),
+        ):
             if wrong := set(getattr(self, part)) ^ set(names):
-                raise ValueError(f"{part} of drivers lack or have unknown {', '.join(sorted(wrong))}")
+                raise ValueError(
+                    f"{part} of drivers lack or have unknown {', '.join(sorted(wrong))}"
+                )
 
 
 @pytree

@@ -23,7 +23,10 @@ REMEDY = "learn it again with `ms-highway irl fit`"
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 
-SHIPPED = {"demonstrations": "learned from simulated demonstrations", "us101": "learned from drivers on US-101"}
+SHIPPED = {
+    "demonstrations": "learned from simulated demonstrations",
+    "us101": "learned from drivers on US-101",
+}
 """Name and description of the learned rewards in the package."""
 
 
@@ -74,29 +77,57 @@ class LearnedReward(Structure):
         """
         linear_reward(self.weights, 1.0)
         if unknown := sorted(set(self.learned) - set(self.weights)):
-            raise ValueError(f"learned has {', '.join(unknown)}, which is not among the weights")
-        RewardModel(self.learned, {name: self.weights[name] for name in self.weights if name not in self.learned})
-        covariance, size = np.array(self.covariance, dtype=float), len(self.learned) + 1 + (self.tails is not None)
-        if covariance.shape != (size, size) or not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
-            raise ValueError(f"the covariance is no finite array of shape {(size, size)} with variances")
+            raise ValueError(
+                f"learned has {', '.join(unknown)}, which is not among the weights"
+            )
+        RewardModel(
+            self.learned,
+            {
+                name: self.weights[name]
+                for name in self.weights
+                if name not in self.learned
+            },
+        )
+        covariance, size = (
+            np.array(self.covariance, dtype=float),
+            len(self.learned) + 1 + (self.tails is not None),
+        )
+        if (
+            covariance.shape != (size, size)
+            or not np.isfinite(covariance).all()
+            or (np.diag(covariance) < 0).any()
+        ):
+            raise ValueError(
+                f"the covariance is no finite array of shape {(size, size)} with variances"
+            )
         if set(self.feature_counts) != {"human", "model"}:
-            raise ValueError(f"feature_counts are of {', '.join(self.feature_counts) or 'nobody'}, not human and model")
+            raise ValueError(
+                f"feature_counts are of {', '.join(self.feature_counts) or 'nobody'}, not human and model"
+            )
         for who, counts in self.feature_counts.items():
             if set(counts) != set(self.weights):
-                raise ValueError(f"feature_counts.{who} lacks or has unknown {_differing(counts, self.weights)}")
+                raise ValueError(
+                    f"feature_counts.{who} lacks or has unknown {_differing(counts, self.weights)}"
+                )
         if set(self.log_likelihood) != {"train", "held_out"}:
             raise ValueError("log_likelihood has other keys than train and held_out")
 
     @property
     def model(self) -> RewardModel:
         """The learned and the given weights."""
-        given = {name: value for name, value in self.weights.items() if name not in self.learned}
+        given = {
+            name: value
+            for name, value in self.weights.items()
+            if name not in self.learned
+        }
         return RewardModel(self.learned, given, self.tails is not None)
 
     def interval(self, name: str) -> Float[np.ndarray, "2"]:
         """Return the 90 % interval of a learned weight."""
         index = self.learned.index(name)
-        return log_normal_interval(self.weights[name], np.sqrt(self.covariance[index][index]))
+        return log_normal_interval(
+            self.weights[name], np.sqrt(self.covariance[index][index])
+        )
 
 
 def _differing(names: Iterable[str], others: Iterable[str]) -> str:
@@ -136,7 +167,9 @@ def shipped(name: str) -> LearnedReward:
         ValueError: for an unknown name.
     """
     if name not in SHIPPED:
-        raise ValueError(f"no learned reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}")
+        raise ValueError(
+            f"no learned reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}"
+        )
     learned = load(Path(str(resources.files("ms_highway") / "data" / f"{name}.json")))
     return msgspec.structs.replace(learned, weights=Published(learned.weights))
 
@@ -161,6 +194,9 @@ def commuter_weights() -> dict[str, float]:
     lane or the road and of collisions are the paper's: the recordings say little about them.
     """
     learned = shipped("us101")
-    kept = {name: float(COMMON_WEIGHTS[name]) for name in ("lane_alignment", "collision_risk", "off_road")}
+    kept = {
+        name: float(COMMON_WEIGHTS[name])
+        for name in ("lane_alignment", "collision_risk", "off_road")
+    }
     weights = {**learned.weights, **shipped_drivers().weights, **kept}
     return {name: weight / learned.temperature for name, weight in weights.items()}

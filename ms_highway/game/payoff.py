@@ -27,7 +27,12 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.collision_risk import SMOOTH_FACTOR, SMOOTH_MARGIN, Bodies, bodies_around
+from ms_highway.game.collision_risk import (
+    SMOOTH_FACTOR,
+    SMOOTH_MARGIN,
+    Bodies,
+    bodies_around,
+)
 from ms_highway.game.contact import (
     car_residuals,
     contact_cost,
@@ -35,15 +40,24 @@ from ms_highway.game.contact import (
     obstacle_residuals,
 )
 from ms_highway.game.dynamics import Motion
-from ms_highway.game.features import attention, depth_off_road, motion_reward, soft_positive
+from ms_highway.game.features import (
+    attention,
+    depth_off_road,
+    motion_reward,
+    soft_positive,
+)
 from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.geometry.bodies import body_points
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.runtime.arrays import Scalar, Times, Trajectories, Trajectory
 
-STOPPING_MARGIN = 0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
-LATERAL_MARGIN = 0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
+STOPPING_MARGIN = (
+    0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
+)
+LATERAL_MARGIN = (
+    0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
+)
 SMOOTHING = 0.2  # beyond which the cost of being late or aligned is nearly linear
 
 
@@ -67,14 +81,22 @@ def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
     return jnp.sum(lateness(scene, braking, own) ** 2, axis=0)
 
 
-def lateness(scene: Scene, braking: Scalar, own: Motion) -> Float[jax.Array, "obstacles steps"]:
+def lateness(
+    scene: Scene, braking: Scalar, own: Motion
+) -> Float[jax.Array, "obstacles steps"]:
     """Return r of `stopping_cost` for every obstacle, zero except in the step half-way."""
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T[..., None]
     car_length, car_width = jnp.asarray(scene.car_size)
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
     gap = obstacle_x - own.x
-    late = soft_positive((own.speed**2 / (2 * braking) + length - gap) / car_length + STOPPING_MARGIN, SMOOTHING)
-    aligned = soft_positive(1 - ((own.y - obstacle_y) / (width + LATERAL_MARGIN * car_width)) ** 2, SMOOTHING)
+    late = soft_positive(
+        (own.speed**2 / (2 * braking) + length - gap) / car_length + STOPPING_MARGIN,
+        SMOOTHING,
+    )
+    aligned = soft_positive(
+        1 - ((own.y - obstacle_y) / (width + LATERAL_MARGIN * car_width)) ** 2,
+        SMOOTHING,
+    )
     ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
     steps = own.x.shape[-1]
     half_way = np.arange(steps) == (steps - 1) // 2
@@ -132,7 +154,9 @@ class Payoff:
             rewards = rewards - contact_cost(self.scene, motion, around)
         if self.braking is None:
             return rewards
-        return rewards - self.reward.price("collision") * stopping_cost(self.scene, self.braking, motion)
+        return rewards - self.reward.price("collision") * stopping_cost(
+            self.scene, self.braking, motion
+        )
 
     @jax.jit
     def total(self, own: Trajectory, others: Trajectories) -> Scalar:
@@ -140,7 +164,9 @@ class Payoff:
         return jnp.sum(self.steps(own, others))
 
     @jax.jit
-    def slopes(self, own: Trajectory, others: Trajectories) -> tuple[Trajectory, Trajectories]:
+    def slopes(
+        self, own: Trajectory, others: Trajectories
+    ) -> tuple[Trajectory, Trajectories]:
         """Differentiate the sum in the car's trajectory, and in those of all others."""
         return jax.grad(lambda *paths: self.total(*paths), argnums=(0, 1))(own, others)
 
@@ -177,9 +203,16 @@ class Payoff:
         _, slopes = along_fields(partial(self._residuals, around), own)
         return 2 * (total + jnp.sum(slopes[:, None] * slopes, axis=2))
 
-    def _residuals(self, others: Motion, path: Trajectory) -> Float[jax.Array, "residuals steps"]:
+    def _residuals(
+        self, others: Motion, path: Trajectory
+    ) -> Float[jax.Array, "residuals steps"]:
         """Return quantities whose squares are, up to constants, the costs of features of the road and of traffic."""
-        scene, reward, own, per_unit = self.scene, self.reward, Motion(*path), 1 / self.scene.length_unit
+        scene, reward, own, per_unit = (
+            self.scene,
+            self.reward,
+            Motion(*path),
+            1 / self.scene.length_unit,
+        )
         weights = dict(zip(reward.names, jnp.unstack(reward.weights), strict=True))
         costs = [
             (weights["speed"], own.speed * own.cosine / reward.speed_limit),
@@ -190,10 +223,24 @@ class Payoff:
             costs.append((weights["gap"], own.x * per_unit))
         if "headway" in weights:
             along, _, attended = attention(scene, own, others)
-            ahead = jax.lax.stop_gradient(jnp.sqrt(jnp.where(along > 0, attended, 0.0).sum(axis=0)))
-            costs.append((weights["headway"], ahead * (own.x + reward.headway * own.speed) * per_unit))
-            costs.append((weights["closing_speed"], ahead * own.speed / reward.speed_limit))
-        residuals = jnp.stack([jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity for weight, quantity in costs])
+            ahead = jax.lax.stop_gradient(
+                jnp.sqrt(jnp.where(along > 0, attended, 0.0).sum(axis=0))
+            )
+            costs.append(
+                (
+                    weights["headway"],
+                    ahead * (own.x + reward.headway * own.speed) * per_unit,
+                )
+            )
+            costs.append(
+                (weights["closing_speed"], ahead * own.speed / reward.speed_limit)
+            )
+        residuals = jnp.stack(
+            [
+                jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity
+                for weight, quantity in costs
+            ]
+        )
         if self.avoids_contact and len(scene.obstacles):
             residuals = jnp.concatenate([residuals, obstacle_residuals(scene, own)])
         if self.braking is None:
@@ -201,7 +248,9 @@ class Payoff:
         late = jnp.sqrt(reward.price("collision")) * lateness(scene, self.braking, own)
         return jnp.concatenate([residuals, late])
 
-    def _closeness(self, bodies: Bodies, points: Points) -> Float[jax.Array, "3 bodies points steps"]:
+    def _closeness(
+        self, bodies: Bodies, points: Points
+    ) -> Float[jax.Array, "3 bodies points steps"]:
         """Return quantities whose squares bend like closeness: the offset from a body along and across it, and D."""
         other = Motion(*(part[:, None] for part in bodies.motion))
         dx, dy = points[0] - other.x, points[1] - other.y
@@ -209,7 +258,11 @@ class Payoff:
         across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
         distance = ahead**2 + across**2 - 1
         near = jax.lax.stop_gradient(distance)
-        close = self.reward.price("collision_risk") * bodies.share * jnp.exp(-bodies.sharpness * near)
+        close = (
+            self.reward.price("collision_risk")
+            * bodies.share
+            * jnp.exp(-bodies.sharpness * near)
+        )
         fall = bodies.sharpness * close
         bend = bodies.sharpness**2 * close / 2
         if not self.avoids_contact:
@@ -238,7 +291,9 @@ def _bends_of_points(
 
     def places_of(path: Trajectory) -> Points:
         x, y, cosine, sine, _ = path
-        return jnp.stack([x + cosine * along - sine * across, y + sine * along + cosine * across])
+        return jnp.stack(
+            [x + cosine * along - sine * across, y + sine * along + cosine * across]
+        )
 
     places, moved = along_fields(places_of, own)
     _, slopes = along_fields(residuals, places)

@@ -48,7 +48,9 @@ MAX_WEIGHT = 1e30  # which single precision holds
 TIME_HEADWAY = 1.0
 """Time gap between bumpers that the headway feature wants by default, besides 2 m [s]."""
 
-COMPUTATION = "computation"  # the price of planning among the reward terms of environments
+COMPUTATION = (
+    "computation"  # the price of planning among the reward terms of environments
+)
 
 
 @jax.tree_util.register_dataclass
@@ -101,7 +103,9 @@ def add_feature(name: str, function: Feature) -> None:
     """
     taken = (*FEATURES, *COMFORT, COMPUTATION)
     if not isinstance(name, str) or not name.isidentifier() or name in taken:
-        raise ValueError(f"a feature cannot be called {name!r}; choose one word other than {', '.join(taken)}")
+        raise ValueError(
+            f"a feature cannot be called {name!r}; choose one word other than {', '.join(taken)}"
+        )
     own, others = (Motion(*np.zeros((5, *shape), np.float32)) for shape in ((), (3,)))
     scene = Scene(np.zeros(3), 0.0, obstacles=np.zeros((2, 2)))
     try:
@@ -115,8 +119,14 @@ def add_feature(name: str, function: Feature) -> None:
         ) from error
     number = isinstance(value, jax.ShapeDtypeStruct)
     if not number or value.shape or jnp.iscomplexobj(value):
-        message = f"{value.dtype} of shape {value.shape}" if number else f"{type(value).__name__}"
-        raise ValueError(f"the feature {name!r} returns {message} for one moment; it must return one number")
+        message = (
+            f"{value.dtype} of shape {value.shape}"
+            if number
+            else f"{type(value).__name__}"
+        )
+        raise ValueError(
+            f"the feature {name!r} returns {message} for one moment; it must return one number"
+        )
     OWN_FEATURES[name] = function
     note_definition(name, function)
 
@@ -151,27 +161,48 @@ def linear_reward(
             "add one of your own with ms_highway.add_feature, or --import the module that does"
         )
     for name, value in values.items():
-        if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.abs(value) <= MAX_WEIGHT:
-            raise ValueError(f"the weight of {name} is {value!r}; it must be a finite number, at most {MAX_WEIGHT:g}")
+        if (
+            isinstance(value, (bool, str))
+            or not np.isscalar(value)
+            or not np.abs(value) <= MAX_WEIGHT
+        ):
+            raise ValueError(
+                f"the weight of {name} is {value!r}; it must be a finite number, at most {MAX_WEIGHT:g}"
+            )
     names = names or features_for(values)
     if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
-        raise ValueError(f"the features {', '.join(names)} are not in the order of FEATURES, then user-defined ones")
-    left_out = [name for name, value in values.items() if value != 0 and name not in (*names, *COMFORT)]
+        raise ValueError(
+            f"the features {', '.join(names)} are not in the order of FEATURES, then user-defined ones"
+        )
+    left_out = [
+        name
+        for name, value in values.items()
+        if value != 0 and name not in (*names, *COMFORT)
+    ]
     if left_out:
-        raise ValueError(f"{', '.join(left_out)} would not be computed; add them to the names of the features")
-    weights, comfort = (np.array([values.get(name, 0.0) for name in group], np.float32) for group in (names, COMFORT))
+        raise ValueError(
+            f"{', '.join(left_out)} would not be computed; add them to the names of the features"
+        )
+    weights, comfort = (
+        np.array([values.get(name, 0.0) for name in group], np.float32)
+        for group in (names, COMFORT)
+    )
     own = tuple(OWN_FEATURES[name] for name in names if name in OWN_FEATURES)
     return Reward(weights, speed_limit, gap, comfort, names, own)
 
 
-def features_for(*rewards: Mapping[str, float], least: tuple[str, ...] = PAPER_FEATURES) -> tuple[str, ...]:
+def features_for(
+    *rewards: Mapping[str, float], least: tuple[str, ...] = PAPER_FEATURES
+) -> tuple[str, ...]:
     """Return the names of the features that these weights by name need.
 
     Args:
         rewards: weights of each reward; features with weight 0 in all are left out.
         least: features that are computed in any case, `PAPER_FEATURES` or `FEATURES`.
     """
-    weighed = {name for values in rewards for name, value in values.items() if value != 0}
+    weighed = {
+        name for values in rewards for name, value in values.items() if value != 0
+    }
     packaged = least if weighed.isdisjoint(TRAFFIC_FEATURES) else FEATURES
     return (*packaged, *(name for name in OWN_FEATURES if name in weighed))
 
@@ -182,7 +213,9 @@ PENALTIES = ("collision_risk", "collision", "off_road")
 NO_GRADIENT = ("collision", "merged", "partner_merged")
 """Indicators. They have no gradient, so that driving carries no information about their weights."""
 
-CURVATURE_FLOOR = 0.5  # of the least given comfort weight: the least curvature of -R in a fit
+CURVATURE_FLOOR = (
+    0.5  # of the least given comfort weight: the least curvature of -R in a fit
+)
 
 
 @dataclass(frozen=True)
@@ -206,12 +239,16 @@ class RewardModel:
         known = [name for name in weight_names() if name not in NO_GRADIENT]
         for name in self.names:
             if name not in known:
-                raise ValueError(f"{name!r} cannot be learned; the weights to learn are {', '.join(known)}")
+                raise ValueError(
+                    f"{name!r} cannot be learned; the weights to learn are {', '.join(known)}"
+                )
         twice = sorted(set(self.learned) & set(self.given))
         if twice or len(set(self.learned)) < len(self.learned):
             raise ValueError(f"weights {twice or list(self.learned)} are named twice")
         if not any(self.given.get(name, 0.0) > 0 for name in COMFORT):
-            raise ValueError(f"one of {', '.join(COMFORT)} must be given: it sets the scale of all weights")
+            raise ValueError(
+                f"one of {', '.join(COMFORT)} must be given: it sets the scale of all weights"
+            )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -221,7 +258,9 @@ class RewardModel:
     @property
     def floor(self) -> float:
         """The least curvature of -R in any direction that a fit assumes."""
-        return CURVATURE_FLOOR * min(value for name, value in self.given.items() if name in COMFORT and value > 0)
+        return CURVATURE_FLOOR * min(
+            value for name, value in self.given.items() if name in COMFORT and value > 0
+        )
 
     def signs(self) -> Float[np.ndarray, "learned"]:
         """Return the signs of the learned weights, which are fixed."""

@@ -35,7 +35,9 @@ LANE_WIDTH = 0.1 * PAPER_UNIT  # m
 SPEED_LIMIT = 0.6 * PAPER_UNIT  # m/s: 20
 TIME_STEP = 0.1  # s
 PAPER_FRICTION = 0.2  # 1/s; the paper gives no value of alpha
-RELEASED_DRAG = 0.2 / PAPER_UNIT  # 1/m, in the world only: the released planners neglect it
+RELEASED_DRAG = (
+    0.2 / PAPER_UNIT
+)  # 1/m, in the world only: the released planners neglect it
 
 PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
 """The paper's dynamics with friction, Sec. IV-A, in any unit of length."""
@@ -55,7 +57,13 @@ controls of a plan may exceed it by a quarter (`ms_highway.game.game.bounded`).
 """
 
 COMMON_WEIGHTS = Published(
-    {"speed": 2, "lane_alignment": 75, "collision_risk": -1, "collision": -100, "off_road": -2500}
+    {
+        "speed": 2,
+        "lane_alignment": 75,
+        "collision_risk": -1,
+        "collision": -100,
+        "off_road": -2500,
+    }
 )
 """Weights that every driver of every scenario has."""
 
@@ -142,15 +150,22 @@ class Scenario:
         for name in ("robot_weights", "human_weights"):
             weights = getattr(self, name)
             if not isinstance(weights, Mapping):
-                raise ValueError(f"scenario {self.name!r} has {name}={weights!r}; give weights by name of a feature")
+                raise ValueError(
+                    f"scenario {self.name!r} has {name}={weights!r}; give weights by name of a feature"
+                )
             object.__setattr__(self, name, Published(weights))
-        place, remedy = f"scenario {self.name!r}", "all numbers are in metres, y to the right"
+        place, remedy = (
+            f"scenario {self.name!r}",
+            "all numbers are in metres, y to the right",
+        )
         fewest, most = HUMANS if self.streams else (1, 1)
         if not fewest <= self.humans <= most:
             why = "streams say where several humans drive, and without streams there is one"
             if self.streams:
                 why = f"give {fewest} to {most}"
-            raise ValueError(f"{place} has humans={self.humans} and {len(self.streams)} streams; {why}")
+            raise ValueError(
+                f"{place} has humans={self.humans} and {len(self.streams)} streams; {why}"
+            )
         lanes = np.sort(np.asarray(self.lanes, float).ravel())
         apart = np.diff(lanes)
         if (
@@ -161,17 +176,31 @@ class Scenario:
             found = f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to {MAX_LANE_DISTANCE:g} m apart"
             raise ValueError(f"{place} has {found}, and {remedy}")
         if not 0 <= self.careless <= 1:
-            raise ValueError(f"{place} has careless {self.careless}; give a share from 0 to 1")
+            raise ValueError(
+                f"{place} has careless {self.careless}; give a share from 0 to 1"
+            )
         for stream in self.streams:
-            if not CAR_SIZE[0] < min(stream.spacing) or stream.spacing[0] > stream.spacing[1]:
+            if (
+                not CAR_SIZE[0] < min(stream.spacing)
+                or stream.spacing[0] > stream.spacing[1]
+            ):
                 wanted = f"the shortest, more than {CAR_SIZE[0]:g} m, then the longest"
-                raise ValueError(f"{place} has a stream of spacing {stream.spacing}; give {wanted}")
+                raise ValueError(
+                    f"{place} has a stream of spacing {stream.spacing}; give {wanted}"
+                )
         for kind, points in (("a car", self.cars), ("a cone", self.cones)):
             for point in points:
                 if len(point) not in ((2, 3) if points is self.cars else (2,)):
-                    raise ValueError(f"{place} has {kind} at {point}; give x and y, and {remedy}")
-                if not np.isfinite(point).all() or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE:
-                    raise ValueError(f"{place} has {kind} at {point}, beside all lanes, at {self.lanes}; {remedy}")
+                    raise ValueError(
+                        f"{place} has {kind} at {point}; give x and y, and {remedy}"
+                    )
+                if (
+                    not np.isfinite(point).all()
+                    or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE
+                ):
+                    raise ValueError(
+                        f"{place} has {kind} at {point}, beside all lanes, at {self.lanes}; {remedy}"
+                    )
 
     def check(self) -> None:
         """Check what an environment needs, and what may be registered only after the scenario is made.
@@ -182,13 +211,25 @@ class Scenario:
         place = f"scenario {self.name!r}"
         whole = isinstance(self.steps, int)
         if not self.streams and len(self.cars) < 2:
-            remedy = "give the starts of the robot and of the human, or streams of humans"
-            raise ValueError(f"{place} has no human, as its cars are {self.cars}; {remedy}")
+            remedy = (
+                "give the starts of the robot and of the human, or streams of humans"
+            )
+            raise ValueError(
+                f"{place} has no human, as its cars are {self.cars}; {remedy}"
+            )
         if not whole or self.steps < 1:
-            raise ValueError(f"{place} has steps={self.steps!r}; give a whole number of steps, 1 or more")
-        if len(self.prices) != 2 or not all(0 <= price < np.inf for price in self.prices):
-            raise ValueError(f"{place} has the prices {self.prices!r}; give two lambdas, 0 or more")
-        if self.merging_car is not None and self.merging_car not in range(len(self.cars)):
+            raise ValueError(
+                f"{place} has steps={self.steps!r}; give a whole number of steps, 1 or more"
+            )
+        if len(self.prices) != 2 or not all(
+            0 <= price < np.inf for price in self.prices
+        ):
+            raise ValueError(
+                f"{place} has the prices {self.prices!r}; give two lambdas, 0 or more"
+            )
+        if self.merging_car is not None and self.merging_car not in range(
+            len(self.cars)
+        ):
             remedy = f"give the place of one of its {len(self.cars)} cars, or None"
             raise ValueError(f"{place} has merging_car={self.merging_car!r}; {remedy}")
         for name in ("robot_weights", "human_weights"):
@@ -238,9 +279,15 @@ def build_game(
     """
     human_weights = dict(scenario.human_weights)
     if human_driving is not None:
-        aims = {name: weight for name, weight in human_weights.items() if name not in COMMON_WEIGHTS}
+        aims = {
+            name: weight
+            for name, weight in human_weights.items()
+            if name not in COMMON_WEIGHTS
+        }
         human_weights = {**aims, **human_driving}
-    human_weights["collision_risk"] = scenario.caution * human_weights.get("collision_risk", 0.0)
+    human_weights["collision_risk"] = scenario.caution * human_weights.get(
+        "collision_risk", 0.0
+    )
     metre = unit / PAPER_UNIT
     scene = Scene(
         lanes=np.array(scenario.lanes) * metre,
@@ -255,21 +302,39 @@ def build_game(
         contact="bodies" if semantics == "physical" else "paper",
     )
     names = features_for(scenario.robot_weights, human_weights)
-    robot = linear_reward(scenario.robot_weights, SPEED_LIMIT * metre, scenario.robot_gap * metre, names)
-    human = linear_reward(human_weights, SPEED_LIMIT * metre, scenario.human_gap * metre, names)
+    robot = linear_reward(
+        scenario.robot_weights, SPEED_LIMIT * metre, scenario.robot_gap * metre, names
+    )
+    human = linear_reward(
+        human_weights, SPEED_LIMIT * metre, scenario.human_gap * metre, names
+    )
     planning = planning or scenario.planning
     if semantics == "released":
         plans = Dynamics("yaw_rate", "linear", 0.0, planning.time_step)
-        world = Dynamics("yaw_rate", "quadratic", RELEASED_DRAG / metre, planning.time_step)
+        world = Dynamics(
+            "yaw_rate", "quadratic", RELEASED_DRAG / metre, planning.time_step
+        )
     else:
         plans = world = replace(PAPER_DYNAMICS, time_step=planning.time_step)
     if semantics == "physical" and grip is None:
         grip = GRIP * metre
-    improves = _solver(solver or scenario.solver, planning, bool(scenario.streams), EASE)
+    improves = _solver(
+        solver or scenario.solver, planning, bool(scenario.streams), EASE
+    )
     planner = _planner(scene, plans, control_limit, grip, improves, planning.horizon)
     influence: Influence = "exact" if semantics == "released" else "damped"
-    game = Game(scene, robot, _humans(human, humans or scenario.humans), plans, world, planner, influence)
-    return read_only(jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game))
+    game = Game(
+        scene,
+        robot,
+        _humans(human, humans or scenario.humans),
+        plans,
+        world,
+        planner,
+        influence,
+    )
+    return read_only(
+        jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
+    )
 
 
 def driving_game(
@@ -306,7 +371,9 @@ def _humans(reward: Reward, number: int) -> Reward:
     return replace(reward, weights=np.tile(reward.weights, (number, 1)))
 
 
-def _solver(name: SolverName, planning: PlanningSettings, continues: bool, ease: float) -> Solver:
+def _solver(
+    name: SolverName, planning: PlanningSettings, continues: bool, ease: float
+) -> Solver:
     """Return the solver of a name; only `Newton` has an ease."""
     if name == "convex_newton":
         return Newton(ease, continues=continues)
@@ -332,4 +399,6 @@ def _planner(
     if dynamics.steering == "curvature":
         turn_scale = PAPER_UNIT / (SPEED_LIMIT * scene.length_unit)
     limit = np.full(2, np.inf) if control_limit is None else np.array(control_limit)
-    return Planner(np.array([turn_scale, scene.length_unit]), limit, grip, solver, horizon)
+    return Planner(
+        np.array([turn_scale, scene.length_unit]), limit, grip, solver, horizon
+    )

@@ -7,7 +7,14 @@ from dataclasses import replace
 from math import sqrt
 from typing import Any
 
-from ms_highway.game.scenario import COMMON_WEIGHTS, GRIP, SECONDS_LIMIT, SPEED_LIMIT, Scenario, Stream
+from ms_highway.game.scenario import (
+    COMMON_WEIGHTS,
+    GRIP,
+    SECONDS_LIMIT,
+    SPEED_LIMIT,
+    Scenario,
+    Stream,
+)
 from ms_highway.game.scenario import PAPER_UNIT as UNIT
 from ms_highway.numerics.solvers import PlanningSettings
 
@@ -50,11 +57,17 @@ MERGER = Scenario(
 GIVE_WAY = Scenario(
     name="give_way",
     lanes=(-0.1 * UNIT, 0.0),
-    cars=((-0.275 * UNIT, -0.1 * UNIT), (-0.275 * UNIT, 0.0), (0.05 * UNIT, -0.1 * UNIT), (-0.6 * UNIT, -0.1 * UNIT)),
+    cars=(
+        (-0.275 * UNIT, -0.1 * UNIT),
+        (-0.275 * UNIT, 0.0),
+        (0.05 * UNIT, -0.1 * UNIT),
+        (-0.6 * UNIT, -0.1 * UNIT),
+    ),
     steps=40,
     ladder=("naive", "turn", "tom"),
     prices=(0.03, 0.01),
-    robot_weights=COMMON_WEIGHTS | {"target_lane": 1000, "gap": 10, "partner_target_lane": 350, "partner_merged": 5},
+    robot_weights=COMMON_WEIGHTS
+    | {"target_lane": 1000, "gap": 10, "partner_target_lane": 350, "partner_merged": 5},
     human_weights=COMMON_WEIGHTS | {"target_lane": 0.7 * 150},
     robot_gap=0.325 * UNIT,
     merging_car=1,
@@ -72,12 +85,22 @@ def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
         changes: other attributes that differ.
     """
     name = scenario.name.replace("_", "-") + "-v1"
-    physical = replace(scenario, name=name, semantics="physical", grip=GRIP, solver="convex_newton", prices=(10.0, 1.0))
+    physical = replace(
+        scenario,
+        name=name,
+        semantics="physical",
+        grip=GRIP,
+        solver="convex_newton",
+        prices=(10.0, 1.0),
+    )
     return replace(physical, planning=PlanningSettings(horizon=horizon), **changes)
 
 
 STAY_BACK_V1 = _physical(
-    STAY_BACK, 20, cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.05 * UNIT, 0.0, 0.045 * UNIT)), steps=60
+    STAY_BACK,
+    20,
+    cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.05 * UNIT, 0.0, 0.045 * UNIT)),
+    steps=60,
 )
 """The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives 1.5 m/s faster.
 
@@ -95,11 +118,17 @@ GIVE_WAY_V1 = _physical(GIVE_WAY, 10)
 
 def _lane_end(first_cone: float) -> tuple[tuple[float, float], ...]:
     """Return the cones that end the robot's lane, from a first x in the paper's unit."""
-    return tuple(((first_cone + 0.09 * place) * UNIT, 0.02 * UNIT) for place in range(3))
+    return tuple(
+        ((first_cone + 0.09 * place) * UNIT, 0.02 * UNIT) for place in range(3)
+    )
 
 
 def _merge_among_several(
-    name: str, steps: int, lanes: tuple[float, ...], first_cone: float, streams: tuple[Stream, ...]
+    name: str,
+    steps: int,
+    lanes: tuple[float, ...],
+    first_cone: float,
+    streams: tuple[Stream, ...],
 ) -> Scenario:
     """Return a scenario in which the robot's lane ends; plans look two seconds ahead, as merging takes long."""
     return Scenario(
@@ -123,7 +152,9 @@ def _merge_among_several(
     )
 
 
-DENSE_MERGE = _merge_among_several("dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),))
+DENSE_MERGE = _merge_among_several(
+    "dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),)
+)
 """The robot's lane ends, and most gaps in the stream beside it are too short for a car unless a human yields."""
 
 CROSSING_CROWD = _merge_among_several(
@@ -153,7 +184,12 @@ CLOSE_SPACING = 7.0, 13.0  # m, spacing in the stream of Dense Merge v1
 CLOSER_SPACING = 6.5, 12.5  # m, spacing in the streams of Crossing Crowd v1
 
 DENSE_MERGE_V1 = _physical(
-    DENSE_MERGE, 10, steps=60, cones=_lane_end(2.5), streams=(Stream(-0.1 * UNIT, spacing=CLOSE_SPACING),), **SEVERAL_V1
+    DENSE_MERGE,
+    10,
+    steps=60,
+    cones=_lane_end(2.5),
+    streams=(Stream(-0.1 * UNIT, spacing=CLOSE_SPACING),),
+    **SEVERAL_V1,
 )
 """The stream is denser than in version 0, and the cones are farther away.
 
@@ -166,7 +202,9 @@ CROSSING_CROWD_V1 = _physical(
     10,
     steps=60,
     cones=_lane_end(2.75),
-    streams=tuple(replace(stream, spacing=CLOSER_SPACING) for stream in CROSSING_CROWD.streams),
+    streams=tuple(
+        replace(stream, spacing=CLOSER_SPACING) for stream in CROSSING_CROWD.streams
+    ),
     **SEVERAL_V1,
 )
 """Both streams are denser than in version 0, the cones are farther away, and there are six seconds to arrive.

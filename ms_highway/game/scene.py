@@ -16,7 +16,9 @@ PAPER_UNIT = 100 / 3  # m
 CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)  # m: 5 by 2.5
 CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)  # m
 
-LANE_TOLERANCE = 0.8  # m, from the centre of the target lane, within which a car has reached it
+LANE_TOLERANCE = (
+    0.8  # m, from the centre of the target lane, within which a car has reached it
+)
 
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "lanes": ("n",),
@@ -57,7 +59,9 @@ class Scene:
 
     lanes: Float[Array, "lanes"]
     lane_width: Scalar
-    obstacles: Float[Array, "obstacles 2"] = field(default_factory=lambda: np.zeros((0, 2)))
+    obstacles: Float[Array, "obstacles 2"] = field(
+        default_factory=lambda: np.zeros((0, 2))
+    )
     obstacle_size: Float[Array, "2"] = CONE_SIZE
     car_size: Float[Array, "2"] = CAR_SIZE
     corner: Scalar = 0.5
@@ -84,16 +88,26 @@ class Scene:
                 object.__setattr__(self, name, value)
             if not isinstance(value, np.ndarray):
                 continue  # an array of JAX
-            if value.ndim < len(shape) or shape[-1] not in ("n", value.shape[-1]) or np.isnan(value).any():
+            if (
+                value.ndim < len(shape)
+                or shape[-1] not in ("n", value.shape[-1])
+                or np.isnan(value).any()
+            ):
                 wanted = ", ".join(map(str, shape))
-                raise ValueError(f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of numbers, in metres")
+                raise ValueError(
+                    f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of numbers, in metres"
+                )
         if self.contact not in get_args(Contact):
             known = ", ".join(get_args(Contact))
             raise ValueError(f"Scene.contact is {self.contact!r}; give one of {known}")
         size, width = self.car_size, self.lane_width
         if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
-            raise ValueError(f"Scene.car_size is {size.tolist()}; give length and width in metres, both positive")
-        if isinstance(width, (int, float, np.ndarray, np.number)) and not np.all(np.asarray(width) >= 0):
+            raise ValueError(
+                f"Scene.car_size is {size.tolist()}; give length and width in metres, both positive"
+            )
+        if isinstance(width, (int, float, np.ndarray, np.number)) and not np.all(
+            np.asarray(width) >= 0
+        ):
             raise ValueError(f"Scene.lane_width is {width}; it must not be negative")
 
 
@@ -102,7 +116,9 @@ class Scene:
 MIN_FOLLOWER_SPEED = 1.0  # m/s, by which headways are divided at least
 FAR_AWAY = 1000.0  # m behind, where absent cars are
 
-SIDES = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # lanes to the right, of each place
+SIDES = np.array(
+    [0, 0, -1, -1, 1, 1], dtype=np.float32
+)  # lanes to the right, of each place
 AHEAD = np.array([True, False] * 3)  # whether a place is ahead
 
 
@@ -162,7 +178,9 @@ def headways(
     xp = driver.__array_namespace__()
     along = around[..., 0] - driver[..., :1]
     follower = xp.where(along > 0, driver[..., 3:], around[..., 3])
-    return xp.maximum(xp.abs(along) - length, 0.0) / xp.maximum(follower, MIN_FOLLOWER_SPEED)
+    return xp.maximum(xp.abs(along) - length, 0.0) / xp.maximum(
+        follower, MIN_FOLLOWER_SPEED
+    )
 
 
 def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:
@@ -204,4 +222,6 @@ def leaders(
     """
     xp = others.__array_namespace__()
     distance = others[..., None, :, 0] - x[..., None]
-    return nearest_ahead(distance, counts & (xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach))
+    return nearest_ahead(
+        distance, counts & (xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach)
+    )

@@ -13,11 +13,15 @@ from ms_highway.runtime.arrays import HumansWeights, State
 POSITION_NOISE = 5e-4 * PAPER_UNIT  # m, standard deviation of x and y
 HEADING_NOISE = 1e-3  # rad, standard deviation
 START_SPEED_NOISE = 1e-3 * PAPER_UNIT  # m/s, standard deviation without streams
-MERGING_NOISE = 0.01 * PAPER_UNIT  # m, further standard deviation of the merging car's x
+MERGING_NOISE = (
+    0.01 * PAPER_UNIT
+)  # m, further standard deviation of the merging car's x
 
 SPACING_BETA = 20.0  # of Beta(1, 20): spacings are 0.3 m above the shortest on average
 SPEED_NOISE = 0.3  # m/s, standard deviation of the speed of a human in a stream
-CAUTION_SPREAD = 0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
+CAUTION_SPREAD = (
+    0.7  # standard deviation of the logarithm of what a human weighs collision_risk by
+)
 CARELESS_FACTOR = 0.05  # of the humans that hardly yield
 
 
@@ -61,7 +65,9 @@ def draw_starts(scenario: Scenario, random: Random) -> State:
     Normal noise of standard deviation 1.7 cm on x and y, 1e-3 rad on heading and 3.3 cm/s on speed; another 33 cm on
     the x of the merging car.
     """
-    cars = np.array([(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars])
+    cars = np.array(
+        [(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars]
+    )
     noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, START_SPEED_NOISE]
     cars = cars + random.normal(scale=noise, size=cars.shape)
     if scenario.merging_car is not None:
@@ -71,7 +77,9 @@ def draw_starts(scenario: Scenario, random: Random) -> State:
     return cars
 
 
-def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[State, HumansWeights]:
+def draw_episode(
+    scenario: Scenario, random: Random, humans: Reward
+) -> tuple[State, HumansWeights]:
     """Draw the start of every car, in SI units, and the weights of every human's reward.
 
     Without streams, these are `draw_starts` and the given weights. In a stream, most spacings are near the shortest
@@ -89,13 +97,18 @@ def draw_episode(scenario: Scenario, random: Random, humans: Reward) -> tuple[St
     robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT])
     number, lanes = len(weights), len(scenario.streams)
     dealt = [len(range(place, number, lanes)) for place in range(lanes)]
-    streams = [_stream(stream, each, random) for stream, each in zip(scenario.streams, dealt, strict=True)]
+    streams = [
+        _stream(stream, each, random)
+        for stream, each in zip(scenario.streams, dealt, strict=True)
+    ]
     xp = streams[0].__array_namespace__()
     cars = xp.concatenate([robot[None], *streams])
     noise = [POSITION_NOISE, POSITION_NOISE, HEADING_NOISE, SPEED_NOISE]
     cars = cars + random.normal(scale=noise, size=cars.shape)
     factors = xp.exp(random.normal(0.0, CAUTION_SPREAD, number))
-    factors = xp.where(random.uniform(size=number) < scenario.careless, CARELESS_FACTOR, factors).astype(np.float32)
+    factors = xp.where(
+        random.uniform(size=number) < scenario.careless, CARELESS_FACTOR, factors
+    ).astype(np.float32)
     is_caution = np.array([name == "collision_risk" for name in humans.names])
     return cars, xp.where(is_caution, weights * factors[:, None], weights)
 
@@ -108,4 +121,12 @@ def _stream(stream: Stream, humans: int, random: Random) -> State:
     beside = random.uniform(0.0, spacings[min(ahead, humans - 1)])
     xp = spacings.__array_namespace__()
     x = beside + xp.sum(spacings[:ahead]) - xp.cumsum(spacings)
-    return xp.stack([x, np.full(humans, stream.lane), np.zeros(humans), np.full(humans, stream.speed)], axis=-1)
+    return xp.stack(
+        [
+            x,
+            np.full(humans, stream.lane),
+            np.zeros(humans),
+            np.full(humans, stream.speed),
+        ],
+        axis=-1,
+    )

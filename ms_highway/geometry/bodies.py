@@ -9,7 +9,9 @@ from ms_highway.geometry.curve import Pose, namespace
 from ms_highway.runtime.arrays import Numbers
 
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
-MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)  # of edges and of the body
+MIDDLES = np.array(
+    [(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32
+)  # of edges and of the body
 
 Sizes = Float[Any, "*bodies 2"]
 Flags = Bool[Any, "*shape"]
@@ -44,7 +46,9 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     return separation_of_directed(directed(own), directed(other), *both_sizes)
 
 
-def separation_of_directed(own: Directed, other: Directed, size: Directions, other_size: Directions) -> Numbers:
+def separation_of_directed(
+    own: Directed, other: Directed, size: Directions, other_size: Directions
+) -> Numbers:
     """Return the `separation` of rectangles whose headings are given by cosine and sine.
 
     Args:
@@ -76,7 +80,9 @@ def separation_of_directed(own: Directed, other: Directed, size: Directions, oth
     return xp.maximum(gap_from_own, gap_from_other)
 
 
-def circles_overlap(along: Numbers, across: Numbers, size: Directions, radius: Numbers) -> Flags:
+def circles_overlap(
+    along: Numbers, across: Numbers, size: Directions, radius: Numbers
+) -> Flags:
     """Return whether circles overlap a rectangle: whether it is within their radius.
 
     Args:
@@ -124,12 +130,25 @@ def point_offsets(
     xp, times = namespace(*own, *other), np.ndim(other_x) - 1
     x, y, cosine, sine = (xp.broadcast_to(part, other_x.shape) for part in own)
     dx, dy = x - other_x, y - other_y
-    ahead, across = other_cosine * dx + other_sine * dy, other_cosine * dy - other_sine * dx
-    turned, slant = other_cosine * cosine + other_sine * sine, other_cosine * sine - other_sine * cosine
+    ahead, across = (
+        other_cosine * dx + other_sine * dy,
+        other_cosine * dy - other_sine * dx,
+    )
+    turned, slant = (
+        other_cosine * cosine + other_sine * sine,
+        other_cosine * sine - other_sine * cosine,
+    )
     shape = len(dx), len(points), *dx.shape[1:]
-    ahead, across, turned, slant = (xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant))
-    along, aside = xp.broadcast_to(points.T.reshape(2, 1, -1, *[1] * times), (2, *shape))
-    return ahead + turned * along - slant * aside, across + slant * along + turned * aside
+    ahead, across, turned, slant = (
+        xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant)
+    )
+    along, aside = xp.broadcast_to(
+        points.T.reshape(2, 1, -1, *[1] * times), (2, *shape)
+    )
+    return (
+        ahead + turned * along - slant * aside,
+        across + slant * along + turned * aside,
+    )
 
 
 def ellipse_distance(

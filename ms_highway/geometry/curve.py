@@ -87,7 +87,9 @@ class Curve:
         several = self.x.ndim > 1
         own_x = self.x[:, None] if several else self.x
         own_y = self.y[:, None] if several else self.y
-        nearest = xp.argmin((x[..., None] - own_x) ** 2 + (y[..., None] - own_y) ** 2, axis=-1)
+        nearest = xp.argmin(
+            (x[..., None] - own_x) ** 2 + (y[..., None] - own_y) ** 2, axis=-1
+        )
         s = nearest * self.spacing + self.start
         for _ in range(STEPS):
             from_x, from_y, along, bend = self._at(s)
@@ -96,7 +98,11 @@ class Curve:
             ahead = ahead - beyond
             step = ahead / xp.maximum(1 - aside * bend, TIGHTEST)
             s = s + step
-        return s, aside - bend * ahead * step / 2, wrapped(heading - along - bend * step)
+        return (
+            s,
+            aside - bend * ahead * step / 2,
+            wrapped(heading - along - bend * step),
+        )
 
     def locate(self, points: Float[Any, "*points 2"]) -> tuple[Numbers, Numbers]:
         """Return s and d of points."""
@@ -144,14 +150,18 @@ def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]
     return x * cosine + y * sine, y * cosine - x * sine
 
 
-def interpolate(values: Knots, s: Numbers, start: Numbers = -BEHIND, spacing: float = SPACING) -> Numbers:
+def interpolate(
+    values: Knots, s: Numbers, start: Numbers = -BEHIND, spacing: float = SPACING
+) -> Numbers:
     """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep the outermost beyond the ends."""
     low, share = _between(np.shape(values)[-1], s, start, spacing)
     values = namespace(values, s).asarray(values)
     return values[..., low] * (1 - share) + values[..., low + 1] * share
 
 
-def _between(samples: int, s: Numbers, start: Numbers, spacing: float) -> tuple[Numbers, Numbers]:
+def _between(
+    samples: int, s: Numbers, start: Numbers, spacing: float
+) -> tuple[Numbers, Numbers]:
     """Return the number of the sample before s, and the share of the way from it to the next one."""
     xp = namespace(s)
     position = xp.minimum(xp.maximum((s - start) / spacing, 0.0), samples - 1.0)

@@ -13,7 +13,15 @@ from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter1d
 
-from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Rows, arc_lengths, resample, wrapped
+from ms_highway.geometry.curve import (
+    BEHIND,
+    SPACING,
+    Curve,
+    Rows,
+    arc_lengths,
+    resample,
+    wrapped,
+)
 
 Point = Float[np.ndarray, "2"]
 Row = Float[np.ndarray, "samples"]
@@ -148,12 +156,23 @@ def join_lanes(
     for number, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
         first = TRIM if number else -np.inf
         last = lane.length - (TRIM if number + 1 < len(lanes) else 1.0)
-        s, points, headings = samples(lane, max(first, low - start), min(last, high - start))
+        s, points, headings = samples(
+            lane, max(first, low - start), min(last, high - start)
+        )
         parts.append((start + s, points, headings))
     if high > end:
-        beyond, heading = np.arange(max(0.0, low - end), high - end + COARSE, COARSE), lane.heading_at(lane.length)
+        beyond, heading = (
+            np.arange(max(0.0, low - end), high - end + COARSE, COARSE),
+            lane.heading_at(lane.length),
+        )
         straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
-        parts.append((end + beyond, lane.position(lane.length, 0.0) + straight, np.full(beyond.shape, heading)))
+        parts.append(
+            (
+                end + beyond,
+                lane.position(lane.length, 0.0) + straight,
+                np.full(beyond.shape, heading),
+            )
+        )
     raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
 
     # Bends of the lanes themselves are to be followed, kinks at joints to be smoothed.
@@ -178,9 +197,13 @@ def join_lanes(
 def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
     """Return rows of x, y and way every `FINE` metres along a Hermite spline."""
     along = arc_lengths(points.T)
-    spline = CubicHermiteSpline(along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1))
+    spline = CubicHermiteSpline(
+        along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1)
+    )
     dense = np.arange(0.0, along[-1], FINE)
-    return resample(np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]), FINE)
+    return resample(
+        np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]), FINE
+    )
 
 
 def _smooth(raw: Rows, width: float) -> tuple[LaneCurve, float]:

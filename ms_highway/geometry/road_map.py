@@ -55,7 +55,10 @@ def kept(function: Function) -> Function:
 
     @wraps(function)
     def remembered(owner: Any, *rest: Any) -> Any:
-        results, key = vars(owner).setdefault("_kept", {}), (function.__qualname__, *rest)
+        results, key = (
+            vars(owner).setdefault("_kept", {}),
+            (function.__qualname__, *rest),
+        )
         if key not in results:
             results[key] = function(owner, *rest)
         return results[key]
@@ -92,15 +95,25 @@ class Lane:
     @cached_property
     def joints(self) -> "dict[Lane, Joint]":
         """How this lane continues each lane before it."""
-        return {lane: _joint(lane.shape, self.shape) for lane in self.roads.lanes.values() if lane.end == self.start}
+        return {
+            lane: _joint(lane.shape, self.shape)
+            for lane in self.roads.lanes.values()
+            if lane.end == self.start
+        }
 
     @kept
     def following(self, reach: float = REACH) -> "Lanes":
         """Return the nearest lane of each next road that this lane leads to, the smoothest joint first."""
-        roads = [self.roads.road(self.end, end) for end in self.roads.graph.get(self.end, {})]
-        nearest = [min(road, key=lambda other: other.joints[self].aside) for road in roads]
+        roads = [
+            self.roads.road(self.end, end) for end in self.roads.graph.get(self.end, {})
+        ]
+        nearest = [
+            min(road, key=lambda other: other.joints[self].aside) for road in roads
+        ]
         leading = [lane for lane in nearest if lane.joints[self].aside < reach]
-        return tuple(sorted(leading, key=lambda other: (other.joints[self].kink, other.index)))
+        return tuple(
+            sorted(leading, key=lambda other: (other.joints[self].kink, other.index))
+        )
 
     @cached_property
     def preceding(self) -> "Lane | None":
@@ -111,13 +124,23 @@ class Lane:
     @cached_property
     def refuge(self) -> "Lane | None":
         """The nearest lane of the same road that continues although this one ends, None without one."""
-        onward = () if self.following() else [other for other in self.siblings if other.following()]
-        return min(onward, key=lambda other: abs(other.number - self.number), default=None)
+        onward = (
+            ()
+            if self.following()
+            else [other for other in self.siblings if other.following()]
+        )
+        return min(
+            onward, key=lambda other: abs(other.number - self.number), default=None
+        )
 
     def behind(self, length: float) -> "Lanes":
         """Return lanes that lead to this one, over a length [m] if there are enough."""
         before = self.preceding
-        return (*before.behind(length - before.length), before) if before and length > 0 else ()
+        return (
+            (*before.behind(length - before.length), before)
+            if before and length > 0
+            else ()
+        )
 
     @kept
     def branches(self, tens: int) -> "list[Chain]":
@@ -156,7 +179,9 @@ def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
     turn = wrapped(other.heading_at(0.0) - before)
     mean = before + turn / 2
     aside = abs(cos(mean) * y - sin(mean) * x)
-    aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (inf if abs(turn) > SHARPEST_TURN else 0.0)
+    aside += max(abs(cos(mean) * x + sin(mean) * y) - BRIDGED, 0.0) + (
+        inf if abs(turn) > SHARPEST_TURN else 0.0
+    )
     later = wrapped(other.heading_at(min(other.length, BRIDGED)) - before)
     return Joint(aside / width, aside + TURN * (abs(turn) + abs(later) / 10))
 
@@ -180,7 +205,9 @@ class Chain:
         return bisect_right(self.starts, way, 1, len(self.lanes)) - 1
 
     @kept
-    def curve(self, block: float, widths: tuple[float, ...] = SMOOTHING, within: float = inf) -> LaneCurve:
+    def curve(
+        self, block: float, widths: tuple[float, ...] = SMOOTHING, within: float = inf
+    ) -> LaneCurve:
         """Return the curve along the lanes near a block, by its number; see `join_lanes` for smoothing."""
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
         shapes = [lane.shape for lane in self.lanes]
@@ -211,7 +238,11 @@ class Goal:
         """Return the next lane, towards the goal if this lane leads there; None where the lane ends."""
         wanted = lane and self.towards.get(lane.end)
         nexts = lane.following() if lane else ()
-        return min(nexts, key=lambda other: (other.end != wanted, other.forbidden), default=None)
+        return min(
+            nexts,
+            key=lambda other: (other.end != wanted, other.forbidden),
+            default=None,
+        )
 
     def onward(self, lane: Lane) -> Iterator[Lane]:
         """Yield a lane and the next ones."""
@@ -244,10 +275,14 @@ class Goal:
                 return self.spot.lane[2] - own.number, passed + self.spot.place
             passed, wanted = passed + own.length, self.towards.get(own.end)
             leading = [
-                other for other in own.siblings if any(wanted in (None, onward.end) for onward in other.following())
+                other
+                for other in own.siblings
+                if any(wanted in (None, onward.end) for onward in other.following())
             ]
             if leading and own not in leading:
-                return min((other.number - own.number for other in leading), key=abs), passed
+                return min(
+                    (other.number - own.number for other in leading), key=abs
+                ), passed
             if not leading:
                 break
         return 0, inf
@@ -284,12 +319,18 @@ class RoadMap:
 
     def __init__(self, network: RoadNetwork) -> None:
         self.graph = network.graph
-        self.lanes = {index: Lane(self, index, shape) for index, shape in network.lanes_dict().items()}
+        self.lanes = {
+            index: Lane(self, index, shape)
+            for index, shape in network.lanes_dict().items()
+        }
 
     @kept
     def road(self, start: str, end: str) -> Lanes:
         """Return the lanes between two nodes, from left to right."""
-        return tuple(self.lanes[start, end, number] for number in range(len(self.graph[start][end])))
+        return tuple(
+            self.lanes[start, end, number]
+            for number in range(len(self.graph[start][end]))
+        )
 
     @kept
     def chain(self, lanes: Lanes) -> Chain:
@@ -314,7 +355,9 @@ class RoadMap:
         return [chain.curve(way // BLOCK) for chain, way in spots]
 
 
-_maps: WeakKeyDictionary[RoadNetwork, RoadMap] = WeakKeyDictionary()  # copies of a network get maps of their own
+_maps: WeakKeyDictionary[RoadNetwork, RoadMap] = (
+    WeakKeyDictionary()
+)  # copies of a network get maps of their own
 
 
 def road_map(network: RoadNetwork) -> RoadMap:

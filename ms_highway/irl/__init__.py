@@ -17,5 +17,12 @@ TEMPERATURE = 1e-3
 SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")
 """Weights that are learned from simulated demonstrations."""
 
-REAL_WEIGHTS = (*SIMULATED_WEIGHTS, "direction", "headway", "closing_speed", "induced_braking", "comfort_steering")
+REAL_WEIGHTS = (
+    *SIMULATED_WEIGHTS,
+    "direction",
+    "headway",
+    "closing_speed",
+    "induced_braking",
+    "comfort_steering",
+)
 """Weights that are learned from real drivers."""

@@ -44,22 +44,34 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those that earlier files have counted."""
     road, tracks = straight_road(scenario), scenario.tracks
     curve, lanes = _parallel_lanes(road.lines)
-    states, drivers = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan), []
+    states, drivers = (
+        np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan),
+        [],
+    )
     labels = [f"obstacle {track.number}" for track in tracks]
     left_out = {}
     for car, track in enumerate(tracks):
         times, *_, orientation, speed = track.samples.T
         x, y = road.axes.positions(track.samples[:, 1:3]).T
         along, aside, heading = curve.project(x, y, road.axes.headings(orientation))
-        states[times.astype(int), car] = np.stack([along, aside, heading, speed], axis=-1)
+        states[times.astype(int), car] = np.stack(
+            [along, aside, heading, speed], axis=-1
+        )
         identity = (scenario.group, track.number, *track.samples[0, 1:3].round(2))
         with_the_road = np.abs(np.median(heading)) < np.pi / 2
-        if track.drives and len(times) > 1 and with_the_road and identity not in counted:
+        if (
+            track.drives
+            and len(times) > 1
+            and with_the_road
+            and identity not in counted
+        ):
             counted.add(identity)
             if np.ptp(times) < len(times):
                 drivers.append(car)
             else:
-                left_out[labels[car]] = f"was not seen at each step from {times[0]:g} to {times[-1]:g}"
+                left_out[labels[car]] = (
+                    f"was not seen at each step from {times[0]:g} to {times[-1]:g}"
+                )
     cars = np.array(drivers, dtype=int), np.array([track.size for track in tracks])
     width = float(np.median(np.diff(lanes))) if len(lanes) > 1 else road.lane_width
     content = fingerprint(np.concatenate([track.samples for track in tracks]))

@@ -71,38 +71,66 @@ def record(
         raise ValueError(f"the driver is {driver!r}; give one of {', '.join(DRIVERS)}")
     if episodes < 1 or seed < 0 or not 0 < temperature < np.inf:
         asked = f"{episodes} episodes from the seed {seed}, with the temperature {temperature}"
-        raise ValueError(f"{asked}; give one episode at least, no negative seed, and a positive finite temperature")
+        raise ValueError(
+            f"{asked}; give one episode at least, no negative seed, and a positive finite temperature"
+        )
     if not densities or not {*densities} <= {*DENSITIES}:
-        raise ValueError(f"the densities are {list(densities)}; give at least one of {', '.join(DENSITIES)}")
-    settings: dict[str, Any] = {"driver": driver, "densities": list(densities), "first_seed": seed}
+        raise ValueError(
+            f"the densities are {list(densities)}; give at least one of {', '.join(DENSITIES)}"
+        )
+    settings: dict[str, Any] = {
+        "driver": driver,
+        "densities": list(densities),
+        "first_seed": seed,
+    }
     if driver == "maxent":
         weights = {name: float(weight) for name, weight in DRIVER_WEIGHTS.items()}
         horizon = demonstration_game().planner.horizon
-        settings |= {"temperature": float(temperature), "weights": weights, "horizon": horizon}
+        settings |= {
+            "temperature": float(temperature),
+            "weights": weights,
+            "horizon": horizon,
+        }
     data = _data_directory(dataset)
     check_writable(data.parent, directory=True)
     done = 0
     if data.exists():
         with _opened(data) as (stored, made):
-            if differences := {key: made.get(key) for key, value in settings.items() if made.get(key) != value}:
+            if differences := {
+                key: made.get(key)
+                for key, value in settings.items()
+                if made.get(key) != value
+            }:
                 raise ValueError(f"it was recorded with other settings, {differences}")
             done = int(stored.total_episodes)
     options: dict[str, Any] = {}
     if driver == "keyboard":
         check_display()
-        config = {"action": KEYBOARD_ACTION, "manual_control": True, "real_time_rendering": True}
+        config = {
+            "action": KEYBOARD_ACTION,
+            "manual_control": True,
+            "real_time_rendering": True,
+        }
         options = {"render_mode": "human", "config": config}
     yield done
     if done >= episodes:
         return
     with closing(gym.make(DEMONSTRATION_ID, **options)) as env:
         for number in range(done, episodes):
-            episode = _drive(env, driver, seed + number, densities[number % len(densities)], temperature)
+            episode = _drive(
+                env,
+                driver,
+                seed + number,
+                densities[number % len(densities)],
+                temperature,
+            )
             _store(episode, env, data, dataset, settings)
             yield number + 1
 
 
-def _drive(env: gym.Env, driver: str, seed: int, density: str, temperature: float) -> Any:
+def _drive(
+    env: gym.Env, driver: str, seed: int, density: str, temperature: float
+) -> Any:
     """Let a driver drive an episode; return it as Minari's ``EpisodeBuffer``."""
     from minari.data_collector import EpisodeBuffer
 
@@ -116,7 +144,9 @@ def _drive(env: gym.Env, driver: str, seed: int, density: str, temperature: floa
     return EpisodeBuffer(None, seed, options, [first, *observations], taken, *outcomes)
 
 
-def actions(driver: str, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE) -> Iterator[np.ndarray]:
+def actions(
+    driver: str, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE
+) -> Iterator[np.ndarray]:
     """Yield a driver's actions in an episode that has just begun.
 
     Args:
@@ -130,10 +160,21 @@ def actions(driver: str, env: DemonstrationEnv, seed: int, temperature: float = 
             yield env.action_type.last_action.astype(np.float32)
         raise KeyboardInterrupt
     game = demonstration_game(DRIVER_WEIGHTS)
-    horizon, scale = game.planner.horizon, np.asarray(game.planner.control_scale, dtype=float)
+    horizon, scale = (
+        game.planner.horizon,
+        np.asarray(game.planner.control_scale, dtype=float),
+    )
     for number in count():
-        car, others = seen_from(env.car_states[0], env.routes[:, env.steps + 1 : env.steps + 1 + horizon])
-        controls = maxent(game, car, others, jax.random.fold_in(jax.random.key(seed), number), temperature)
+        car, others = seen_from(
+            env.car_states[0], env.routes[:, env.steps + 1 : env.steps + 1 + horizon]
+        )
+        controls = maxent(
+            game,
+            car,
+            others,
+            jax.random.fold_in(jax.random.key(seed), number),
+            temperature,
+        )
         for control in np.asarray(controls, dtype=float) * scale:
             yield env.action_for(control)
 
@@ -148,23 +189,42 @@ def load_demonstrations(dataset: str) -> list[Recording]:
     """
     data = _data_directory(dataset)
     if not data.is_dir():
-        raise ValueError(f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`")
+        raise ValueError(
+            f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`"
+        )
     with _opened(data) as (stored, made):
         if (made.get("format"), made.get("time_step")) != (FORMAT, TIME_STEP):
             raise ValueError("it was not recorded by this version of the package")
-        return [_episode(f"episode {number}", each.observations) for number, each in enumerate(stored)]
+        return [
+            _episode(f"episode {number}", each.observations)
+            for number, each in enumerate(stored)
+        ]
 
 
 def _episode(name: str, observations: np.ndarray) -> Recording:
     """Return an episode's observations [times, cars, presence and state] as a recording."""
     tracks = np.asarray(observations, dtype=float)
-    for step, car, _ in np.argwhere(~np.isfinite(tracks)):  # or else cars would seem to be out of sight
+    for step, car, _ in np.argwhere(
+        ~np.isfinite(tracks)
+    ):  # or else cars would seem to be out of sight
         raise ValueError(f"{name} is not finite at step {step}, car {car}")
     game = demonstration_game()
-    states, sizes = np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan), [game.scene.car_size] * tracks.shape[1]
+    states, sizes = (
+        np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan),
+        [game.scene.car_size] * tracks.shape[1],
+    )
     road = game.scene.lanes, game.scene.lane_width, game.robot.speed_limit
     content = fingerprint(tracks)
-    return Recording(name, name, states, np.array([0]), np.array(sizes), *road, measured=False, fingerprint=content)
+    return Recording(
+        name,
+        name,
+        states,
+        np.array([0]),
+        np.array(sizes),
+        *road,
+        measured=False,
+        fingerprint=content,
+    )
 
 
 def _data_directory(dataset: str) -> Path:
@@ -186,7 +246,9 @@ def _data_directory(dataset: str) -> Path:
         if namespace:
             validate_namespace(namespace)  # which needs two characters
     except ValueError as error:
-        raise ValueError(f"{dataset!r} names no data set ({error}); name it like ms-highway/maxent-v0") from error
+        raise ValueError(
+            f"{dataset!r} names no data set ({error}); name it like ms-highway/maxent-v0"
+        ) from error
     return get_dataset_path(dataset) / "data"
 
 
@@ -204,10 +266,14 @@ def _opened(data: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
         yield stored, stored.storage.metadata.get(PROVENANCE) or {}
     except BROKEN as error:
         remedy = "choose another, or delete it and record it again with `ms-highway irl record`"
-        raise ValueError(f"data set {data.parent} cannot be used ({error}); {remedy}") from error
+        raise ValueError(
+            f"data set {data.parent} cannot be used ({error}); {remedy}"
+        ) from error
 
 
-def _store(episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[str, Any]) -> None:
+def _store(
+    episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[str, Any]
+) -> None:
     """Add an episode, Minari's ``EpisodeBuffer``, to a data set.
 
     An HDF5 file is unreadable if its process is stopped while it writes. The episode is therefore added to a copy,
@@ -222,7 +288,9 @@ def _store(episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[
             shutil.rmtree(copy, ignore_errors=True)
             shutil.copytree(data, copy)
             minari.MinariDataset(copy).update_dataset_from_buffer([episode])
-            for file in sorted(copy.iterdir()):  # main_data.hdf5 before metadata.json, which counts its episodes
+            for file in sorted(
+                copy.iterdir()
+            ):  # main_data.hdf5 before metadata.json, which counts its episodes
                 file.replace(data / file.name)
             copy.rmdir()
             return
@@ -235,5 +303,10 @@ def _store(episode: Any, env: gym.Env, data: Path, dataset: str, settings: dict[
             description="Driving on a highway, recorded by `ms-highway irl record`.",
             requirements=[f"ms-highway=={package}"],
         )
-        made = {"format": FORMAT, "version": package, "time_step": TIME_STEP, **settings}
+        made = {
+            "format": FORMAT,
+            "version": package,
+            "time_step": TIME_STEP,
+            **settings,
+        }
         stored.storage.update_metadata({PROVENANCE: made})

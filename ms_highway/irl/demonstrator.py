@@ -28,13 +28,21 @@ DRIVER_WEIGHTS = {
 """Weights of the demonstrated reward: the paper's, without the indicator of a collision, which is not differentiable,
 and with comfort, without which some controls would have no effect on the reward."""
 
-FLOOR = 0.05  # least size of the eigenvalues of Hessians: half of the curvature of comfort
+FLOOR = (
+    0.05  # least size of the eigenvalues of Hessians: half of the curvature of comfort
+)
 DRAWS = 20  # proposals from which one control is resampled
-UNLIKELY = -1e30  # log density of the optimum itself: it is drawn only if no proposal is possible
+UNLIKELY = (
+    -1e30
+)  # log density of the optimum itself: it is drawn only if no proposal is possible
 
 MAX_STEPS = 50  # of the search for an optimum
-SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)  # of its steps; the last one stays
-TOLERANCE = 1e-3  # reward per scaled control, the gradient at which an optimum counts as found
+SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(
+    np.float32
+)  # of its steps; the last one stays
+TOLERANCE = (
+    1e-3  # reward per scaled control, the gradient at which an optimum counts as found
+)
 NOISE = 1e-6  # of a reward, relative, in float32
 
 
@@ -76,7 +84,9 @@ def seen_from(car: States, routes: States) -> tuple[States, Motion]:
         routes: states of the others after each step [others, steps, 4].
     """
     ahead = np.array([car[0], 0.0, 0.0, 0.0])
-    return jnp.asarray(car - ahead, dtype=jnp.float32), observe((routes - ahead).astype(np.float32))
+    return jnp.asarray(car - ahead, dtype=jnp.float32), observe(
+        (routes - ahead).astype(np.float32)
+    )
 
 
 def segment_return(game: Game, car: States, others: Motion) -> Objective:
@@ -91,7 +101,9 @@ def segment_return(game: Game, car: States, others: Motion) -> Objective:
     def reward(path: Trajectory) -> Scalar:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
-    path, cost, within = (partial(function, game, car) for function in (move, discomfort, bounded))
+    path, cost, within = (
+        partial(function, game, car) for function in (move, discomfort, bounded)
+    )
     return Objective(path, reward, cost, within, jax.grad(reward))
 
 
@@ -124,15 +136,21 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
         noise = NOISE * (1 + jnp.abs(rewards[-1]))
         settling = (gains.max() <= noise) & (gains[0] >= -noise)
         chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
-        return Search(search.steps + 1, chosen, Optimum(controls, gradient, expansion.hessian))
+        return Search(
+            search.steps + 1, chosen, Optimum(controls, gradient, expansion.hessian)
+        )
 
     start = objective.bounded(constant_velocity(game, car))
-    unknown = Optimum(start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size)))
+    unknown = Optimum(
+        start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size))
+    )
     return jax.lax.while_loop(climbing, improve, Search(0, start, unknown)).last
 
 
 @jax.jit
-def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature: Scalar) -> Controls:
+def maxent(
+    game: Game, car: States, others: Motion, key: jax.Array, temperature: Scalar
+) -> Controls:
     """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum u*, within the limits.
 
     Draws 20 proposals from the Laplace approximation ``N(u*, temperature (-H)^-1)``, in which each eigenvalue l of H is
@@ -154,6 +172,10 @@ def maxent(game: Game, car: States, others: Motion, key: jax.Array, temperature:
     proposals = best.controls + (normal @ spread.T).reshape(DRAWS, *best.controls.shape)
     returns = jax.vmap(segment_return(game, car, others).earned)(proposals)
     inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
-    excess = returns / temperature + jnp.sum(normal**2, axis=1) / 2  # log density over the proposal's
-    excess = jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(UNLIKELY)
+    excess = (
+        returns / temperature + jnp.sum(normal**2, axis=1) / 2
+    )  # log density over the proposal's
+    excess = (
+        jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(UNLIKELY)
+    )
     return proposals[jax.random.categorical(accepting, excess)]

@@ -9,7 +9,13 @@ import numpy as np
 
 from ms_highway.game.learned_drivers import LearnedDrivers
 from ms_highway.game.scene import leaders
-from ms_highway.irl.mixture import Mixture, Steps, density_level, expected_path, log_density
+from ms_highway.irl.mixture import (
+    Mixture,
+    Steps,
+    density_level,
+    expected_path,
+    log_density,
+)
 from ms_highway.irl.prediction import PREDICTORS, predict_with
 from ms_highway.irl.recording import Flags, Recording, folds, usable_recordings
 from ms_highway.irl.seconds_ahead import learn_drivers
@@ -71,7 +77,11 @@ def prediction_errors(mixture: Mixture, recorded: Paths) -> Errors:
     """Compare predicted distributions with recorded positions."""
     positions = recorded.astype(np.float32)
     distance = np.linalg.norm(expected_path(mixture.modes) - recorded, axis=-1)
-    return Errors(distance, np.asarray(log_density(mixture, positions)), density_level(mixture, positions))
+    return Errors(
+        distance,
+        np.asarray(log_density(mixture, positions)),
+        density_level(mixture, positions),
+    )
 
 
 def metrics(errors: Errors) -> dict[str, ByHorizon]:
@@ -95,7 +105,10 @@ def metrics(errors: Errors) -> dict[str, ByHorizon]:
             "rmse": np.sqrt((distance**2).mean()),
             "miss": (distance > MISS).mean(),
             "log_p": log_p.mean(),
-            **{f"inside {percent}": (level < percent / 100).mean() for percent in LEVELS},
+            **{
+                f"inside {percent}": (level < percent / 100).mean()
+                for percent in LEVELS
+            },
         }
         for name, value in values.items():
             rows.setdefault(name, {})[horizon] = float(value)
@@ -131,16 +144,25 @@ def evaluate(
     results, weights = [], []
     for number, chosen in enumerate(held_out, 1):
         some = snapshots.of(chosen)
-        progress(f"fold {number} of {len(held_out)}, with {some.predicted.sum()} drivers to predict")
+        progress(
+            f"fold {number} of {len(held_out)}, with {some.predicted.sum()} drivers to predict"
+        )
         drivers = learned or learn_drivers(snapshots.only(~chosen), intervals=False)
         weights.append({"drivers": drivers.weights})
-        errors = {name: prediction_errors(predict_with(name, some, drivers), some.recorded) for name in PREDICTORS}
+        errors = {
+            name: prediction_errors(predict_with(name, some, drivers), some.recorded)
+            for name in PREDICTORS
+        }
         results.append((errors, driving_regimes(some)))
     joined, regimes = jax.tree.map(lambda *rows: np.concatenate(rows), *results)
-    errors = {name: joined[name] for name in PREDICTORS}  # jax.tree sorts names by the alphabet
+    errors = {
+        name: joined[name] for name in PREDICTORS
+    }  # jax.tree sorts names by the alphabet
     return Evaluation(
         predictors={name: metrics(each) for name, each in errors.items()},
-        situations=metrics_by_regime(errors, {name: regimes[name] for name in results[0][1]}),
+        situations=metrics_by_regime(
+            errors, {name: regimes[name] for name in results[0][1]}
+        ),
         windows=len(snapshots.which),
         tracks=len(np.unique(snapshots.drivers(snapshots.track))),
         folds=() if learned else weights,
@@ -154,8 +176,14 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     3 s. *slow*: below 5 m/s at the start. *no leader*: nobody within 50 m ahead in the own lane at the start.
     *following*: none of the other regimes. Drivers who are seen for less than 3 s are in none.
     """
-    start, later = snapshots.drivers(snapshots.now), snapshots.drivers(snapshots.future[:, 10 * REGIME - 1])
-    others, reach = snapshots.now[snapshots.which], snapshots.lane_width[snapshots.which] / 2
+    start, later = (
+        snapshots.drivers(snapshots.now),
+        snapshots.drivers(snapshots.future[:, 10 * REGIME - 1]),
+    )
+    others, reach = (
+        snapshots.now[snapshots.which],
+        snapshots.lane_width[snapshots.which] / 2,
+    )
     near = (others[..., 0] - start[:, :1] < LEADER)[:, None]
     _, led = leaders(start[:, :1], start[:, 1:2], others, near, reach[:, None, None])
     acceleration = (later[:, 3] - start[:, 3]) / REGIME
@@ -170,14 +198,27 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     return {name: chosen & np.isfinite(acceleration) for name, chosen in found.items()}
 
 
-def metrics_by_regime(errors: dict[str, Errors], regimes: dict[str, Flags]) -> Situations:
+def metrics_by_regime(
+    errors: dict[str, Errors], regimes: dict[str, Flags]
+) -> Situations:
     """Return the mean distance and log density by regime, predictor and horizon, see `Evaluation.situations`."""
     rows: Situations = {"distance": {}, "log_p": {}}
     for regime, chosen in regimes.items():
         if chosen.any():
-            found = {name: metrics(Errors(*(part[chosen] for part in each))) for name, each in errors.items()}
-            seen = np.isfinite(errors["model"].distance[chosen][:, AT]).sum(axis=0).astype(float).tolist()
+            found = {
+                name: metrics(Errors(*(part[chosen] for part in each)))
+                for name, each in errors.items()
+            }
+            seen = (
+                np.isfinite(errors["model"].distance[chosen][:, AT])
+                .sum(axis=0)
+                .astype(float)
+                .tolist()
+            )
             windows = dict(zip(map(str, HORIZONS), seen, strict=True))
             for kind, metric in (("distance", "fde"), ("log_p", "log_p")):
-                rows[kind][regime] = {"windows": windows, **{name: each[metric] for name, each in found.items()}}
+                rows[kind][regime] = {
+                    "windows": windows,
+                    **{name: each[metric] for name, each in found.items()},
+                }
     return rows

@@ -16,7 +16,9 @@ from ms_highway.irl.snapshots import Snapshots
 from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 
 ROOM = 16  # cars are padded to a multiple of this, so that functions are compiled for few numbers of cars
-WITHIN = 2 * np.log(2)  # squared radius, in standard deviations, that holds half of a bivariate normal distribution
+WITHIN = (
+    2 * np.log(2)
+)  # squared radius, in standard deviations, that holds half of a bivariate normal distribution
 
 
 class Forecast(NamedTuple):
@@ -76,36 +78,75 @@ def predict(
         ValueError: for arrays of other shapes, cars that are not seen now, an unknown predictor or a number out of
             range.
     """
-    past, centres, bodies = (np.array(values, dtype=float) for values in (states, lanes, sizes))
+    past, centres, bodies = (
+        np.array(values, dtype=float) for values in (states, lanes, sizes)
+    )
     past = past[None] if past.ndim == 2 else past
     past[..., 2:3] = without_turns(past[..., 2:3])
     shaped = past.ndim == 3 and past.shape[2] == 4 and len(past) <= PAST_STEPS + 1
     if not (shaped and past.size and np.isfinite(past[-1]).all()):
         message = f"finite numbers [cars, 4], or up to {PAST_STEPS + 1} times of them, finite at the last"
-        raise ValueError(f"states are of shape {np.shape(states)}, or not all seen now; give {message}")
+        raise ValueError(
+            f"states are of shape {np.shape(states)}, or not all seen now; give {message}"
+        )
     cars, steps = past.shape[1], round(seconds / TIME_STEP)
     for name, value, right in (
-        ("lanes", lanes, centres.ndim == 1 and centres.size and np.isfinite(centres).all()),
+        (
+            "lanes",
+            lanes,
+            centres.ndim == 1 and centres.size and np.isfinite(centres).all(),
+        ),
         ("sizes", sizes, bodies.shape in ((2,), (cars, 2)) and (bodies > 0).all()),
         ("speed_limit", speed_limit, 0 < speed_limit < np.inf),
         ("lane_width", lane_width, 0 < lane_width < np.inf),
         ("seconds", seconds, 1 <= steps <= STEPS),
     ):
         if not right:
-            raise ValueError(f"{name} cannot be {value!r}; give positive finite numbers as `help(predict)` says")
+            raise ValueError(
+                f"{name} cannot be {value!r}; give positive finite numbers as `help(predict)` says"
+            )
     missing = 0, -cars % ROOM
-    near = np.pad(past, ((PAST_STEPS + 1 - len(past), STEPS), missing, (0, 0)), constant_values=np.nan)
-    bodies = np.pad(np.broadcast_to(bodies, (cars, 2)), (missing, (0, 0)), constant_values=1.0)
+    near = np.pad(
+        past,
+        ((PAST_STEPS + 1 - len(past), STEPS), missing, (0, 0)),
+        constant_values=np.nan,
+    )
+    bodies = np.pad(
+        np.broadcast_to(bodies, (cars, 2)), (missing, (0, 0)), constant_values=1.0
+    )
     road, numbers = (np.sort(centres), lane_width, speed_limit), np.arange(len(bodies))
-    snapshot = Snapshots(near[:-STEPS], near[-STEPS:], bodies, *road, numbers >= 0, numbers, 0)
-    drivers = learned.drivers if isinstance(learned, LearnedReward) else learned or shipped_drivers()
-    modes, spread = predict_with(predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers)
-    weights, means = np.asarray(modes.probability)[:cars], np.asarray(modes.path)[:cars, :, :steps]
-    freedom, scales = np.asarray(spread.freedom(steps)), np.asarray(spread.scales(means.shape[1], steps))
-    wider = freedom * np.expm1(WITHIN / freedom) / WITHIN  # squared radius of Student's region, relative to WITHIN
+    snapshot = Snapshots(
+        near[:-STEPS], near[-STEPS:], bodies, *road, numbers >= 0, numbers, 0
+    )
+    drivers = (
+        learned.drivers
+        if isinstance(learned, LearnedReward)
+        else learned or shipped_drivers()
+    )
+    modes, spread = predict_with(
+        predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers
+    )
+    weights, means = (
+        np.asarray(modes.probability)[:cars],
+        np.asarray(modes.path)[:cars, :, :steps],
+    )
+    freedom, scales = (
+        np.asarray(spread.freedom(steps)),
+        np.asarray(spread.scales(means.shape[1], steps)),
+    )
+    wider = (
+        freedom * np.expm1(WITHIN / freedom) / WITHIN
+    )  # squared radius of Student's region, relative to WITHIN
     covariances = (wider[:, None] * scales**2)[..., None] * np.eye(2)
     mean = expected_path(modes)[:cars, :steps]
     deviations = means - mean[:, None]
     outer = deviations[..., :, None] * deviations[..., None, :]
     covariance = np.einsum("cm,cmtij->ctij", weights, covariances + outer)
-    return Forecast(TIME_STEP * np.arange(1, steps + 1), weights, means, covariances, mean, covariance)
+    return Forecast(
+        TIME_STEP * np.arange(1, steps + 1),
+        weights,
+        means,
+        covariances,
+        mean,
+        covariance,
+    )

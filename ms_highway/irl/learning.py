@@ -23,7 +23,15 @@ from ms_highway.irl.maximum_entropy import (
     fit_weights,
     segment_log_likelihoods,
 )
-from ms_highway.irl.recording import Controls, Flags, Recording, folds, listed, sources, usable_recordings
+from ms_highway.irl.recording import (
+    Controls,
+    Flags,
+    Recording,
+    folds,
+    listed,
+    sources,
+    usable_recordings,
+)
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.segments import Segments, cut_segments, driver_game, with_segment
 from ms_highway.irl.snapshots import cut_snapshots
@@ -41,7 +49,8 @@ In SI units, this is 3 mm/s^2; recorded accelerations waver by more than 100.
 """
 
 SIMULATED = RewardModel(
-    SIMULATED_WEIGHTS, {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)}
+    SIMULATED_WEIGHTS,
+    {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
 )
 """The model for simulated demonstrations: it learns the weights that every driver in the paper has.
 
@@ -87,9 +96,15 @@ def learn_reward(
     derivatives = differentiate(segments, model.names)
     progress("fitting")
     real = recordings[0].measured
-    labels = [f"{label} of {each.name}" for each in recordings for label in map(each.label, each.drivers)]
+    labels = [
+        f"{label} of {each.name}"
+        for each in recordings
+        for label in map(each.label, each.drivers)
+    ]
     try:
-        found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
+        found = fit_weights(
+            derivatives, model, drivers=segments.driver if real else None
+        )
     except DivergenceError as error:
         steady = keeps_velocity(segments)
         if not steady.any():
@@ -98,12 +113,16 @@ def learn_reward(
                 f"the weights cannot be learned: {error.what} without bound, because the driving of {driver} fits them "
                 "perfectly; leave this driver out, learn fewer weights, or learn from more driving"
             ) from error
-        names = list(dict.fromkeys(labels[driver] for driver in segments.driver[steady]))
+        names = list(
+            dict.fromkeys(labels[driver] for driver in segments.driver[steady])
+        )
         if steady.all():
             raise ValueError(
                 f"nothing can be learned from {listed(names)}: no driver ever steers, or none changes its speed"
             ) from error
-        left_out |= dict.fromkeys(names, "has segments in which its speed or heading does not change at all")
+        left_out |= dict.fromkeys(
+            names, "has segments in which its speed or heading does not change at all"
+        )
         warnings.warn(
             f"{steady.sum()} of {len(segments)} segments are left out, in which the speed or the heading does not "
             f"change at all ({listed(names)}): with them, {error.what} without bound",
@@ -111,15 +130,22 @@ def learn_reward(
         )
         segments = segments.of(~steady)
         derivatives = derivatives.of(~steady)
-        found = fit_weights(derivatives, model, drivers=segments.driver if real else None)
+        found = fit_weights(
+            derivatives, model, drivers=segments.driver if real else None
+        )
     held_out, parts = list[float](), folds(segments.group, validations)
     for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):
         progress(f"cross-validating, {number} of {len(parts)}")
         rest = fit_weights(derivatives.of(~chosen), model, found)
         held_out += segment_log_likelihoods(derivatives.of(chosen), rest).tolist()
-    drivers = learn_drivers(cut_snapshots(recordings), progress=progress) if real else None
+    drivers = (
+        learn_drivers(cut_snapshots(recordings), progress=progress) if real else None
+    )
     progress("counting features")
-    counts = {"human": derivatives.features.mean(axis=0), "model": expected_features(segments, found)}
+    counts = {
+        "human": derivatives.features.mean(axis=0),
+        "model": expected_features(segments, found),
+    }
     return LearnedReward(
         weights=found.weights,
         temperature=found.temperature,
@@ -129,13 +155,22 @@ def learn_reward(
         converged=True,
         iterations=found.iterations,
         windows=len(segments),
-        log_likelihood={"train": found.log_likelihood, "held_out": float(np.mean(held_out)) if held_out else None},
-        feature_counts={who: dict(zip(model.names, sums.tolist(), strict=True)) for who, sums in counts.items()},
+        log_likelihood={
+            "train": found.log_likelihood,
+            "held_out": float(np.mean(held_out)) if held_out else None,
+        },
+        feature_counts={
+            who: dict(zip(model.names, sums.tolist(), strict=True))
+            for who, sums in counts.items()
+        },
         provenance={
             "data": source,
             "groups": len({recording.group for recording in recordings}),
             "drivers": sum(len(recording.drivers) for recording in recordings),
-            "versions": {package: version(package) for package in ("ms-highway", "jax", "numpy", "scipy")},
+            "versions": {
+                package: version(package)
+                for package in ("ms-highway", "jax", "numpy", "scipy")
+            },
             **({"left_out": left_out} if left_out else {}),
         },
         tails=found.tails,
@@ -148,7 +183,9 @@ def keeps_velocity(segments: Segments) -> Flags:
     """Return in which segments a driver keeps its speed, or its heading, exactly."""
     game = driver_game(segments, {})
     steady = jax.vmap(partial(keep_velocity, game.dynamics))(segments.start)[:, None]
-    deviations = np.abs(segments.controls - steady) / np.asarray(game.planner.control_scale)
+    deviations = np.abs(segments.controls - steady) / np.asarray(
+        game.planner.control_scale
+    )
     return (deviations.max(axis=1) < STEADY).any(axis=-1)
 
 
@@ -170,7 +207,13 @@ def expected_features(segments: Segments, found: Fit) -> Vector:
     best = in_batches(partial(best_controls, driver_game(segments, sharp)), segments)
     derivatives = differentiate(replace(segments, controls=best), found.model.names)
     theta = np.array([found.weights[name] for name in found.model.names])
-    values, vectors = np.linalg.eigh(-np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature)
+    values, vectors = np.linalg.eigh(
+        -np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature
+    )
     values = np.maximum(values, found.model.floor / found.temperature)
     spread = np.einsum("nde,ne,nfe->ndf", vectors, 1 / values, vectors)
-    return np.mean(derivatives.features + np.einsum("nfde,nde->nf", derivatives.hessians, spread) / 2, axis=0)
+    return np.mean(
+        derivatives.features
+        + np.einsum("nfde,nde->nf", derivatives.hessians, spread) / 2,
+        axis=0,
+    )

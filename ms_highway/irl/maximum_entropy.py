@@ -37,7 +37,11 @@ from ms_highway.game.game import Game
 from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.irl.recording import Numbers, Rows
 from ms_highway.irl.segments import Segments, driver_game, summed_features
-from ms_highway.numerics.estimation import Parameters, grouped_covariance, slope_differences
+from ms_highway.numerics.estimation import (
+    Parameters,
+    grouped_covariance,
+    slope_differences,
+)
 from ms_highway.numerics.second_derivatives import floored
 from ms_highway.runtime.arrays import Scalar, Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
@@ -45,9 +49,18 @@ from ms_highway.runtime.jax_settings import double_precision
 
 PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, as two of them are a factor of 3000
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
-TOLERANCE = 1e-3  # largest slope of the loss, in any logarithm, of a fit that has converged
-LARGEST = 5 * PRIOR_SPREAD  # size of a logarithm beyond which a weight or the temperature diverges: a factor of 5e8
-TRUST_REGION = {"gtol": TOLERANCE / 10, "initial_trust_radius": 1.0, "max_trust_radius": 3.0, "maxiter": 200}
+TOLERANCE = (
+    1e-3  # largest slope of the loss, in any logarithm, of a fit that has converged
+)
+LARGEST = (
+    5 * PRIOR_SPREAD
+)  # size of a logarithm beyond which a weight or the temperature diverges: a factor of 5e8
+TRUST_REGION = {
+    "gtol": TOLERANCE / 10,
+    "initial_trust_radius": 1.0,
+    "max_trust_radius": 3.0,
+    "maxiter": 200,
+}
 
 
 @jax.tree_util.register_dataclass
@@ -119,11 +132,16 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
     columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
     found = in_batches(partial(_differentiate, game), segments)
     derivatives = jax.tree.map(lambda part: part[:, columns].astype(float), found)
-    sums = sum(part.sum(axis=tuple(range(1, part.ndim))) for part in jax.tree.leaves(derivatives))
+    sums = sum(
+        part.sum(axis=tuple(range(1, part.ndim)))
+        for part in jax.tree.leaves(derivatives)
+    )
     if not np.isfinite(sums).all():
         segment = np.isfinite(sums).argmin()
         start = segments.start[segment]
-        raise ValueError(f"the features of segment {segment} have no finite derivatives; it starts at {start}")
+        raise ValueError(
+            f"the features of segment {segment} have no finite derivatives; it starts at {start}"
+        )
     return derivatives
 
 
@@ -135,8 +153,13 @@ def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
     def features(controls: jax.Array) -> jax.Array:
         return summed_features(game, segment, controls.reshape(-1, 2))
 
-    controls, gradients = (segment.controls / game.planner.control_scale).ravel(), jax.jacrev(features)
-    return FeatureDerivatives(features(controls), gradients(controls), jax.jacfwd(gradients)(controls))
+    controls, gradients = (
+        (segment.controls / game.planner.control_scale).ravel(),
+        jax.jacrev(features),
+    )
+    return FeatureDerivatives(
+        features(controls), gradients(controls), jax.jacfwd(gradients)(controls)
+    )
 
 
 @jax.jit
@@ -160,12 +183,25 @@ def log_likelihoods(
     def log_p(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
         gradient, curvature = pair  # g and -H
         lowest, d = floor / temperature, len(gradient)
-        high = jnp.isfinite(jnp.linalg.cholesky(curvature - lowest * jnp.eye(d))).all()  # then nothing is floored
-        root = jnp.linalg.cholesky(jax.lax.cond(high, lambda same: same, lambda low: floored(low, lowest), curvature))
-        distance, sharpness = gradient @ cho_solve((root, True), gradient), jnp.sum(jnp.log(jnp.diagonal(root)))
+        high = jnp.isfinite(
+            jnp.linalg.cholesky(curvature - lowest * jnp.eye(d))
+        ).all()  # then nothing is floored
+        root = jnp.linalg.cholesky(
+            jax.lax.cond(
+                high, lambda same: same, lambda low: floored(low, lowest), curvature
+            )
+        )
+        distance, sharpness = (
+            gradient @ cho_solve((root, True), gradient),
+            jnp.sum(jnp.log(jnp.diagonal(root))),
+        )
         if tails is None:
             return -distance / 2 + sharpness - d / 2 * jnp.log(2 * jnp.pi)
-        normalised = gammaln((tails + d) / 2) - gammaln(tails / 2) - d / 2 * jnp.log(tails * jnp.pi)
+        normalised = (
+            gammaln((tails + d) / 2)
+            - gammaln(tails / 2)
+            - d / 2 * jnp.log(tails * jnp.pi)
+        )
         return normalised + sharpness - (tails + d) / 2 * jnp.log1p(distance / tails)
 
     gradients = jnp.einsum("f,nfd->nd", theta, derivatives.gradients) / temperature
@@ -177,7 +213,11 @@ def segment_log_likelihoods(derivatives: FeatureDerivatives, found: Fit) -> Vect
     """Return `log_likelihoods` of the scaled controls in every segment under a fit, in double precision."""
     with double_precision():
         theta = np.array([found.weights[name] for name in found.model.names])
-        return np.asarray(log_likelihoods(derivatives, theta, found.temperature, found.model.floor, found.tails))
+        return np.asarray(
+            log_likelihoods(
+                derivatives, theta, found.temperature, found.model.floor, found.tails
+            )
+        )
 
 
 def fit_weights(
@@ -202,7 +242,11 @@ def fit_weights(
         ValueError: if the fit does not converge.
     """
     learned, remedy = len(model.learned), "learn fewer weights, or from more driving"
-    names = [*(f"the weight of {name}" for name in model.learned), "the temperature", "the number of the tails"]
+    names = [
+        *(f"the weight of {name}" for name in model.learned),
+        "the temperature",
+        "the number of the tails",
+    ]
     with double_precision():
         given = np.array([*model.given.values()], dtype=float)
         data = jax.device_put(derivatives), model.floor, model.signs(), given
@@ -214,7 +258,9 @@ def fit_weights(
         first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
 
         def curvature(logarithms: Parameters) -> np.ndarray:
-            hessian = slope_differences(lambda near: loss(near)[1], logarithms, DIFFERENCE)
+            hessian = slope_differences(
+                lambda near: loss(near)[1], logarithms, DIFFERENCE
+            )
             up = [
                 f"{name} grows"
                 for name, value in zip(names, logarithms[: learned + 1], strict=False)
@@ -222,35 +268,70 @@ def fit_weights(
             ]
             down = ["the temperature falls"] * bool(logarithms[learned] < -LARGEST)
             if up or down or not np.isfinite(hessian).all():
-                inside = np.clip(logarithms, -LARGEST, LARGEST)  # where likelihoods are finite
-                (_, before), (_, after) = (_loss(place, *data)[0] for place in (first, inside))
+                inside = np.clip(
+                    logarithms, -LARGEST, LARGEST
+                )  # where likelihoods are finite
+                (_, before), (_, after) = (
+                    _loss(place, *data)[0] for place in (first, inside)
+                )
                 steepest = f"{names[np.abs(logarithms).argmax()]} changes"
                 raise DivergenceError(
-                    " and ".join([*up, *down] or [steepest]), int(np.nan_to_num(after - before).argmax())
+                    " and ".join([*up, *down] or [steepest]),
+                    int(np.nan_to_num(after - before).argmax()),
                 )
             return hessian
 
-        found = optimize.minimize(loss, first, jac=True, hess=curvature, method="trust-exact", options=TRUST_REGION)
+        found = optimize.minimize(
+            loss,
+            first,
+            jac=True,
+            hess=curvature,
+            method="trust-exact",
+            options=TRUST_REGION,
+        )
         best, weights, hessian = found.x, model.weights(found.x), curvature(found.x)
         (_, likelihoods), slope = _loss(best, *data)
         if np.abs(slope).max() >= TOLERANCE:
             far = f"{names[np.abs(slope).argmax()]} still changes after {found.nit} iterations"
             raise ValueError(f"the fit has not converged: {far}; {remedy}")
-        covariance = np.linalg.pinv(len(derivatives) * (hessian + hessian.T) / 2, hermitian=True)
+        covariance = np.linalg.pinv(
+            len(derivatives) * (hessian + hessian.T) / 2, hermitian=True
+        )
         if drivers is not None:
-            covariance = grouped_covariance(covariance, np.asarray(_segment_scores(best, *data)), drivers)
+            covariance = grouped_covariance(
+                covariance, np.asarray(_segment_scores(best, *data)), drivers
+            )
         log_likelihood = float(likelihoods.mean())
     temperature, *tails = np.exp(best[learned:]).tolist()
-    return Fit(model, best, covariance, int(found.nit), log_likelihood, weights, temperature, *(tails or [None]))
+    return Fit(
+        model,
+        best,
+        covariance,
+        int(found.nit),
+        log_likelihood,
+        weights,
+        temperature,
+        *(tails or [None]),
+    )
 
 
 def _segment_likelihoods(
-    logarithms: Parameters, derivatives: FeatureDerivatives, floor: float, signs: Parameters, given: Parameters
+    logarithms: Parameters,
+    derivatives: FeatureDerivatives,
+    floor: float,
+    signs: Parameters,
+    given: Parameters,
 ) -> Vector:
     """Return log p of every segment; the logarithms are those of `Fit`."""
     sizes, learned = jnp.exp(logarithms), len(signs)
     temperature, *tails = sizes[learned:]
-    return log_likelihoods(derivatives, jnp.concatenate([signs * sizes[:learned], given]), temperature, floor, *tails)
+    return log_likelihoods(
+        derivatives,
+        jnp.concatenate([signs * sizes[:learned], given]),
+        temperature,
+        floor,
+        *tails,
+    )
 
 
 @jit_quickly
@@ -258,7 +339,11 @@ def _segment_likelihoods(
 def _loss(logarithms: Parameters, *data: Any) -> tuple[Scalar, Vector]:
     """Return minus the mean log p under the prior, and log p of each segment."""
     each = _segment_likelihoods(logarithms, *data)
-    return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each), each
+    return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(
+        each
+    ), each
 
 
-_segment_scores = jit_quickly(jax.jacfwd(_segment_likelihoods))  # slopes of log p of each segment [n, parameters]
+_segment_scores = jit_quickly(
+    jax.jacfwd(_segment_likelihoods)
+)  # slopes of log p of each segment [n, parameters]

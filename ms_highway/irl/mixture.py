@@ -15,13 +15,27 @@ from ms_highway.runtime.arrays import Scalar, plain
 DRAWS = 256
 """Number of draws from a predicted distribution by which `density_level` is estimated."""
 
-LEAST, FARTHEST = 1e-30, 1e9  # of a chi-square, and of a draw [m]: heavy tails exceed floating-point numbers
+LEAST, FARTHEST = (
+    1e-30,
+    1e9,
+)  # of a chi-square, and of a draw [m]: heavy tails exceed floating-point numbers
 
 SIDES = np.array([0, -1, 1])
 """Number of lanes to the right by which a driver changes in each mode of the learned drivers."""
 
 EVERY = 5  # steps between those at which distributions are fitted
-FIRST = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.0, 0.0)  # parameters that a fit starts from, the tails' last
+FIRST = (
+    -0.7,
+    1.3,
+    0.0,
+    -1.8,
+    0.9,
+    0.0,
+    0.0,
+    0.0,
+    1.0,
+    0.0,
+)  # parameters that a fit starts from, the tails' last
 PRIOR = 2.0  # standard deviation of the parameters around these
 
 Steps = Float[Any, "n 50"]  # a value after each step
@@ -53,16 +67,23 @@ class Mixture(NamedTuple):
 
 def expected_path(modes: Modes) -> Paths:
     """Return the mean of the modes' paths, the single path from which errors are measured."""
-    return np.einsum("nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path))
+    return np.einsum(
+        "nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path)
+    )
 
 
 @jax.jit
 def log_density(mixture: Mixture, positions: Paths) -> Steps:
     """Return the log density of positions after each step [1/m^2]; NaN where a position is NaN."""
     modes, spread = mixture
-    scales, freedom = spread.scales(*modes.path.shape[1:3]), spread.freedom(modes.path.shape[2])
+    scales, freedom = (
+        spread.scales(*modes.path.shape[1:3]),
+        spread.freedom(modes.path.shape[2]),
+    )
     deviations = (positions[:, None] - modes.path) / scales
-    densities = -(freedom / 2 + 1) * jnp.log1p(jnp.sum(deviations**2, axis=-1) / freedom)
+    densities = -(freedom / 2 + 1) * jnp.log1p(
+        jnp.sum(deviations**2, axis=-1) / freedom
+    )
     densities = densities - jnp.log(2 * jnp.pi) - jnp.sum(jnp.log(scales), axis=-1)
     probabilities = jnp.log(jnp.maximum(modes.probability, 1e-9))
     return jax.scipy.special.logsumexp(densities + probabilities[..., None], axis=1)
@@ -76,34 +97,59 @@ def density_level(mixture: Mixture, positions: Paths) -> Steps:
     (probability, paths), spread = mixture
     random, path = np.random.default_rng(0), np.asarray(paths)
     n, number, steps = path.shape[:3]
-    scales, freedom = np.asarray(spread.scales(number, steps)), np.asarray(spread.freedom(steps))
+    scales, freedom = (
+        np.asarray(spread.scales(number, steps)),
+        np.asarray(spread.freedom(steps)),
+    )
     edge, inside = np.asarray(log_density(mixture, positions)), np.zeros((n, steps))
     below = np.cumsum(np.asarray(probability), axis=1)[:, :-1]
     for _ in range(DRAWS):
         mode = np.sum(random.random((n, 1)) > below, axis=1)
         squares = np.maximum(random.chisquare(freedom, (n, steps)), LEAST)
         stretch = np.sqrt(freedom / squares)[..., None]
-        drawn = path[np.arange(n), mode] + stretch * random.normal(size=(n, steps, 2)) * scales[mode]
-        inside += np.asarray(log_density(mixture, np.clip(drawn, -FARTHEST, FARTHEST))) > edge
+        drawn = (
+            path[np.arange(n), mode]
+            + stretch * random.normal(size=(n, steps, 2)) * scales[mode]
+        )
+        inside += (
+            np.asarray(log_density(mixture, np.clip(drawn, -FARTHEST, FARTHEST))) > edge
+        )
     return np.where(np.isfinite(edge), inside / DRAWS, np.nan)
 
 
 def fit_spread(modes: Modes, positions: Paths) -> Spread:
     """Fit the spread that makes recorded positions most likely, every half second."""
     known = np.isfinite(positions).all(axis=-1)[:, EVERY - 1 :: EVERY]
-    return plain(_spread_of(minimum(_loss, np.array(FIRST), modes, np.nan_to_num(positions), known)))
+    return plain(
+        _spread_of(
+            minimum(_loss, np.array(FIRST), modes, np.nan_to_num(positions), known)
+        )
+    )
 
 
 def _spread_of(parameters: Parameters) -> Spread:
     xp = parameters.__array_namespace__()
-    return Spread(parameters[:3], parameters[3:6], parameters[6:8], xp.stack([xp.exp(parameters[8]), parameters[9]]))
+    return Spread(
+        parameters[:3],
+        parameters[3:6],
+        parameters[6:8],
+        xp.stack([xp.exp(parameters[8]), parameters[9]]),
+    )
 
 
 @jax.jit
 @jax.value_and_grad
-def _loss(parameters: Parameters, modes: Modes, positions: Paths, known: Steps) -> Scalar:
+def _loss(
+    parameters: Parameters, modes: Modes, positions: Paths, known: Steps
+) -> Scalar:
     """Return minus the mean log density of the known positions, with a weak prior."""
-    densities = log_density(Mixture(modes, _spread_of(parameters)), positions)[:, EVERY - 1 :: EVERY]
+    densities = log_density(Mixture(modes, _spread_of(parameters)), positions)[
+        :, EVERY - 1 :: EVERY
+    ]
     prior = jnp.sum((parameters - jnp.array(FIRST)) ** 2) / (2 * PRIOR**2)
-    seen = jnp.maximum(known.sum(axis=0), 1)  # every horizon has the same weight, though fewer are seen for long
-    return prior / known.sum() - jnp.mean(jnp.where(known, densities, 0.0).sum(axis=0) / seen)
+    seen = jnp.maximum(
+        known.sum(axis=0), 1
+    )  # every horizon has the same weight, though fewer are seen for long
+    return prior / known.sum() - jnp.mean(
+        jnp.where(known, densities, 0.0).sum(axis=0) / seen
+    )

@@ -17,7 +17,13 @@ from jax import numpy as jnp
 from msgspec import structs
 
 from ms_highway.game.dynamics import coast
-from ms_highway.game.learned_drivers import Drivers, FittedPeer, LearnedDrivers, NotNegative, Positive
+from ms_highway.game.learned_drivers import (
+    Drivers,
+    FittedPeer,
+    LearnedDrivers,
+    NotNegative,
+    Positive,
+)
 from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.game.scene import Leader
 from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
@@ -80,14 +86,18 @@ class IdmParameters(Structure):
     margin: NotNegative = 0.0
 
 
-HIGHWAY_ENV_IDM = IdmParameters(0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0)
+HIGHWAY_ENV_IDM = IdmParameters(
+    0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0
+)
 """Parameters of highway-env's IDMVehicle, whose desired speed is the one at the start."""
 
 FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
 """Parameters that a fit starts from."""
 
 
-def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None) -> Mixture:
+def predict_with(
+    name: str, snapshots: Snapshots, learned: LearnedDrivers | None
+) -> Mixture:
     """Predict the drivers of snapshots by one of `PREDICTORS`.
 
     Args:
@@ -99,10 +109,14 @@ def predict_with(name: str, snapshots: Snapshots, learned: LearnedDrivers | None
         ValueError: for an unknown name, no drivers, or drivers without this peer.
     """
     if name not in PREDICTORS:
-        raise ValueError(f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}")
+        raise ValueError(
+            f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}"
+        )
     if learned is None or name not in ("model", *learned.peers):
         remedy = "learn it from real recordings with `ms-highway irl fit`, or use us101, which comes with the package"
-        raise ValueError(f"this reward has nothing learned seconds ahead for the predictor {name}; {remedy}")
+        raise ValueError(
+            f"this reward has nothing learned seconds ahead for the predictor {name}; {remedy}"
+        )
     if name == "model":
         return Mixture(predict_drivers(snapshots, learned), learned.spread)
     peer = learned.peers[name]
@@ -117,7 +131,9 @@ def check_peers(learned: LearnedDrivers) -> None:
     """
     for name in PREDICTORS:
         if name != "model" and name not in learned.peers:
-            raise ValueError(f"drivers.peers lacks {name}; learn the reward again with `ms-highway irl fit`")
+            raise ValueError(
+                f"drivers.peers lacks {name}; learn the reward again with `ms-highway irl fit`"
+            )
     for name, peer in learned.peers.items():
         if peer.parameters:
             try:
@@ -126,7 +142,9 @@ def check_peers(learned: LearnedDrivers) -> None:
                 raise ValueError(f"drivers.peers.{name}.parameters: {error}") from error
 
 
-def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) -> Modes:
+def predict_peer(
+    name: str, snapshots: Snapshots, parameters: dict[str, float]
+) -> Modes:
     """Predict the drivers of snapshots by a peer: the path of each is its only mode.
 
     Args:
@@ -139,7 +157,9 @@ def predict_peer(name: str, snapshots: Snapshots, parameters: dict[str, float]) 
         path = jnp.stack([motion.x, motion.y], axis=-1)
     else:
         idm = read(parameters, IdmParameters) if parameters else HIGHWAY_ENV_IDM
-        path = snapshots.drivers(np.moveaxis(np.asarray(_idm_paths(idm, snapshots)), 1, 2))
+        path = snapshots.drivers(
+            np.moveaxis(np.asarray(_idm_paths(idm, snapshots)), 1, 2)
+        )
     return Modes(jnp.ones((len(path), 1)), jnp.asarray(path)[:, None])
 
 
@@ -154,7 +174,9 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
     parameters: dict[str, dict] = {name: {} for name in PREDICTORS if name != "model"}
     parameters["fitted_idm"] = structs.asdict(IdmParameters(*best))
     return {
-        name: FittedPeer(own, fit_spread(predict_peer(name, snapshots, own), snapshots.recorded))
+        name: FittedPeer(
+            own, fit_spread(predict_peer(name, snapshots, own), snapshots.recorded)
+        )
         for name, own in parameters.items()
     }
 
@@ -167,7 +189,9 @@ def _mean_idm_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
     return jnp.sum(errors) / jnp.sum(known)
 
 
-def robust_errors(paths: CarStates, future: CarStates, chosen: CarFlags) -> tuple[CarStates, CarFlags]:
+def robust_errors(
+    paths: CarStates, future: CarStates, chosen: CarFlags
+) -> tuple[CarStates, CarFlags]:
     """Return ``sqrt(1 + (error / scale)^2) - 1`` along and across the road after 1, 2, 3 and 5 s, for fits.
 
     Args:
@@ -180,7 +204,12 @@ def robust_errors(paths: CarStates, future: CarStates, chosen: CarFlags) -> tupl
     """
     recorded = future[..., AT, :, :2]
     known = jnp.isfinite(recorded).all(axis=-1) & chosen
-    errors = jnp.where(known[..., None], paths[..., AT, :, :] - jnp.nan_to_num(recorded), 0.0) / SCALES[:, None]
+    errors = (
+        jnp.where(
+            known[..., None], paths[..., AT, :, :] - jnp.nan_to_num(recorded), 0.0
+        )
+        / SCALES[:, None]
+    )
     return jnp.sqrt(1 + errors**2) - 1, known
 
 
@@ -188,23 +217,43 @@ def robust_errors(paths: CarStates, future: CarStates, chosen: CarFlags) -> tupl
 def _idm_of_all(parameters: IdmParameters, snapshot: Snapshots) -> CarStates:
     """Return the positions of all cars after each step [50, cars, 2]."""
     start, lane = seen_states(snapshot.past[-1]), lane_centre(snapshot, 0)
-    desired = jnp.clip(jnp.maximum(start[:, 3], parameters.speed), 0.01, snapshot.speed_limit)
+    desired = jnp.clip(
+        jnp.maximum(start[:, 3], parameters.speed), 0.01, snapshot.speed_limit
+    )
     width = snapshot.lane_width + 2 * parameters.margin
-    around = replace(snapshot, sizes=snapshot.sizes * parameters.lengths, lane_width=width)
+    around = replace(
+        snapshot, sizes=snapshot.sizes * parameters.lengths, lane_width=width
+    )
 
     def go(state: CarStates, _: None) -> tuple[CarStates, CarStates]:
         x, y, heading, speed = state.T
         leader = leader_of(around, state, state, lane)
         gap = jnp.where(leader.there, leader.gap, jnp.inf)
-        own = parameters.headway, parameters.gap, parameters.acceleration, parameters.braking
+        own = (
+            parameters.headway,
+            parameters.gap,
+            parameters.acceleration,
+            parameters.braking,
+        )
         acceleration = idm_acceleration(speed, desired, gap, leader.speed, *own)
         moving = jnp.maximum(speed, 0.01)
-        aim = jnp.arcsin(jnp.clip((lane - y) / (parameters.settling * moving), -SINE, SINE))
-        slip = jnp.arcsin(jnp.clip(AXLES / moving * ((aim - heading) / parameters.steering), -SLIP, SLIP))
+        aim = jnp.arcsin(
+            jnp.clip((lane - y) / (parameters.settling * moving), -SINE, SINE)
+        )
+        slip = jnp.arcsin(
+            jnp.clip(
+                AXLES / moving * ((aim - heading) / parameters.steering), -SLIP, SLIP
+            )
+        )
         distance = TIME_STEP * speed
-        x, y = x + distance * jnp.cos(heading + slip), y + distance * jnp.sin(heading + slip)
+        x, y = (
+            x + distance * jnp.cos(heading + slip),
+            y + distance * jnp.sin(heading + slip),
+        )
         faster = jnp.maximum(speed + TIME_STEP * acceleration, 0.0)
-        after = jnp.stack([x, y, heading + distance * jnp.sin(slip) / AXLES, faster], axis=-1)
+        after = jnp.stack(
+            [x, y, heading + distance * jnp.sin(slip) / AXLES, faster], axis=-1
+        )
         return after, after[:, :2]
 
     return jax.lax.scan(go, start, None, length=STEPS)[1]
@@ -223,14 +272,25 @@ def predict_drivers(snapshots: Snapshots, drivers: Drivers) -> Modes:
 @partial(jax.vmap, in_axes=(None, 0))
 def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     """Return the modes of all cars."""
-    traits, (advantages, exist) = shown_traits(drivers, snapshot), lane_advantages(snapshot)
-    odds = jnp.asarray(drivers.intention.biases) + advantages @ jnp.asarray(drivers.intention.weights)
+    traits, (advantages, exist) = (
+        shown_traits(drivers, snapshot),
+        lane_advantages(snapshot),
+    )
+    odds = jnp.asarray(drivers.intention.biases) + advantages @ jnp.asarray(
+        drivers.intention.weights
+    )
     odds = jnp.where(exist, odds, -jnp.inf)
-    probability = jax.nn.softmax(jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1)
+    probability = jax.nn.softmax(
+        jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1
+    )
     sides, now = jnp.asarray(SIDES), seen_states(snapshot.past[-1])
     after = roll_out(drivers, snapshot, traits, sides[probability.argmax(axis=-1)])
     around = jnp.concatenate([now[None], after[:-1]])
-    paths = jax.vmap(lambda side: roll_out(drivers, snapshot, traits, jnp.full(len(now), side), around))(sides)
+    paths = jax.vmap(
+        lambda side: roll_out(
+            drivers, snapshot, traits, jnp.full(len(now), side), around
+        )
+    )(sides)
     return Modes(probability, jnp.moveaxis(paths, 2, 0)[..., :2])
 
 
@@ -249,16 +309,24 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
 
     def relative_speed(leader: Leader) -> Cars:
         """Return the speed of leaders relative to their followers, weighed by their nearness [m/s]."""
-        near = jnp.where(leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / NEARNESS), 0.0)
+        near = jnp.where(
+            leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / NEARNESS), 0.0
+        )
         return near * (leader.speed - speed)
 
     def advantages(right: int) -> tuple[jax.Array, CarFlags]:
         beside = lane_centre(snapshot, right)
         other = leader_of(snapshot, states, states, beside)
         room = jnp.clip(other.gap, 0.0, FREE_GAP) - jnp.clip(own.gap, 0.0, FREE_GAP)
-        sideways = [right * (y - centre) / snapshot.lane_width, right * drift, right * drifted]
+        sideways = [
+            right * (y - centre) / snapshot.lane_width,
+            right * drift,
+            right * drifted,
+        ]
         faster = relative_speed(other) - relative_speed(own)
-        return jnp.stack([*sideways, faster, room / 10, speed / 10], axis=-1), beside != centre
+        return jnp.stack(
+            [*sideways, faster, room / 10, speed / 10], axis=-1
+        ), beside != centre
 
     found, exist = zip(*map(advantages, (-1, 1)), strict=True)
     return jnp.stack(found, axis=1), jnp.stack(exist, axis=1)

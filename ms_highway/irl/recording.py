@@ -94,7 +94,9 @@ class Recording:
             ValueError: naming the recording, and the shape or the car.
         """
         if np.ndim(self.states) != 3 or np.shape(self.states)[2] != 4:
-            raise ValueError(f"{self.name}: states have shape {np.shape(self.states)}; they must be [times, cars, 4]")
+            raise ValueError(
+                f"{self.name}: states have shape {np.shape(self.states)}; they must be [times, cars, 4]"
+            )
         for car in self.drivers:
             times = np.flatnonzero(self.seen[:, car])
             if len(times) < 2 or np.ptp(times) >= len(times):
@@ -125,7 +127,9 @@ def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
     return found
 
 
-def known_from(recordings: Sequence[Recording], learned_from: Mapping[str, Sequence[str]]) -> list[Recording]:
+def known_from(
+    recordings: Sequence[Recording], learned_from: Mapping[str, Sequence[str]]
+) -> list[Recording]:
     """Return those recordings whose drivers may be among those that were learned from, given their `sources`.
 
     A recording may share drivers with one of the same content or, if they were measured, of the same group. Simulated
@@ -133,11 +137,16 @@ def known_from(recordings: Sequence[Recording], learned_from: Mapping[str, Seque
     """
     contents = set(chain(*learned_from.values())) - {""}
     return [
-        each for each in recordings if each.fingerprint in contents or (each.measured and each.group in learned_from)
+        each
+        for each in recordings
+        if each.fingerprint in contents
+        or (each.measured and each.group in learned_from)
     ]
 
 
-def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, int, Vector]]:
+def numbered(
+    recordings: Sequence[Recording],
+) -> Iterator[tuple[Recording, int, int, Vector]]:
     """Number the groups and the drivers of recordings, and pad their lanes to one length.
 
     Yields every recording; the number of its group, in order of appearance; the number of its first driver among the
@@ -147,7 +156,9 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, 
     groups: dict[str, int] = {}
     tracks = 0
     for item in recordings:
-        lanes = np.pad(np.asarray(item.lanes, float), (0, most - len(item.lanes)), mode="edge")
+        lanes = np.pad(
+            np.asarray(item.lanes, float), (0, most - len(item.lanes)), mode="edge"
+        )
         yield item, groups.setdefault(item.group, len(groups)), tracks, lanes
         tracks += len(item.drivers)
 
@@ -155,7 +166,10 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[tuple[Recording, int, 
 def folds(groups: Numbers, number: int) -> list[Flags]:
     """Return which rows each fold holds out, given their group numbers; every group is held out once."""
     names = np.unique(groups)
-    return [np.isin(groups, held_out) for held_out in np.array_split(names, min(number, len(names)))]
+    return [
+        np.isin(groups, held_out)
+        for held_out in np.array_split(names, min(number, len(names)))
+    ]
 
 
 def usable(recording: Recording) -> Recording:
@@ -169,31 +183,46 @@ def usable(recording: Recording) -> Recording:
     # Two cars that are always in the same place are one car: the second hides the road from the first.
     for first, second in _duplicates(recording):
         states[:, second] = np.nan
-        reasons[recording.label(second)] = f"is always where {recording.label(first)} is"
+        reasons[recording.label(second)] = (
+            f"is always where {recording.label(first)} is"
+        )
 
     for car in recording.drivers:
         label = recording.label(car)
-        reason = _unusable(recording.states[recording.seen[:, car], car], recording.measured)
+        reason = _unusable(
+            recording.states[recording.seen[:, car], car], recording.measured
+        )
         if reason and label not in reasons:
             reasons[label] = reason
     drivers = [car for car in recording.drivers if recording.label(car) not in reasons]
-    return replace(recording, states=states, drivers=np.array(drivers, dtype=int), left_out=reasons)
+    return replace(
+        recording, states=states, drivers=np.array(drivers, dtype=int), left_out=reasons
+    )
 
 
-def usable_recordings(recordings: Sequence[Recording]) -> tuple[list[Recording], dict[str, str]]:
+def usable_recordings(
+    recordings: Sequence[Recording],
+) -> tuple[list[Recording], dict[str, str]]:
     """Return the `usable` recordings, and why drivers are left out; warn of these.
 
     Raises:
         ValueError: if no driver is left.
     """
     kept = [usable(recording) for recording in recordings]
-    left_out = {f"{label} of {each.name}": why for each in kept for label, why in each.left_out.items()}
+    left_out = {
+        f"{label} of {each.name}": why
+        for each in kept
+        for label, why in each.left_out.items()
+    }
     told = listed([f"{label}, which {why}" for label, why in left_out.items()])
     if not any(len(recording.drivers) for recording in kept):
-        raise ValueError(f"the recordings have no driver{f' but {told}' if told else ''}; give more recordings")
+        raise ValueError(
+            f"the recordings have no driver{f' but {told}' if told else ''}; give more recordings"
+        )
     if told:
         warnings.warn(
-            f"{len(left_out)} {'driver is' if len(left_out) == 1 else 'drivers are'} left out: {told}", stacklevel=3
+            f"{len(left_out)} {'driver is' if len(left_out) == 1 else 'drivers are'} left out: {told}",
+            stacklevel=3,
         )
     return kept, left_out
 
@@ -225,7 +254,10 @@ def _unusable(states: States, measured: bool) -> str:
 def _duplicates(recording: Recording) -> Iterator[tuple[int, int]]:
     """Yield each pair of cars that are in the same place whenever both are seen, if twice or more; drivers first."""
     positions = np.where(recording.seen[..., None], recording.states[..., :2], np.nan)
-    left = [*recording.drivers, *np.setdiff1d(np.arange(positions.shape[1]), recording.drivers)]
+    left = [
+        *recording.drivers,
+        *np.setdiff1d(np.arange(positions.shape[1]), recording.drivers),
+    ]
     while left:
         first, *others = left
         times = recording.seen[:, first]
@@ -290,7 +322,9 @@ def smoothed(recorded: Points) -> Track:
         speeds = _cumulative(each * dt)
         distances = (speeds[:-1] + speeds[1:]) * dt / 2
         along = _cumulative(cosine[:, None] * distances)
-        x, *motion = _least_squares(along, recorded[:, 0], change / (JERK * dt), each / ACCELERATION)
+        x, *motion = _least_squares(
+            along, recorded[:, 0], change / (JERK * dt), each / ACCELERATION
+        )
         speed = np.maximum(speeds @ motion, 0)
 
         headings = _cumulative(np.diag(speed[:-1] * dt))
@@ -298,8 +332,13 @@ def smoothed(recorded: Points) -> Track:
         across = _cumulative((distance * sine_per_heading)[:, None] * headings[:-1])
         jerks = change * speed[1:-1, None] ** 2 / (LATERAL_JERK * dt)
         first = np.eye(1, len(each) + 1) / HEADING
-        y, *turning = _least_squares(across, recorded[:, 1], jerks, each / CURVATURE, first)
-        heading = headings @ [turning[0], *np.clip(turning[1:], -CURVATURE_LIMIT, CURVATURE_LIMIT)]
+        y, *turning = _least_squares(
+            across, recorded[:, 1], jerks, each / CURVATURE, first
+        )
+        heading = headings @ [
+            turning[0],
+            *np.clip(turning[1:], -CURVATURE_LIMIT, CURVATURE_LIMIT),
+        ]
         cosine, sine_per_heading = np.cos(heading[:-1]), np.sinc(heading[:-1] / np.pi)
 
     likeliest = np.stack(np.broadcast_arrays(x, y, heading, speed), axis=-1)
@@ -318,7 +357,9 @@ def _cumulative(increments: np.ndarray) -> np.ndarray:
     return np.column_stack([np.ones(len(sums)), sums])
 
 
-def _least_squares(positions: np.ndarray, recorded: np.ndarray, *penalties: np.ndarray) -> np.ndarray:
+def _least_squares(
+    positions: np.ndarray, recorded: np.ndarray, *penalties: np.ndarray
+) -> np.ndarray:
     """Return the unknowns that fit recorded positions best, with penalties.
 
     Args:
@@ -326,6 +367,11 @@ def _least_squares(positions: np.ndarray, recorded: np.ndarray, *penalties: np.n
         recorded: positions [m].
         penalties: matrices from the last of the unknowns to errors in standard deviations.
     """
-    likely = np.vstack([np.pad(part, ((0, 0), (positions.shape[1] - part.shape[1], 0))) for part in penalties])
+    likely = np.vstack(
+        [
+            np.pad(part, ((0, 0), (positions.shape[1] - part.shape[1], 0)))
+            for part in penalties
+        ]
+    )
     errors = np.pad(recorded / POSITION, (0, len(likely)))
     return np.linalg.lstsq(np.vstack([positions / POSITION, likely]), errors)[0]

@@ -13,35 +13,72 @@ from jax import numpy as jnp
 from msgspec import structs
 from scipy import optimize, special
 
-from ms_highway.game.learned_drivers import CHANGING, LEARNED, Drivers, Intention, LearnedDrivers, TraitPrior
+from ms_highway.game.learned_drivers import (
+    CHANGING,
+    LEARNED,
+    Drivers,
+    Intention,
+    LearnedDrivers,
+    TraitPrior,
+)
 from ms_highway.irl.mixture import SIDES, fit_spread
-from ms_highway.irl.prediction import fit_peers, lane_advantages, predict_drivers, robust_errors
+from ms_highway.irl.prediction import (
+    fit_peers,
+    lane_advantages,
+    predict_drivers,
+    robust_errors,
+)
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars
 from ms_highway.irl.snapshots import Snapshots
-from ms_highway.numerics.estimation import Parameters, grouped_covariance, minimum, slope_differences
+from ms_highway.numerics.estimation import (
+    Parameters,
+    grouped_covariance,
+    minimum,
+    slope_differences,
+)
 from ms_highway.planning.learned_driving import lane_numbers, roll_out, shown_traits
 from ms_highway.runtime.arrays import Scalar, plain
 from ms_highway.runtime.process import Progress, silent
 
 SURE = 20  # steps for which a driver must be seen, to know whether it changes lanes
-COMFORT = 0.1  # weight of the comfort of acceleration, which sets the scale of all others
+COMFORT = (
+    0.1  # weight of the comfort of acceleration, which sets the scale of all others
+)
 CHANGES = " while changing lanes"  # end of the names of factors
 MEDIANS = {
     **dict(zip(LEARNED, (7e-4, 4e-3, 0.1, 0.1, 0.2, 0.05), strict=True)),
-    **{"typical headway": 1.2, "desired speeds": 0.15, "headways": 0.5, "patiences": 0.4, "noise": 0.7},
+    **{
+        "typical headway": 1.2,
+        "desired speeds": 0.15,
+        "headways": 0.5,
+        "patiences": 0.4,
+        "noise": 0.7,
+    },
     **{name + CHANGES: 1.0 for name in CHANGING},
 }  # of the prior: of weights, the median headway, deviations of traits, noise, and factors while changing lanes
-FIRST = np.log([*MEDIANS.values()])  # means of the prior's logarithms, from which the fit starts
-WIDE, NARROW = 2.0, 0.7  # standard deviations of the prior's logarithms, of weights and their factors and of the rest
-DEVIATIONS = np.array([WIDE if name.removesuffix(CHANGES) in LEARNED else NARROW for name in MEDIANS])
+FIRST = np.log(
+    [*MEDIANS.values()]
+)  # means of the prior's logarithms, from which the fit starts
+WIDE, NARROW = (
+    2.0,
+    0.7,
+)  # standard deviations of the prior's logarithms, of weights and their factors and of the rest
+DEVIATIONS = np.array(
+    [WIDE if name.removesuffix(CHANGES) in LEARNED else NARROW for name in MEDIANS]
+)
 ODDS = 3.0  # standard deviation of the prior of an intention's numbers
-ITERATIONS, REFIT = 60, 10  # of the fit to all drivers, and of fits to some of them that start from it
+ITERATIONS, REFIT = (
+    60,
+    10,
+)  # of the fit to all drivers, and of fits to some of them that start from it
 FOLDS = 3  # of recordings, to learn the spread of drivers who were not learned from
 DIFFERENCE = 0.02  # of logarithms, for second derivatives in single precision
 AT_ONCE = 35  # snapshots, so that gradients fit in memory
 
 
-def learn_drivers(snapshots: Snapshots, intervals: bool = True, progress: Progress = silent) -> LearnedDrivers:
+def learn_drivers(
+    snapshots: Snapshots, intervals: bool = True, progress: Progress = silent
+) -> LearnedDrivers:
     """Learn drivers with the weights `LEARNED` and the given weight 0.1 of the comfort of acceleration; fit all peers.
 
     Args:
@@ -53,25 +90,47 @@ def learn_drivers(snapshots: Snapshots, intervals: bool = True, progress: Progre
         ValueError: if no driver was seen for 2 s.
     """
     if not np.any(_labels(snapshots)[0]):
-        raise ValueError(f"no driver was seen for {SURE / 10:g} s; nothing can be learned seconds ahead")
+        raise ValueError(
+            f"no driver was seen for {SURE / 10:g} s; nothing can be learned seconds ahead"
+        )
     found, drivers = _fit_drivers(snapshots, progress)
     groups = np.unique(snapshots.group[snapshots.which])
     parts = [(snapshots, drivers)]
-    if len(groups) >= FOLDS:  # or else the spread is that of drivers who were learned from: too narrow for others
+    if (
+        len(groups) >= FOLDS
+    ):  # or else the spread is that of drivers who were learned from: too narrow for others
         fold = np.searchsorted(groups, snapshots.group) % FOLDS
-        rest = [_fit_drivers(snapshots.only(fold != number), progress, found, REFIT)[1] for number in range(FOLDS)]
-        parts = [(snapshots.of(fold == number), drivers) for number, drivers in enumerate(rest)]
-    predicted = [(predict_drivers(some, fitted), some.recorded) for some, fitted in parts]
+        rest = [
+            _fit_drivers(snapshots.only(fold != number), progress, found, REFIT)[1]
+            for number in range(FOLDS)
+        ]
+        parts = [
+            (snapshots.of(fold == number), drivers)
+            for number, drivers in enumerate(rest)
+        ]
+    predicted = [
+        (predict_drivers(some, fitted), some.recorded) for some, fitted in parts
+    ]
     spread = fit_spread(*jax.tree.map(lambda *rows: np.concatenate(rows), *predicted))
-    deviations = dict(zip(MEDIANS, _deviations(found, snapshots), strict=True)) if intervals else {}
+    deviations = (
+        dict(zip(MEDIANS, _deviations(found, snapshots), strict=True))
+        if intervals
+        else {}
+    )
     progress("fitting the predictors to compare with")
     return LearnedDrivers(
-        **structs.asdict(plain(drivers)), spread=spread, deviations=deviations, peers=fit_peers(snapshots)
+        **structs.asdict(plain(drivers)),
+        spread=spread,
+        deviations=deviations,
+        peers=fit_peers(snapshots),
     )
 
 
 def _fit_drivers(
-    snapshots: Snapshots, progress: Progress, first: Parameters = FIRST, iterations: int = ITERATIONS
+    snapshots: Snapshots,
+    progress: Progress,
+    first: Parameters = FIRST,
+    iterations: int = ITERATIONS,
 ) -> tuple[Parameters, Drivers]:
     """Return the logarithms, as in `FIRST`, under which drivers come closest to the recording; and these drivers.
 
@@ -82,7 +141,9 @@ def _fit_drivers(
     data, evaluations = jax.device_put(snapshots), count(1)
 
     def loss(logarithms: Parameters) -> tuple[float, Parameters]:
-        progress(f"fitting {used} snapshots seconds ahead, evaluation {next(evaluations)}")
+        progress(
+            f"fitting {used} snapshots seconds ahead, evaluation {next(evaluations)}"
+        )
         error, slope = _mean_error(logarithms, data)
         far = (logarithms - FIRST) / DEVIATIONS
         prior, prior_slope = far @ far / (2 * number), far / DEVIATIONS / number
@@ -97,8 +158,15 @@ def _drivers_of(logarithms: Parameters) -> Drivers:
     xp = logarithms.__array_namespace__()
     parts = xp.split(xp.exp(logarithms), [len(LEARNED), len(MEDIANS) - len(CHANGING)])
     weights, (headway, *deviations, noise), factors = parts
-    prior = TraitPrior(xp.stack([xp.ones_like(headway), headway, xp.ones_like(headway)]), xp.stack(deviations), noise)
-    named = {**dict(zip(LEARNED, weights, strict=True)), "comfort_acceleration": COMFORT}
+    prior = TraitPrior(
+        xp.stack([xp.ones_like(headway), headway, xp.ones_like(headway)]),
+        xp.stack(deviations),
+        noise,
+    )
+    named = {
+        **dict(zip(LEARNED, weights, strict=True)),
+        "comfort_acceleration": COMFORT,
+    }
     keeping = Intention(np.full(2, -20.0), np.zeros(6))  # type: ignore[arg-type]
     return Drivers(named, prior, dict(zip(CHANGING, factors, strict=True)), keeping)
 
@@ -142,7 +210,9 @@ def _shares(logarithms: Parameters, snapshots: Snapshots) -> Cars:
     return errors / known.sum()
 
 
-_scores = jax.jit(jax.jacfwd(_shares))  # slopes of every driver's share [n, cars, parameters]
+_scores = jax.jit(
+    jax.jacfwd(_shares)
+)  # slopes of every driver's share [n, cars, parameters]
 
 
 def _deviations(found: Parameters, snapshots: Snapshots) -> list[float]:
@@ -152,23 +222,31 @@ def _deviations(found: Parameters, snapshots: Snapshots) -> list[float]:
     differences.
     """
     data, learned_from = jax.device_put(snapshots), np.asarray(_labels(snapshots)[0])
-    hessian = slope_differences(lambda logarithms: _mean_error(logarithms, data)[1], found, DIFFERENCE)
+    hessian = slope_differences(
+        lambda logarithms: _mean_error(logarithms, data)[1], found, DIFFERENCE
+    )
     prior = np.diag(1 / DEVIATIONS**2) / learned_from.sum()
     inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
     scores = np.asarray(_scores(found, data), dtype=float)[learned_from]
-    return np.sqrt(np.diag(grouped_covariance(inverse, scores, snapshots.track[learned_from]))).tolist()
+    return np.sqrt(
+        np.diag(grouped_covariance(inverse, scores, snapshots.track[learned_from]))
+    ).tolist()
 
 
 def _fit_intention(snapshots: Snapshots) -> Intention:
     """Return the most likely intention by logistic regression with a weak prior."""
     learned_from, side = map(np.asarray, _labels(snapshots))
     mode = -side[learned_from] % len(SIDES)
-    advantages, exist = (np.asarray(part, dtype=float)[learned_from] for part in _advantages(snapshots))
+    advantages, exist = (
+        np.asarray(part, dtype=float)[learned_from] for part in _advantages(snapshots)
+    )
 
     def loss(numbers: Parameters) -> float:
         odds = np.where(exist, numbers[:2] + advantages @ numbers[2:], -np.inf)
         odds = np.pad(odds, ((0, 0), (1, 0)))  # of keeping the lane: 0
-        log_likelihoods = odds[np.arange(len(mode)), mode] - special.logsumexp(odds, axis=1)
+        log_likelihoods = odds[np.arange(len(mode)), mode] - special.logsumexp(
+            odds, axis=1
+        )
         return float(numbers @ numbers / (2 * ODDS**2) - log_likelihoods.sum())
 
     found = optimize.minimize(loss, np.array([-3.0, -3.0, *np.zeros(6)])).x

@@ -77,16 +77,33 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
         states = _extrapolated(recording.states)
         for number, driver in enumerate(recording.drivers, first_track):
             size = recording.sizes[driver]
-            scene = Scene(lanes, recording.lane_width, car_size=size, target_lane=lanes[0])
-            track, entry = track_of(recording, driver), recording.seen[:, driver].argmax()
+            scene = Scene(
+                lanes, recording.lane_width, car_size=size, target_lane=lanes[0]
+            )
+            track, entry = (
+                track_of(recording, driver),
+                recording.seen[:, driver].argmax(),
+            )
             for first in range(0, len(track.controls) - steps + 1, steps):
                 start, now = track.states[first], entry + first
-                present = recording.seen[now] & (np.arange(len(recording.sizes)) != driver)
+                present = recording.seen[now] & (
+                    np.arange(len(recording.sizes)) != driver
+                )
                 cars, taken = places(start, states[now], present, recording.lane_width)
                 paths = np.moveaxis(states[now + 1 : now + steps + 1, cars], 0, 1)
                 others = np.where(taken[:, None, None], paths, far_behind(start))
                 controls = track.controls[first : first + steps]
-                rows.append(Segments(scene, recording.speed_limit, start, controls, others, number, group))
+                rows.append(
+                    Segments(
+                        scene,
+                        recording.speed_limit,
+                        start,
+                        controls,
+                        others,
+                        number,
+                        group,
+                    )
+                )
     segments = jax.tree.map(lambda *parts: np.stack(parts), *rows) if rows else None
     if segments is None or not (chosen := regular(segments)).any():
         raise ValueError(
@@ -113,35 +130,55 @@ def regular(segments: Segments) -> Flags:
     car that slides along the edge stays at the kink whatever the weight is.
     """
     paths = rollout(PAPER_DYNAMICS, segments.start, segments.controls)
-    off_road = jax.vmap(partial(depth_off_road, smooth=False))(segments.scenes, paths) > 0
+    off_road = (
+        jax.vmap(partial(depth_off_road, smooth=False))(segments.scenes, paths) > 0
+    )
     at_kink = (off_road & (jnp.abs(paths.sine) < KINK)).any(axis=1)
-    saturated = (np.abs(segments.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(axis=(1, 2))
+    saturated = (np.abs(segments.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(
+        axis=(1, 2)
+    )
     return ~np.asarray(at_kink) & ~saturated
 
 
-def driver_game(segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()) -> Game:
+def driver_game(
+    segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()
+) -> Game:
     """Return a game whose robot is a recorded driver with these weights by name; `with_segment` sets its scene.
 
     It computes `FEATURES`, and those user-defined features that have a weight or are among the names.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], segments.scenes)
     computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
-    game = driving_game(scene, float(segments.speed_limit[0]), weights, computed, grip=None)
-    return replace(game, planner=replace(game.planner, horizon=segments.controls.shape[1]))
+    game = driving_game(
+        scene, float(segments.speed_limit[0]), weights, computed, grip=None
+    )
+    return replace(
+        game, planner=replace(game.planner, horizon=segments.controls.shape[1])
+    )
 
 
 def with_segment(game: Game, segment: Segments) -> Game:
     """Return the game with the scene and the speed limit of one segment."""
-    return replace(game, scene=segment.scenes, robot=replace(game.robot, speed_limit=segment.speed_limit))
+    return replace(
+        game,
+        scene=segment.scenes,
+        robot=replace(game.robot, speed_limit=segment.speed_limit),
+    )
 
 
-def summed_features(game: Game, segment: Segments, controls: Controls) -> Float[jax.Array, "features"]:
+def summed_features(
+    game: Game, segment: Segments, controls: Controls
+) -> Float[jax.Array, "features"]:
     """Return the features of the game and of comfort, summed over a segment's steps under scaled controls.
 
     The features of comfort are ``-sum d^2 / 2``, with d the deviation from the controls that keep the velocity.
     """
     here, start = with_segment(game, segment), jnp.asarray(segment.start)
     path = Motion(*move(game, start, controls))
-    features = jnp.stack(motion_features(here.scene, here.robot, path, observe(segment.others))).sum(axis=1)
-    deviation = controls - keep_velocity(game.dynamics, start) / game.planner.control_scale
+    features = jnp.stack(
+        motion_features(here.scene, here.robot, path, observe(segment.others))
+    ).sum(axis=1)
+    deviation = (
+        controls - keep_velocity(game.dynamics, start) / game.planner.control_scale
+    )
     return jnp.concatenate([features, -jnp.sum(deviation**2, axis=0) / 2])

@@ -11,7 +11,17 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.irl.recording import CarFlags, CarNumbers, Cars, CarStates, Flags, Numbers, Recording, Rows, numbered
+from ms_highway.irl.recording import (
+    CarFlags,
+    CarNumbers,
+    Cars,
+    CarStates,
+    Flags,
+    Numbers,
+    Recording,
+    Rows,
+    numbered,
+)
 from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 from ms_highway.runtime.arrays import Vector
 
@@ -26,7 +36,9 @@ SCALES = np.array([[0.4, 0.1], [1.0, 0.3], [1.8, 0.5], [3.5, 0.8]])
 
 APART = 10  # steps between two snapshots in which a driver is predicted
 SHORTEST = 10  # steps for which a driver must be seen after a snapshot
-MIN_CARS = 64  # to which cars are padded, so that one compilation serves most recordings
+MIN_CARS = (
+    64  # to which cars are padded, so that one compilation serves most recordings
+)
 
 Paths = Float[Any, "n 50 2"]  # x and y after each step of 5 s
 
@@ -92,17 +104,30 @@ def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
     cars = max((MIN_CARS, *(item.states.shape[1] for item in recordings)))
     for recording, group, first_track, lanes in numbered(recordings):
         missing = cars - recording.states.shape[1]
-        states = np.pad(recording.states, ((PAST_STEPS, STEPS), (0, missing), (0, 0)), constant_values=np.nan)
+        states = np.pad(
+            recording.states,
+            ((PAST_STEPS, STEPS), (0, missing), (0, 0)),
+            constant_values=np.nan,
+        )
         sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
-        track, predicted = np.full(cars, -1), np.zeros((len(recording.states), cars), dtype=bool)
+        track, predicted = (
+            np.full(cars, -1),
+            np.zeros((len(recording.states), cars), dtype=bool),
+        )
         track[recording.drivers] = first_track + np.arange(len(recording.drivers))
         for car in recording.drivers:
             seen = np.flatnonzero(recording.seen[:, car])
             predicted[seen[0] : max(seen[-1] - SHORTEST + 1, 0) : APART, car] = True
         road = lanes, recording.lane_width, recording.speed_limit
         for time in np.flatnonzero(predicted.any(axis=1)):
-            past, future = np.split(states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1])
-            rows.append(Snapshots(past, future, sizes, *road, predicted[time], track, group))
+            past, future = np.split(
+                states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1]
+            )
+            rows.append(
+                Snapshots(past, future, sizes, *road, predicted[time], track, group)
+            )
     if not rows:
-        raise ValueError(f"no driver of the {len(recordings)} recordings was seen for {SHORTEST / 10:g} s")
+        raise ValueError(
+            f"no driver of the {len(recordings)} recordings was seen for {SHORTEST / 10:g} s"
+        )
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)

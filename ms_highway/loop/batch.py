@@ -77,9 +77,16 @@ def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> 
     refuse_after_fork()
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
-    check_own_features(loop.game.scene, loop.game.robot, loop.game.number, episodes.starts[0])
+    check_own_features(
+        loop.game.scene, loop.game.robot, loop.game.number, episodes.starts[0]
+    )
     warn_of_limits(loop.models, loop.game, episodes.starts[0])
-    shared = share_among(devices or jax.local_devices()[:1], partial(_simulate, loop), episodes, loop.together)
+    shared = share_among(
+        devices or jax.local_devices()[:1],
+        partial(_simulate, loop),
+        episodes,
+        loop.together,
+    )
     return checked_records(loop, shared)
 
 
@@ -132,7 +139,9 @@ def believed(game: Game, own: Episodes) -> Game:
     return replace(game, robot=replace(game.robot, weights=own.robot_weights))
 
 
-@partial(jit_quickly, xla_cpu_parallel_codegen_split_count=1)  # or LLVM rounds differently where more threads compile
+@partial(
+    jit_quickly, xla_cpu_parallel_codegen_split_count=1
+)  # or LLVM rounds differently where more threads compile
 def _simulate(loop: Loop, episodes: Episodes) -> Records:
     """Run a chunk of episodes."""
     begun = begin_episodes(loop, episodes.starts)
@@ -153,7 +162,9 @@ def begin_episodes(loop: Loop, starts: State) -> Now:
     return jax.vmap(begun)(starts)
 
 
-def step_episodes(loop: Loop, own: Episodes, now: Now, inputs: StepInputs) -> tuple[Now, Records]:
+def step_episodes(
+    loop: Loop, own: Episodes, now: Now, inputs: StepInputs
+) -> tuple[Now, Records]:
     """Advance a chunk of episodes by one step."""
     own = replace(own, starts=None, schedules=None)  # which a step does not need
     advance = partial(_step, loop)
@@ -162,7 +173,9 @@ def step_episodes(loop: Loop, own: Episodes, now: Now, inputs: StepInputs) -> tu
     return for_rows(advance, own, now, inputs)
 
 
-def _step(loop: Loop, own: Episodes, now: Now, inputs: StepInputs) -> tuple[Now, Records]:
+def _step(
+    loop: Loop, own: Episodes, now: Now, inputs: StepInputs
+) -> tuple[Now, Records]:
     """Advance an episode by one step: the robot plans, or executes an agent's control; then the world moves."""
     if inputs.controls is not None:
         return _steer(loop, now, own, inputs.controls)
@@ -179,7 +192,9 @@ def _step(loop: Loop, own: Episodes, now: Now, inputs: StepInputs) -> tuple[Now,
         result.choice.rungs,
         result.status,
         gains=jnp.asarray(decision.gains, jnp.float32),
-        chosen=None if is_of_package(loop.rule) else jnp.where(by_rule, decision.memory.rungs, 0),
+        chosen=None
+        if is_of_package(loop.rule)
+        else jnp.where(by_rule, decision.memory.rungs, 0),
     )
     return _world(loop, now._replace(robot=robot), own, control, records)
 
@@ -202,7 +217,14 @@ def batch_parts(loop: Loop, own: Episodes, scheduled: Rungs) -> Parts:
     )
 
 
-def _decide(loop: Loop, own: Episodes, game: Game, scheduled: Rungs, memory: Memory, outcome: Outcome) -> Decision:
+def _decide(
+    loop: Loop,
+    own: Episodes,
+    game: Game,
+    scheduled: Rungs,
+    memory: Memory,
+    outcome: Outcome,
+) -> Decision:
     """Take the models of a schedule or, where it says so, let the rule decide at the episode's price."""
     by_rule = scheduled == DECIDES
     decision = _where_needed(
@@ -215,14 +237,18 @@ def _decide(loop: Loop, own: Episodes, game: Game, scheduled: Rungs, memory: Mem
     return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
 
-def _where_needed(loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any) -> Any:
+def _where_needed(
+    loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any
+) -> Any:
     """Compute a function if some episode of the chunk needs it; the other episodes keep ``otherwise``."""
     somewhere = jax.lax.pmax(needed, EPISODES) if loop.together > 1 else needed
     found = jax.lax.cond(somewhere, function, lambda: otherwise)
     return jax.tree.map(partial(jnp.where, needed), found, otherwise)
 
 
-def _plan(loop: Loop, game: Game, state: State, choice: Choice, last: RemainingPlan) -> NewPlan:
+def _plan(
+    loop: Loop, game: Game, state: State, choice: Choice, last: RemainingPlan
+) -> NewPlan:
     """Plan for an episode; with one human, compute only the models that some episode of the chunk uses."""
     rungs = choice.rungs
     start = plan_start(loop.models, game, state, rungs, last)
@@ -241,41 +267,61 @@ def _plan(loop: Loop, game: Game, state: State, choice: Choice, last: RemainingP
     return NewPlan(solution.plan, solution.plan, solution.steps, solution.converged)
 
 
-def _steer(loop: Loop, now: Now, own: Episodes, control: Control) -> tuple[Now, Records]:
+def _steer(
+    loop: Loop, now: Now, own: Episodes, control: Control
+) -> tuple[Now, Records]:
     """Let the robot execute a control, the humans plan and the world move; reward the robot."""
     none = jnp.zeros(loop.game.number, jnp.int32)
-    gains = jnp.full((loop.game.number, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32)
-    return _world(loop, now, own, control, Records(none, none, jnp.int32(PLANNED), gains=gains))
+    gains = jnp.full(
+        (loop.game.number, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32
+    )
+    return _world(
+        loop, now, own, control, Records(none, none, jnp.int32(PLANNED), gains=gains)
+    )
 
 
 def _executed(game: Game, speed: Any, controls: Any) -> Any:
     """Limit planned controls to what tyres hold at these speeds, as vehicles do."""
     grip = game.planner.grip
-    return controls if grip is None else within_grip(game.world, jnp.asarray(grip), speed, controls)
+    return (
+        controls
+        if grip is None
+        else within_grip(game.world, jnp.asarray(grip), speed, controls)
+    )
 
 
-def _world(loop: Loop, now: Now, own: Episodes, robot: Control, records: Records) -> tuple[Now, Records]:
+def _world(
+    loop: Loop, now: Now, own: Episodes, robot: Control, records: Records
+) -> tuple[Now, Records]:
     """Let the humans plan and the world move under the robot's control, not scaled; complete the records."""
     game = believed(loop.game, own)
     state = now.state
     last = 1 + game.number
-    truth = replace(loop.game, humans=replace(loop.game.humans, weights=own.human_weights))
+    truth = replace(
+        loop.game, humans=replace(loop.game.humans, weights=own.human_weights)
+    )
 
     def drive(human: Index) -> tuple[Control, RemainingPlan]:
         """Return a human's control, and the plan to fall back on in the next step."""
         view, turned = swap_players(truth, state, human)
         before = jax.tree.map(lambda part: part[human], now.humans)
         plan = plan_alone(view, turned).plan
-        driven, fallback, _ = follow(NewPlan(plan, plan), before.rungs, before, turned, partial(brake, view))
+        driven, fallback, _ = follow(
+            NewPlan(plan, plan), before.rungs, before, turned, partial(brake, view)
+        )
         control = driven.plan.robot[0] * game.planner.control_scale
         for number, driver in enumerate(loop.drivers, HUMAN_PLANS + 1):
-            control = jnp.where(own.drivers[human] == number, driver(view, turned), control)
+            control = jnp.where(
+                own.drivers[human] == number, driver(view, turned), control
+            )
         return control, fallback
 
     # All cars move at once: humans as they drive, scripted cars at their velocity.
     controls, fallbacks = each_human(game, drive)
     controls = _executed(game, state[1:last, 3], controls)
-    driven = jnp.concatenate([robot[None], controls, keep_velocity(game.world, state[last:])])
+    driven = jnp.concatenate(
+        [robot[None], controls, keep_velocity(game.world, state[last:])]
+    )
     after = move(game.world, state, driven)
 
     # Reward the robot.

@@ -83,7 +83,11 @@ class ControlStep:
     @property
     def model(self) -> str:
         """Name of the most expensive model in use."""
-        return ("", *cheapest_first(self.models))[-1] if self.models[1:] else self.models[0]
+        return (
+            ("", *cheapest_first(self.models))[-1]
+            if self.models[1:]
+            else self.models[0]
+        )
 
     @property
     def counted_models(self) -> tuple[str, ...]:
@@ -182,10 +186,14 @@ def check_driver(name: str, driver: Any) -> None:
         signature(own.reset).bind(0)  # type: ignore[attr-defined]
     except Exception as error:  # anything that code of the user's raises
         remedy = "give a class that is made without arguments or an object that can be copied; let `reset` take a key"
-        raise ValueError(f"{place}, which cannot begin an episode: {error}; {remedy}") from error
+        raise ValueError(
+            f"{place}, which cannot begin an episode: {error}; {remedy}"
+        ) from error
     if not callable(own) or own is driver:
         remedy = "give an object of a class with the methods `reset(key)` and `__call__(game, state)`"
-        raise ValueError(f"{place}, which cannot be copied or cannot be called; {remedy}")
+        raise ValueError(
+            f"{place}, which cannot be copied or cannot be called; {remedy}"
+        )
 
 
 class FunctionDriver:
@@ -238,14 +246,22 @@ class FunctionDriver:
         seconds = perf_counter() - start
         self._check_answers(seen, control)
         kept = np.tile(control, (self.game.planner.horizon, 1))
-        return ControlStep(control, kept, np.zeros((0, *kept.shape)), (self.name,) * self.game.number, seconds)
+        return ControlStep(
+            control,
+            kept,
+            np.zeros((0, *kept.shape)),
+            (self.name,) * self.game.number,
+            seconds,
+        )
 
     def _ask(self, game: Game, state: State) -> Control:
         """Return the driver's answer, a copy, as drivers may use their array again."""
         with naming_writes(f"the driver {self.name!r}"):
             control = np.array(self._function(game, state), dtype=float)
         if control.shape != (2,) or not np.isfinite(control).all():
-            raise ValueError(f"the driver {self.name!r} returned {control.tolist()}; {RETURN}")
+            raise ValueError(
+                f"the driver {self.name!r} returned {control.tolist()}; {RETURN}"
+            )
         return control
 
     def _check_answers(self, state: State, control: Control) -> None:
@@ -259,26 +275,44 @@ class FunctionDriver:
         again = self._ask(first_game, first_state)
         if not np.allclose(again, first, rtol=SAME_ANSWER, atol=SAME_ANSWER):
             answers = f"{first.tolist()} and then {again.tolist()} in the same state"
-            raise ValueError(f"the driver {self.name!r} returned {answers}, so it remembers or draws; {REMEMBER}")
+            raise ValueError(
+                f"the driver {self.name!r} returned {answers}, so it remembers or draws; {REMEMBER}"
+            )
 
 
-def unmoved_control(game: Game, state: Float[SameArray, "cars 4"], yields: Any) -> Float[SameArray, "2"]:
+def unmoved_control(
+    game: Game, state: Float[SameArray, "cars 4"], yields: Any
+) -> Float[SameArray, "2"]:
     """Return the control, not scaled, of car 0, which yields to car 1, the robot, always or else never.
 
     It keeps its velocity, and brakes in time for a slower car ahead in its lane. If it never yields, it ignores the
     robot. If it always yields, it brakes for a robot in its lane or the next one as soon as the robot's front has
     passed its own centre, until there is room for the robot, unless another car is between them.
     """
-    xp, scene, own, others = state.__array_namespace__(), game.scene, state[0], state[1:]
+    xp, scene, own, others = (
+        state.__array_namespace__(),
+        game.scene,
+        state[0],
+        state[1:],
+    )
     length, width = xp.asarray(scene.car_size)[0], xp.asarray(scene.lane_width)
     along, aside = others[:, 0] - own[0], xp.abs(others[:, 1] - own[1])
-    gaps, closing = xp.maximum(along - length, MIN_GAP), xp.maximum(own[3] - others[:, 3], 0.0)
+    gaps, closing = (
+        xp.maximum(along - length, MIN_GAP),
+        xp.maximum(own[3] - others[:, 3], 0.0),
+    )
     partner = xp.arange(len(others)) == 0
     ahead = (along > 0) & (aside < width / 2) & (yields | ~partner)
     braking = xp.max(xp.where(ahead, closing**2 / (2 * gaps), 0.0))
     between = xp.any(ahead & (along < along[0]) & ~partner)
-    beside = (-length / 2 < along[0]) & (along[0] < length + YIELD_GAP) & (aside[0] < YIELD_LANES * width)
-    braking = xp.where(yields & beside & ~between, xp.maximum(braking, YIELD_BRAKING), braking)
+    beside = (
+        (-length / 2 < along[0])
+        & (along[0] < length + YIELD_GAP)
+        & (aside[0] < YIELD_LANES * width)
+    )
+    braking = xp.where(
+        yields & beside & ~between, xp.maximum(braking, YIELD_BRAKING), braking
+    )
     kept = keep_velocity(game.world, own)
     hardest = xp.minimum(MAX_BRAKING, own[3] / xp.asarray(game.world.time_step))
     return xp.stack([kept[0], kept[1] - xp.minimum(braking, hardest)])
@@ -306,22 +340,33 @@ def traceable(name: str, game: Game) -> DriverFunction:
         ValueError: if the driver is a class of vehicles, the keyboard, a driver that remembers, or a function that JAX
             cannot trace or traces in two ways.
     """
-    driver, remedy = HUMAN_DRIVERS.get(name), "give add_driver a pure function of jax.numpy, or use `compare`"
+    driver, remedy = (
+        HUMAN_DRIVERS.get(name),
+        "give add_driver a pure function of jax.numpy, or use `compare`",
+    )
     if driver is None or is_vehicle(driver):
-        raise ValueError(f"config['human_driver'] is {name!r}, which cannot be simulated; {remedy}")
+        raise ValueError(
+            f"config['human_driver'] is {name!r}, which cannot be simulated; {remedy}"
+        )
     if remembers(driver):
-        raise ValueError(f"config['human_driver'] is {name!r}, which remembers and cannot be simulated; {remedy}")
+        raise ValueError(
+            f"config['human_driver'] is {name!r}, which remembers and cannot be simulated; {remedy}"
+        )
     question = swap_roles(game), jnp.zeros((2 + game.number, 4))
     try:
         control = jax.eval_shape(driver, *question)
         programs = {_program(driver, question) for _ in range(2)}
     except Exception as error:  # anything that code of the user's raises
         reason = str(error).partition("\n")[0]
-        raise ValueError(f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}") from error
+        raise ValueError(
+            f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}"
+        ) from error
     if jax.tree.map(jnp.shape, control) != (2,):
         raise ValueError(f"the human driver {name!r} returns {control}; {RETURN}")
     if len(programs) > 1:
-        raise ValueError(f"the human driver {name!r} computes something else when it is asked again; {REMEMBER}")
+        raise ValueError(
+            f"the human driver {name!r} computes something else when it is asked again; {REMEMBER}"
+        )
     return driver
 
 
@@ -334,6 +379,8 @@ def _program(driver: DriverFunction, question: tuple[Game, State]) -> str:
     """Return the text of what JAX computes for a driver, with its constants."""
     # JAX caches the trace of a function, so a new function makes it trace again.
     traced = jax.make_jaxpr(lambda game, state: driver(game, state))(*question)
-    constants = [jax.random.key_data(each) if _is_key(each) else each for each in traced.consts]
+    constants = [
+        jax.random.key_data(each) if _is_key(each) else each for each in traced.consts
+    ]
     text = f"{traced} {[np.asarray(each).tolist() for each in constants]}"
     return re.sub("0x[0-9a-f]+", "", text)  # addresses differ

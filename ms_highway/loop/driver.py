@@ -39,13 +39,22 @@ from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_s
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.way_out import Escape
 from ms_highway.runtime.arrays import Control, State
-from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single, timed, warm_up
+from ms_highway.runtime.compilation import (
+    Compiled,
+    Placed,
+    jit_quickly,
+    single,
+    timed,
+    warm_up,
+)
 from ms_highway.runtime.process import refuse_after_fork
 
 QUANTILE = 0.99  # of decisions' seconds, for budgets
 
 
-def drivable(rule: Rule[GameEvidence], belief: bool) -> tuple[Rule[GameEvidence], int | None]:
+def drivable(
+    rule: Rule[GameEvidence], belief: bool
+) -> tuple[Rule[GameEvidence], int | None]:
     """Return the rule for a `Driver`, and the rung that predicts unresponsive humans (None without a belief).
 
     Raises:
@@ -94,7 +103,13 @@ class Driver:
     """
 
     def __init__(
-        self, game: Game, rule: Rule, *, budget: float | None = None, way_out: bool = False, belief: bool = False
+        self,
+        game: Game,
+        rule: Rule,
+        *,
+        budget: float | None = None,
+        way_out: bool = False,
+        belief: bool = False,
     ) -> None:
         self.budget = budget
         self.way_out = way_out
@@ -116,7 +131,9 @@ class Driver:
         if rule.ladder != last.ladder:
             new = " ".join(model.name for model in rule.ladder)
             old = " ".join(model.name for model in last.ladder)
-            raise ValueError(f"the rule is on the ladder {new}, and the driver on {old}; make a new driver")
+            raise ValueError(
+                f"the rule is on the ladder {new}, and the driver on {old}; make a new driver"
+            )
         self._rule = rule
         self._unresponsive = unresponsive
         self._place()
@@ -159,7 +176,9 @@ class Driver:
         """
         now = checked_state(state)
         compiling = self._warm_up(now)
-        self._seconds = StepSeconds(checking=self._seconds.checking if self.way_out else 0.0)
+        self._seconds = StepSeconds(
+            checking=self._seconds.checking if self.way_out else 0.0
+        )
         self._started = perf_counter()
         parts = Parts(
             self._choose,
@@ -243,7 +262,9 @@ class Driver:
         seconds = self._plans.warm_up(state, self.way_out)
         if self._looks_back:
             seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
-            rule, measuring = timed(deciding_in, self.rule, lambda: self._deciding_seconds(state))
+            rule, measuring = timed(
+                deciding_in, self.rule, lambda: self._deciding_seconds(state)
+            )
             if rule is not self._rule:
                 self._rule = rule
                 self._place()
@@ -253,7 +274,9 @@ class Driver:
     def _deciding_seconds(self, state: State) -> float:
         """Measure the seconds of a warm decision."""
         carry = begin(self.rule, self.game, state)
-        carry = carry._replace(memory=carry.memory._replace(step=np.ones((), np.int32)))  # step 0 may take less
+        carry = carry._replace(
+            memory=carry.memory._replace(step=np.ones((), np.int32))
+        )  # step 0 may take less
         times = [timed(*self._choice(carry, state))[1] for _ in range(REPEATS)]
         return float(np.quantile(times, QUANTILE))
 
@@ -270,7 +293,9 @@ def choice_function(unresponsive: int | None) -> Compiled:
     """Compile `ms_highway.loop.step.choose` by a rule, given the rung that predicts unresponsive humans."""
 
     def chosen(rule: Rule, game: Game, carry: Carry, now: State) -> Choice:
-        return choose(game, rule.ladder, unresponsive, partial(chosen_by, rule, game), carry, now)
+        return choose(
+            game, rule.ladder, unresponsive, partial(chosen_by, rule, game), carry, now
+        )
 
     return jit_quickly(chosen)
 

@@ -66,7 +66,9 @@ class Loop:
         if number == len(self.models):
             names = ", ".join(model.name for model in self.models)
             remedy = f"add {Naive.name} to `others`"
-            raise ValueError(f"with a belief, the models of the loop are {names}; {remedy}")
+            raise ValueError(
+                f"with a belief, the models of the loop are {names}; {remedy}"
+            )
         return number
 
     @property

@@ -23,7 +23,15 @@ from ms_highway.game.game import Game
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.planning.plans import Plan, cold_start
 from ms_highway.planning.way_out import Escape
-from ms_highway.runtime.arrays import Belief, Control, Flag, Index, Rungs, SameArray, State
+from ms_highway.runtime.arrays import (
+    Belief,
+    Control,
+    Flag,
+    Index,
+    Rungs,
+    SameArray,
+    State,
+)
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
 """Source of a control: ``planned``, this step's plan; ``previous plan``, the rest of the last finite plan, if this one
@@ -57,7 +65,9 @@ class RemainingPlan(NamedTuple):
     def later(self) -> "RemainingPlan":
         """Return the plan from the next step on."""
         steps = self.steps - (self.steps > 0)
-        return RemainingPlan(self.plan.later(), steps, self.rungs, self.warm_start.later())
+        return RemainingPlan(
+            self.plan.later(), steps, self.rungs, self.warm_start.later()
+        )
 
 
 class Carry(NamedTuple):
@@ -168,7 +178,9 @@ def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
     late = parts.is_late is not None and parts.is_late()
 
     # Follow the plan. If it is not finite or late, follow the last one; where that has ended, brake.
-    driven, fallback, status = follow(planned, choice.rungs, carry.fallback, now, parts.brake, late)
+    driven, fallback, status = follow(
+        planned, choice.rungs, carry.fallback, now, parts.brake, late
+    )
 
     # If the control leaves no way out among cars that keep their velocity, escape.
     if parts.escape is not None:
@@ -181,11 +193,17 @@ def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
     gain = chosen.gain * (driven.rungs == chosen.rungs)
     memory = Memory(driven.rungs, carry.memory.step + 1, chosen.last_check, gain)
     control = driven.plan.robot[0]
-    outcome = carry.outcome._replace(before=now, after=now, robot=control, plan=driven.plan)
-    return Carry(memory, outcome, choice.belief, fallback), StepResult(driven, status, choice, planned)
+    outcome = carry.outcome._replace(
+        before=now, after=now, robot=control, plan=driven.plan
+    )
+    return Carry(memory, outcome, choice.belief, fallback), StepResult(
+        driven, status, choice, planned
+    )
 
 
-def branch(flag: Flag | bool, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+def branch(
+    flag: Flag | bool, then: Callable[[], Any], otherwise: Callable[[], Any]
+) -> Any:
     """Return one of two results; for a flag of JAX, compute both, and select each number."""
     if isinstance(flag, jax.Array):
         return jax.tree.map(lambda *both: jnp.where(flag, *both), then(), otherwise())
@@ -198,8 +216,17 @@ def branch(flag: Flag | bool, then: Callable[[], Any], otherwise: Callable[[], A
 def begin(rule: Rule, game: Game, state: State) -> Carry:
     """Return what a robot carries into its first step."""
     none = no_plan(game.planner.horizon, game.number)
-    outcome = Outcome(state, state, none.plan.robot[0], none.plan.humans[:, 0], np.float32(0), none.plan)
-    return Carry(first_memory(rule, game.number), outcome, first_belief(game.number), none)
+    outcome = Outcome(
+        state,
+        state,
+        none.plan.robot[0],
+        none.plan.humans[:, 0],
+        np.float32(0),
+        none.plan,
+    )
+    return Carry(
+        first_memory(rule, game.number), outcome, first_belief(game.number), none
+    )
 
 
 def no_plan(horizon: int, humans: int) -> RemainingPlan:
@@ -234,8 +261,13 @@ def choose(
     outcome = carry.outcome
     before = outcome.before
     players = slice(1, 1 + game.number)
-    controls = recover_control(game.world, before[players], now[players]) / game.planner.control_scale
-    outcome = outcome._replace(after=now, humans=controls, reward=reward(game.scene, game.robot, now))
+    controls = (
+        recover_control(game.world, before[players], now[players])
+        / game.planner.control_scale
+    )
+    outcome = outcome._replace(
+        after=now, humans=controls, reward=reward(game.scene, game.robot, now)
+    )
 
     # Without a belief, count on what the rule chose.
     if unresponsive is None:
@@ -244,7 +276,9 @@ def choose(
 
     # Infer which humans respond. Before the first step, nobody has moved.
     moved = jnp.any(before != now)
-    belief = jnp.where(moved, infer(game, carry.belief, before, now, outcome.plan.robot), carry.belief)
+    belief = jnp.where(
+        moved, infer(game, carry.belief, before, now, outcome.plan.robot), carry.belief
+    )
     decision = decide(carry.memory, outcome)
     responds = jnp.array([model.responds for model in models])
     ignored = responds[decision.memory.rungs] & ~counted_on(belief)
@@ -256,7 +290,11 @@ def choose(
 
 
 def plan_start(
-    models: tuple[HumanModel, ...], game: Game, state: State, rungs: Rungs, last: RemainingPlan
+    models: tuple[HumanModel, ...],
+    game: Game,
+    state: State,
+    rungs: Rungs,
+    last: RemainingPlan,
 ) -> Plan | None:
     """Return the scaled plan from which the coming one starts.
 
@@ -324,7 +362,10 @@ def follow(
 
 
 def fall_back(
-    last: RemainingPlan, rungs: Rungs, now: Any, brake: Callable[[RemainingPlan, Any], RemainingPlan]
+    last: RemainingPlan,
+    rungs: Rungs,
+    now: Any,
+    brake: Callable[[RemainingPlan, Any], RemainingPlan],
 ) -> tuple[RemainingPlan, Index]:
     """Go on with the last plan, or brake where nothing is left of it; return what drives and its status, see `follow`.
 
@@ -332,7 +373,11 @@ def fall_back(
     """
     left = last.later()
     stopping = left._replace(rungs=rungs)
-    return branch(left.steps > 0, lambda: (left, PREVIOUS_PLAN), lambda: (brake(stopping, now), BRAKING))
+    return branch(
+        left.steps > 0,
+        lambda: (left, PREVIOUS_PLAN),
+        lambda: (brake(stopping, now), BRAKING),
+    )
 
 
 def follow_escape(
@@ -346,7 +391,9 @@ def follow_escape(
     own = RemainingPlan(plan, len(escape.controls), driven.rungs, fallback.warm_start)
     replaced = escape.replaces & (status == PLANNED)
     status = branch(replaced, lambda: WAY_OUT, lambda: status)
-    return *branch(escape.replaces, lambda: (own, own), lambda: (driven, fallback)), status
+    return *branch(
+        escape.replaces, lambda: (own, own), lambda: (driven, fallback)
+    ), status
 
 
 def brake(game: Game, left: RemainingPlan, now: State) -> RemainingPlan:
@@ -355,7 +402,9 @@ def brake(game: Game, left: RemainingPlan, now: State) -> RemainingPlan:
     xp = robot.__array_namespace__()
     with np.errstate(over="ignore", invalid="ignore"):
         braking = braking_control(game, now[0]) / game.planner.control_scale
-    return left._replace(plan=left.plan._replace(robot=xp.broadcast_to(braking, robot.shape)))
+    return left._replace(
+        plan=left.plan._replace(robot=xp.broadcast_to(braking, robot.shape))
+    )
 
 
 def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:

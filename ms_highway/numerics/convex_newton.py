@@ -16,7 +16,15 @@ from jaxtyping import Float, PyTree
 
 from ms_highway.numerics.newton import Objective
 from ms_highway.numerics.second_derivatives import second_order_expansion
-from ms_highway.runtime.arrays import Controls, Flag, Index, Matrix, Scalar, Trajectory, Vector
+from ms_highway.runtime.arrays import (
+    Controls,
+    Flag,
+    Index,
+    Matrix,
+    Scalar,
+    Trajectory,
+    Vector,
+)
 
 Point = TypeVar("Point", bound=PyTree)
 
@@ -65,7 +73,9 @@ class Local(NamedTuple):
     def step(self, gradient: Vector) -> Vector:
         """Return ``C^-1 gradient``, shortened to `MAX_STEP`."""
         whole = self.solve(gradient)
-        return whole * jnp.minimum(1.0, MAX_STEP / jnp.maximum(jnp.sqrt(jnp.sum(whole**2)), MAX_STEP))
+        return whole * jnp.minimum(
+            1.0, MAX_STEP / jnp.maximum(jnp.sqrt(jnp.sum(whole**2)), MAX_STEP)
+        )
 
 
 def expand(
@@ -93,10 +103,17 @@ def expand(
         slope = objective.slope(path)
     bends = -objective.curvature(path)
     gradient, hessian, jacobian = second_order_expansion(
-        objective.path, controls, slope, bends, objective.cost, objective.jacobian(controls)
+        objective.path,
+        controls,
+        slope,
+        bends,
+        objective.cost,
+        objective.jacobian(controls),
     )
     curvature = DAMPING * jnp.eye(controls.size) - hessian
-    return Local(gradient, jnp.linalg.cholesky(curvature, symmetrize_input=False), jacobian)
+    return Local(
+        gradient, jnp.linalg.cholesky(curvature, symmetrize_input=False), jacobian
+    )
 
 
 def share(slope: Scalar, after: Scalar) -> Scalar:
@@ -130,7 +147,9 @@ def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
     tried = objective.bounded(controls + whole)
     step = tried - controls
     after = objective.gain(tried, step)
-    return objective.bounded(controls + share(local.gradient @ step.ravel(), after) * whole)
+    return objective.bounded(
+        controls + share(local.gradient @ step.ravel(), after) * whole
+    )
 
 
 def until_still(
@@ -158,7 +177,9 @@ def until_still(
         before, _, number = now
         after = step(number, before)
         change = jax.tree.map(jnp.subtract, after, before)
-        norm = jnp.sqrt(sum(jnp.sum(part**2) for part in jax.tree.leaves(controls(change))))
+        norm = jnp.sqrt(
+            sum(jnp.sum(part**2) for part in jax.tree.leaves(controls(change)))
+        )
         part = jnp.clip(norm / STEP_TOLERANCE - 1, 0.0, 1.0)
 
         def partial_step(old: Any, new: Any, moved: Any) -> Any:

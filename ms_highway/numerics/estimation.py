@@ -11,7 +11,9 @@ Parameters = Float[Any, "parameters"]
 Matrix = Float[Any, "parameters parameters"]
 
 
-def minimum(loss: Callable[..., Any], first: Parameters, *arguments: Any, **options: Any) -> Parameters:
+def minimum(
+    loss: Callable[..., Any], first: Parameters, *arguments: Any, **options: Any
+) -> Parameters:
     """Return the parameters at which a loss is least, by L-BFGS.
 
     Args:
@@ -25,18 +27,27 @@ def minimum(loss: Callable[..., Any], first: Parameters, *arguments: Any, **opti
         found, slope = loss(parameters, *arguments)
         return float(found), np.asarray(slope, dtype=float)
 
-    return optimize.minimize(value, first, jac=True, method="L-BFGS-B", options=options).x
+    return optimize.minimize(
+        value, first, jac=True, method="L-BFGS-B", options=options
+    ).x
 
 
-def slope_differences(slope: Callable[[Parameters], Any], parameters: Parameters, step: float) -> Matrix:
+def slope_differences(
+    slope: Callable[[Parameters], Any], parameters: Parameters, step: float
+) -> Matrix:
     """Return second derivatives by central differences of a slope, a row per parameter."""
     steps = step * np.eye(len(parameters))
-    rows = [np.asarray(slope(parameters + each)) - np.asarray(slope(parameters - each)) for each in steps]
+    rows = [
+        np.asarray(slope(parameters + each)) - np.asarray(slope(parameters - each))
+        for each in steps
+    ]
     return np.array(rows, dtype=float) / (2 * step)
 
 
 def grouped_covariance(
-    inverse: Matrix, scores: Float[np.ndarray, "n parameters"], groups: Int[np.ndarray, "n"]
+    inverse: Matrix,
+    scores: Float[np.ndarray, "n parameters"],
+    groups: Int[np.ndarray, "n"],
 ) -> Matrix:
     """Return the covariance of estimates from groups of data that depend on each other (Huber 1967).
 
@@ -47,5 +58,7 @@ def grouped_covariance(
         scores: slopes of each datum's part of the loss.
         groups: that the data belong to.
     """
-    summed = np.stack([scores[groups == group].sum(axis=0) for group in np.unique(groups)])
+    summed = np.stack(
+        [scores[groups == group].sum(axis=0) for group in np.unique(groups)]
+    )
     return inverse @ (summed.T @ summed) @ inverse

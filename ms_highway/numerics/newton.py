@@ -12,8 +12,21 @@ from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Float
 
-from ms_highway.numerics.second_derivatives import Expansion, along_fields, second_order_expansion
-from ms_highway.runtime.arrays import Controls, Flag, ManyControls, Matrix, Numbers, Scalar, Trajectory, Vector
+from ms_highway.numerics.second_derivatives import (
+    Expansion,
+    along_fields,
+    second_order_expansion,
+)
+from ms_highway.runtime.arrays import (
+    Controls,
+    Flag,
+    ManyControls,
+    Matrix,
+    Numbers,
+    Scalar,
+    Trajectory,
+    Vector,
+)
 
 
 class Objective(NamedTuple):
@@ -40,16 +53,25 @@ class Objective(NamedTuple):
 
     def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:
         """Return what controls earn on their path; the path is computed unless it is given."""
-        return self.reward(self.path(controls) if path is None else path) - self.cost(controls)
+        return self.reward(self.path(controls) if path is None else path) - self.cost(
+            controls
+        )
 
     def gain(self, controls: Controls, step: Controls) -> Scalar:
         """Return the derivative of `earned` along a step that ends at these controls."""
         path, moved = jax.jvp(self.path, (controls,), (step,))
-        return jnp.sum(self.slope(path) * moved) - jnp.sum(jax.grad(self.cost)(controls) * step)
+        return jnp.sum(self.slope(path) * moved) - jnp.sum(
+            jax.grad(self.cost)(controls) * step
+        )
 
     def expand(self, controls: Controls) -> Expansion:
         """Return the expansion of `earned` to second order."""
-        return second_order_expansion(self.path, controls, *along_fields(self.slope, self.path(controls)), self.cost)
+        return second_order_expansion(
+            self.path,
+            controls,
+            *along_fields(self.slope, self.path(controls)),
+            self.cost,
+        )
 
     def search_line(
         self, controls: Controls, step: Controls, shares: Float[Any, "shares"]
@@ -69,7 +91,11 @@ def best_of(candidates: Numbers, earned: Float[Any, "candidates"]) -> Numbers:
 DAMPED_SHARES = np.array([1, 1 / 2, 1 / 4, 1 / 10, 1 / 32, 0], dtype=np.float32)
 """Shares of a damped step that its line search tries."""
 
-MIN_DAMPING, DAMPING_GROWTH, MAX_DAMPING = 1.0, 6.0, 1e7  # reward per squared scaled control
+MIN_DAMPING, DAMPING_GROWTH, MAX_DAMPING = (
+    1.0,
+    6.0,
+    1e7,
+)  # reward per squared scaled control
 
 
 def damped_solve(hessian: Matrix, vector: Vector) -> Vector:
@@ -81,12 +107,16 @@ def damped_solve(hessian: Matrix, vector: Vector) -> Vector:
     symmetric, identity = (hessian + hessian.T) / 2, jnp.eye(len(hessian))
 
     def factored(damping: Scalar) -> tuple[Scalar, Matrix]:
-        return damping, jnp.linalg.cholesky(damping * identity - symmetric, symmetrize_input=False)
+        return damping, jnp.linalg.cholesky(
+            damping * identity - symmetric, symmetrize_input=False
+        )
 
     def fails(tried: tuple[Scalar, Matrix]) -> Flag:
         return ~jnp.isfinite(tried[1]).all() & (tried[0] < MAX_DAMPING)
 
     first = factored(jnp.float32(MIN_DAMPING))
-    _, factor = jax.lax.while_loop(fails, lambda tried: factored(DAMPING_GROWTH * tried[0]), first)
+    _, factor = jax.lax.while_loop(
+        fails, lambda tried: factored(DAMPING_GROWTH * tried[0]), first
+    )
     solved = cho_solve((factor, True), vector)
     return jnp.where(jnp.isfinite(solved).all(), solved, 0.0)

@@ -7,7 +7,14 @@ import jax
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Controls, Matrix, Numbers, Scalar, Trajectory, Vector
+from ms_highway.runtime.arrays import (
+    Controls,
+    Matrix,
+    Numbers,
+    Scalar,
+    Trajectory,
+    Vector,
+)
 
 Influence: TypeAlias = Literal["exact", "damped"]
 
@@ -70,20 +77,30 @@ def second_order_expansion(
     bent = jnp.sum(bends[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
     gradient, hessian = slope.ravel() @ flat, flat.T @ bent.reshape(-1, point.size)
     if not linear:
-        hessian += jax.jacfwd(lambda controls: jax.vjp(ravelled, controls)[1](slope)[0])(point)
+        hessian += jax.jacfwd(
+            lambda controls: jax.vjp(ravelled, controls)[1](slope)[0]
+        )(point)
     # Of a sum over controls, the derivative along all of them at once is the diagonal of the Hessian.
-    marginal, diagonal = jax.jvp(jax.grad(cost), (controls,), (jnp.ones_like(controls),))
-    return Expansion(gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel()), jacobian)
+    marginal, diagonal = jax.jvp(
+        jax.grad(cost), (controls,), (jnp.ones_like(controls),)
+    )
+    return Expansion(
+        gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel()), jacobian
+    )
 
 
-def along_fields(function: Callable[[Trajectory], Numbers], steps: Trajectory) -> tuple[Numbers, Numbers]:
+def along_fields(
+    function: Callable[[Trajectory], Numbers], steps: Trajectory
+) -> tuple[Numbers, Numbers]:
     """Return a function of trajectories and its derivatives in each field [fields, *value].
 
     The value at each step may depend only on the fields at this step, so that one direction per field serves all steps.
     """
     each = jnp.eye(len(steps)).reshape(len(steps), len(steps), *[1] * (steps.ndim - 1))
     directions = jnp.broadcast_to(each, (len(steps), *steps.shape))
-    along = jax.vmap(lambda direction: jax.jvp(function, (steps,), (direction,)), out_axes=(None, 0))
+    along = jax.vmap(
+        lambda direction: jax.jvp(function, (steps,), (direction,)), out_axes=(None, 0)
+    )
     return along(directions)
 
 
@@ -108,7 +125,9 @@ def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
 
 
 @jax.custom_jvp
-def floored(symmetric: Float[jax.Array, "d d"], floor: Scalar) -> Float[jax.Array, "d d"]:
+def floored(
+    symmetric: Float[jax.Array, "d d"], floor: Scalar
+) -> Float[jax.Array, "d d"]:
     """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
 
     Its derivative is exact even at equal eigenvalues, where derivatives of eigenvectors are not finite: with divided
@@ -125,10 +144,20 @@ def _floored_jvp(
     (symmetric, floor), (change, of_floor) = primals, tangents
     values, vectors = jnp.linalg.eigh(symmetric)
     high = values > floor
-    above, below = jnp.where(high, values, floor)[:, None], jnp.where(high, floor - 1.0, values)[None, :]
+    above, below = (
+        jnp.where(high, values, floor)[:, None],
+        jnp.where(high, floor - 1.0, values)[None, :],
+    )
     mixed = (above - floor) / (above - below)
     one_of_two = high[:, None] ^ high[None, :]
-    shares = jnp.where(one_of_two, jnp.where(high[:, None], mixed, mixed.T), high[:, None] & high[None, :])
+    shares = jnp.where(
+        one_of_two,
+        jnp.where(high[:, None], mixed, mixed.T),
+        high[:, None] & high[None, :],
+    )
     turned = vectors.T @ change @ vectors
-    back = vectors @ (shares * turned) @ vectors.T + of_floor * (vectors * ~high) @ vectors.T
+    back = (
+        vectors @ (shares * turned) @ vectors.T
+        + of_floor * (vectors * ~high) @ vectors.T
+    )
     return (vectors * jnp.maximum(values, floor)) @ vectors.T, back

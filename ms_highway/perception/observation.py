@@ -12,17 +12,41 @@ from highway_env.vehicle.objects import RoadObject
 from jaxtyping import Bool
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Rows
-from ms_highway.geometry.lane_paths import COARSE, FINE, LaneCurve, Point, Row, paths_from, project_cars, samples
-from ms_highway.geometry.road_map import BLOCK, Chain, Destination, Goal, Lane, Spot, kept, road_map
+from ms_highway.geometry.lane_paths import (
+    COARSE,
+    FINE,
+    LaneCurve,
+    Point,
+    Row,
+    paths_from,
+    project_cars,
+    samples,
+)
+from ms_highway.geometry.road_map import (
+    BLOCK,
+    Chain,
+    Destination,
+    Goal,
+    Lane,
+    Spot,
+    kept,
+    road_map,
+)
 from ms_highway.perception.scene import KNOTS, LANES, RoadScene
 from ms_highway.perception.traffic_paths import traffic_of
 
 LANE_MARGIN = 6.0  # m, by which lanes are sampled beyond the route beside them
-MIN_LANE_COSINE = 0.7  # lower bound of the cosine of the angle between a lane and the route
+MIN_LANE_COSINE = (
+    0.7  # lower bound of the cosine of the angle between a lane and the route
+)
 LANE_EXTENSION = 3.0  # m, up to which a lane is extended straight on
 DRIVEN = (6.0, 4.0, 3.0, 2.0)  # m, smoothing widths of routes, which cut corners
-WITHIN = 0.1  # m from the lanes, beyond which a route is smoothed less, as in sharp bends
-NEARBY = 2.0  # widths of a lane within which the robot can change to a lane that diverges
+WITHIN = (
+    0.1  # m from the lanes, beyond which a route is smoothed less, as in sharp bends
+)
+NEARBY = (
+    2.0  # widths of a lane within which the robot can change to a lane that diverges
+)
 
 
 @dataclass(frozen=True)
@@ -43,7 +67,11 @@ class Corridor:
         """Return the fields of a ``RoadScene`` that describe lanes, at distances from the curve's beginning [m]."""
         rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
-        return {"lanes": rows[:LANES], "edges": rows[LANES:], "open": self.open[:, nearest]}
+        return {
+            "lanes": rows[:LANES],
+            "edges": rows[LANES:],
+            "open": self.open[:, nearest],
+        }
 
 
 @kept
@@ -51,7 +79,11 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return the corridor of the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN, WITHIN)
     ways = curve.ways
-    rows, is_open, low = np.zeros((LANES + 2, ways.size)), np.zeros((LANES, ways.size), dtype=bool), 0
+    rows, is_open, low = (
+        np.zeros((LANES + 2, ways.size)),
+        np.zeros((LANES, ways.size), dtype=bool),
+        0,
+    )
     lanes, edges = rows[:LANES], rows[LANES:]
     for until, (left, own, right) in _sections(chain, goal, ways[-1]):
         here = slice(low, int(np.searchsorted(ways, until)))
@@ -71,12 +103,17 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
                 if outermost is not lane:
                     centres.append(_beside(curve.curve, here, outermost))
         centres = centres or [lanes[1, here]]
-        edges[:, here] = np.min(centres, axis=0) - width / 2, np.max(centres, axis=0) + width / 2
+        edges[:, here] = (
+            np.min(centres, axis=0) - width / 2,
+            np.max(centres, axis=0) + width / 2,
+        )
     _fill(rows)
     return Corridor(curve, rows, is_open)
 
 
-def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[tuple[float, tuple[Lane | None, ...]]]:
+def _sections(
+    chain: Chain, goal: Goal, until: float
+) -> Iterator[tuple[float, tuple[Lane | None, ...]]]:
     """Yield the sections of a route: the way at their end, and the lane left of the route, its own, and right of it.
 
     None stands for a closed lane. A lane beside the route continues as long as it is on the route's roads or leads to
@@ -88,7 +125,9 @@ def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[tuple[float, t
     for own, end in zip(chain.lanes, chain.starts[1:], strict=True):
         for side, step in enumerate((-1, 1)):
             onward, sibling = goal.next(sides[side]), own.beside(step)
-            joins = onward and (onward in own.siblings or onward.end == goal.towards.get(own.start))
+            joins = onward and (
+                onward in own.siblings or onward.end == goal.towards.get(own.start)
+            )
             if not joins or onward in chain.lanes:
                 onward = None if sibling is None or sibling.forbidden else sibling
             sides[side] = onward
@@ -106,7 +145,11 @@ def _fill(rows: Rows) -> None:
     """Replace NaN in rows by interpolation, or by 0 in rows of NaN only."""
     for row in rows:
         known = np.isfinite(row)
-        filled = np.interp(np.flatnonzero(~known), np.flatnonzero(known), row[known]) if known.any() else 0.0
+        filled = (
+            np.interp(np.flatnonzero(~known), np.flatnonzero(known), row[known])
+            if known.any()
+            else 0.0
+        )
         row[~known] = filled
 
 
@@ -119,22 +162,37 @@ def _outermost(lane: Lane, step: int) -> Lane:
 def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN beyond the lane's ends."""
     x, y, heading = curve.x[here], curve.y[here], curve.heading[here]
-    ends = sorted(lane.shape.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1))
+    ends = sorted(
+        lane.shape.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1)
+    )
     low, high = max(ends[0] - LANE_MARGIN, 0.0), min(ends[1] + LANE_MARGIN, lane.length)
-    margin = COARSE if lane.length < 2 * COARSE else 0.0  # so that there are two samples
+    margin = (
+        COARSE if lane.length < 2 * COARSE else 0.0
+    )  # so that there are two samples
     whole = -margin, lane.length + margin
-    _, centres, along = samples(lane.shape, *((low, high) if high - low > LANE_MARGIN else whole))
+    _, centres, along = samples(
+        lane.shape, *((low, high) if high - low > LANE_MARGIN else whole)
+    )
     along = np.unwrap(along)
-    shape = Curve(centres[:, 0], centres[:, 1], along, np.gradient(along, COARSE), 0.0, COARSE)
+    shape = Curve(
+        centres[:, 0], centres[:, 1], along, np.gradient(along, COARSE), 0.0, COARSE
+    )
     s, d, turned = shape.project(x, y, heading)
     outside = np.maximum(-s, s - shape.end)
-    return np.where(outside < LANE_EXTENSION, -d / np.maximum(np.cos(turned), MIN_LANE_COSINE), np.nan)
+    return np.where(
+        outside < LANE_EXTENSION,
+        -d / np.maximum(np.cos(turned), MIN_LANE_COSINE),
+        np.nan,
+    )
 
 
 # Observation
 
 KEPT_BEHIND = 60.0  # m of lanes behind the robot
-NEEDED, PLANNED = 190.0, 260.0  # m of lanes ahead: below the first length, they are extended to the second
+NEEDED, PLANNED = (
+    190.0,
+    260.0,
+)  # m of lanes ahead: below the first length, they are extended to the second
 
 
 @dataclass
@@ -173,7 +231,9 @@ def observe_road(
     """
     roads = road_map(vehicle.road.network)
     memory = vars(vehicle).setdefault("road_memory", Memory())
-    followed = tuple((start, end) for start, end, _ in getattr(vehicle, "route", None) or ())
+    followed = tuple(
+        (start, end) for start, end, _ in getattr(vehicle, "route", None) or ()
+    )
     wanted = destination or followed or None
     goal = roads.goal(wanted)
     rear = vehicle.position - vehicle.LENGTH / 2 * vehicle.direction
@@ -221,14 +281,18 @@ class Ride(NamedTuple):
     pose: tuple[float, float, float]
 
 
-def _pose_on(around: Corridor, rear: Point, vehicle: Vehicle, way: float) -> tuple[float, float, float]:
+def _pose_on(
+    around: Corridor, rear: Point, vehicle: Vehicle, way: float
+) -> tuple[float, float, float]:
     """Return s, d and the relative heading of the rear axle on the curve of a route."""
     own = rear[None], np.array([vehicle.heading], dtype=float), np.array([way])
     (s,), (d,), (turned,) = project_cars([around.curve], *own)
     return float(s), float(d), float(turned)
 
 
-def _continued(vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory) -> Ride | None:
+def _continued(
+    vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory
+) -> Ride | None:
     """Return the lanes to follow and the place on them; None if the robot has changed lanes."""
     # Where the robot is on the lanes that it has followed so far.
     chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))

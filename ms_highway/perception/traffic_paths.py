@@ -16,12 +16,23 @@ from ms_highway.geometry.lane_paths import Points, Row, paths_from, project_cars
 from ms_highway.geometry.road_map import LIMIT, Chain, Lane, RoadMap
 from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS, Places
 
-AHEAD, ONCOMING, BEHIND_SIGHT = 120.0, 250.0, 60.0  # m, range of sight: ahead, for oncoming vehicles, and behind
+AHEAD, ONCOMING, BEHIND_SIGHT = (
+    120.0,
+    250.0,
+    60.0,
+)  # m, range of sight: ahead, for oncoming vehicles, and behind
 MAX_VEHICLES, MAX_WAYS = 16, 3
-ONCOMING_COSINE = -0.7  # cosine of the angle between headings below which a vehicle is oncoming
+ONCOMING_COSINE = (
+    -0.7
+)  # cosine of the angle between headings below which a vehicle is oncoming
 ON_LANE = 1.0  # m beside a lane that begins where the vehicle's own does, up to which it may follow that lane
-ALONG_COSINE = cos(0.3)  # cosine of the angle to such a lane, above which the vehicle may follow it
-IN_FRONT, LEADER_AHEAD = 1.5, 100.0  # m, lateral and longitudinal distance up to which a vehicle leads another
+ALONG_COSINE = cos(
+    0.3
+)  # cosine of the angle to such a lane, above which the vehicle may follow it
+IN_FRONT, LEADER_AHEAD = (
+    1.5,
+    100.0,
+)  # m, lateral and longitudinal distance up to which a vehicle leads another
 MIN_SPEED = 0.1  # m/s, lowest speed limit of pedestrians
 FAR = -1e4  # m, coordinates of unused paths
 UNUSED_SIZE = (5.0, 2.0)  # m, length and width of what has no path
@@ -50,7 +61,9 @@ Option: TypeAlias = tuple[int, float, Chain]
 """The rank of a branch, smoothest first, the place where it begins along its lanes [m], and its lanes."""
 
 
-def traffic_of(vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool) -> dict[str, Any]:
+def traffic_of(
+    vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool
+) -> dict[str, Any]:
     """Return the fields of a ``RoadScene`` that describe others, nearest first.
 
     Args:
@@ -129,7 +142,10 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
         distance = dist(car.position, vehicle.position)
         if (car.position - vehicle.position) @ vehicle.direction <= 0:
             reach = BEHIND_SIGHT
-        elif isinstance(car, Vehicle) and car.direction @ vehicle.direction < ONCOMING_COSINE:
+        elif (
+            isinstance(car, Vehicle)
+            and car.direction @ vehicle.direction < ONCOMING_COSINE
+        ):
             reach = ONCOMING
         else:
             reach = AHEAD
@@ -139,7 +155,12 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     return [car for _, car in seen[:MAX_VEHICLES]]
 
 
-def _ways(cars: list[RoadObject], numbers: dict[RoadObject, int], roads: RoadMap, intentions: bool) -> list[Way]:
+def _ways(
+    cars: list[RoadObject],
+    numbers: dict[RoadObject, int],
+    roads: RoadMap,
+    intentions: bool,
+) -> list[Way]:
     """Return the paths that each vehicle may take, given its position, heading and lane.
 
     If its route is known, these are the paths that share most of its roads with the route.
@@ -180,9 +201,13 @@ def _ways(cars: list[RoadObject], numbers: dict[RoadObject, int], roads: RoadMap
 def _along_route(options: list[Option], route: Sequence[LaneIndex]) -> list[Option]:
     """Return the options that share most of their roads with a route."""
     legs = {leg[:2] for leg in route}
-    shared = [sum(index[:2] in legs for index in chain.indices) for *_, chain in options]
+    shared = [
+        sum(index[:2] in legs for index in chain.indices) for *_, chain in options
+    ]
     most = max(shared)
-    return [option for option, count in zip(options, shared, strict=True) if count == most]
+    return [
+        option for option, count in zip(options, shared, strict=True) if count == most
+    ]
 
 
 def _begun(car: Vehicle, own: Lane) -> list[Lane]:
@@ -214,6 +239,8 @@ def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row
     """
     s, d, _ = paths.project(cars[:, 0], cars[:, 1], 0.0)  # [paths, cars]
     others = (owners[:, None] != owners) & (owners >= 0)
-    nearest, leads = nearest_ahead(s, others & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD))
+    nearest, leads = nearest_ahead(
+        s, others & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD)
+    )
     gaps = np.where(leads, s[np.arange(TRAFFIC), nearest], 0.0)
     return np.where(leads, nearest, -1).astype(np.int32), gaps.astype(np.float32)

@@ -21,7 +21,12 @@ from ms_highway.planning.human_models import (
     warn_of_limits,
     within,
 )
-from ms_highway.planning.joint import AssignedResponders, Interaction, KnownResponders, ascend
+from ms_highway.planning.joint import (
+    AssignedResponders,
+    Interaction,
+    KnownResponders,
+    ascend,
+)
 from ms_highway.planning.ladders import human_model
 from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.planning.way_out import Escape, keep_way_out
@@ -36,7 +41,14 @@ from ms_highway.runtime.arrays import (
     for_each,
     for_numbers,
 )
-from ms_highway.runtime.compilation import Compiled, Placed, jit_quickly, single, timed, warm_up
+from ms_highway.runtime.compilation import (
+    Compiled,
+    Placed,
+    jit_quickly,
+    single,
+    timed,
+    warm_up,
+)
 from ms_highway.runtime.process import refuse_after_fork
 
 
@@ -110,13 +122,17 @@ def _predicted(
 
     def predict(human: Index) -> Controls:
         begin = None
-        if not game.planner.solver.smooth:  # plans up a smooth reward find their own start
+        if (
+            not game.planner.solver.smooth
+        ):  # plans up a smooth reward find their own start
             begin = Plan(start.robot, start.humans[human][None])
         return scaled_prediction(model, *pair(game, state, human), begin)
 
     if chosen is None:
         return for_numbers(game.number, predict)
-    return for_each(chosen, lambda human, all_of: all_of.at[human].set(predict(human)), expected)
+    return for_each(
+        chosen, lambda human, all_of: all_of.at[human].set(predict(human)), expected
+    )
 
 
 def _started(
@@ -155,7 +171,9 @@ def _started(
     return Plan(robot, humans)
 
 
-def assigned_responders(models: tuple[HumanModel, ...], game: Game, rungs: Rungs) -> AssignedResponders:
+def assigned_responders(
+    models: tuple[HumanModel, ...], game: Game, rungs: Rungs
+) -> AssignedResponders:
     """Return the responding humans under an assignment of models, and the steps of all cars.
 
     Each human takes the steps of its own model. The robot takes those of the model in use with the
@@ -163,8 +181,12 @@ def assigned_responders(models: tuple[HumanModel, ...], game: Game, rungs: Rungs
     """
     solvers = [own_solver(model, game) for model in models]
     responds = jnp.array([model.responds for model in models])[rungs]
-    joint_steps = _of_rungs([solver.most_steps(responds=True) for solver in solvers], rungs)
-    steps_alone = _of_rungs([solver.most_steps(responds=False) for solver in solvers], rungs)
+    joint_steps = _of_rungs(
+        [solver.most_steps(responds=True) for solver in solvers], rungs
+    )
+    steps_alone = _of_rungs(
+        [solver.most_steps(responds=False) for solver in solvers], rungs
+    )
 
     # Humans with more steps come first. The robot takes as many steps as the first of them.
     steps = jnp.where(responds, joint_steps, 0).astype(jnp.int32)
@@ -209,7 +231,9 @@ class CompiledPlans:
         self._continues = warm or game.planner.solver.continues
         self._placed = Placed(single(game))
 
-    def plan(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple[Solution, float]:
+    def plan(
+        self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
+    ) -> tuple[Solution, float]:
         """Return the solution in a `checked_state`, as NumPy arrays, and the seconds that it took.
 
         Args:
@@ -221,7 +245,9 @@ class CompiledPlans:
         solution, seconds = timed(function, *arguments)
         return jax.tree.map(np.asarray, solution), seconds
 
-    def call(self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None) -> tuple:
+    def call(
+        self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
+    ) -> tuple:
         """Return the compiled function of a plan, see `plan_function`, and its arguments."""
         # Plans that may continue have one program, which takes a start in any case.
         if start is None and self._continues:
@@ -245,12 +271,16 @@ class CompiledPlans:
         assignments = [[rung] * self.game.number for rung in range(functions)]
         seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
         if way_out:
-            seconds += warm_up(escape, self._placed.take(), state, np.zeros(2, np.float32))
+            seconds += warm_up(
+                escape, self._placed.take(), state, np.zeros(2, np.float32)
+            )
         return seconds
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
         """Return the result of `ms_highway.planning.way_out.keep_way_out`, and the seconds that it took."""
-        found, seconds = timed(escape, self._placed.take(), state, np.asarray(control, np.float32))
+        found, seconds = timed(
+            escape, self._placed.take(), state, np.asarray(control, np.float32)
+        )
         return Escape(*map(np.asarray, found)), seconds
 
 
@@ -280,12 +310,16 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
             user-defined feature that is not finite in it.
     """
     if not isinstance(game, Game):
-        raise TypeError(f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game")
+        raise TypeError(
+            f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game"
+        )
     refuse_after_fork()
     known = human_model(model) if isinstance(model, str) else model
     now = checked_state(state)
     if len(now) <= game.number:
-        raise ValueError(f"the state has {len(now)} cars; the game has a robot and {game.number} humans")
+        raise ValueError(
+            f"the state has {len(now)} cars; the game has a robot and {game.number} humans"
+        )
     check_own_features(game.scene, game.robot, game.number, now)
     solution, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
     scale = np.asarray(game.planner.control_scale, dtype=float)
@@ -300,12 +334,16 @@ def checked_state(state: State) -> State:
     """
     state = np.asarray(state)
     if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
-        raise ValueError(f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}")
+        raise ValueError(
+            f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}"
+        )
     with np.errstate(over="ignore", invalid="ignore"):
         single = facing(state).astype(np.float32)
     if not np.isfinite(single).all():
         car, column = np.argwhere(~np.isfinite(single))[0]
         value, name = state[car, column], ["x", "y", "heading", "speed"][column]
         why = ", too large for single precision" if np.isfinite(value) else ""
-        raise ValueError(f"the state of car {car} is not finite: {name} is {value}{why}")
+        raise ValueError(
+            f"the state of car {car} is not finite: {name} is {value}{why}"
+        )
     return single

@@ -58,7 +58,9 @@ class Costs:
         """Known values of T(M) by name [s], in the form that `of` takes."""
         whole = (self.base + np.asarray(self.each)).tolist()
         named = dict(zip(self.names, whole, strict=True))
-        return {name: seconds for name, seconds in named.items() if not np.isnan(seconds)}
+        return {
+            name: seconds for name, seconds in named.items() if not np.isnan(seconds)
+        }
 
     def select(self, names: Iterable[str]) -> "Costs":
         """Return the costs of these models in this order, NaN where they are unknown."""

@@ -27,9 +27,19 @@ from ms_highway.numerics.solvers import Ascent, Solver, longest_step
 from ms_highway.planning.joint import Interaction, KnownResponders, ascend, plan_against
 from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration
 from ms_highway.planning.plans import Plan, Solution, cold_start
-from ms_highway.runtime.arrays import Car, Control, Controls, State, naming_writes, read_only
+from ms_highway.runtime.arrays import (
+    Car,
+    Control,
+    Controls,
+    State,
+    naming_writes,
+    read_only,
+)
 
-HEADWAY, STANDSTILL = 0.1, 1.0  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
+HEADWAY, STANDSTILL = (
+    0.1,
+    1.0,
+)  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 
 
 @dataclass(frozen=True)
@@ -165,10 +175,14 @@ def following_control(game: Game, state: State) -> Control:
     """Return the control, not scaled, of car 1 if it follows the car ahead by the Intelligent Driver Model."""
     scene, own, others = game.scene, state[1], jnp.concatenate([state[:1], state[2:]])
     offset = others[:, :2] - own[:2]
-    leader, leads = nearest_ahead(offset[:, 0], jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2)
+    leader, leads = nearest_ahead(
+        offset[:, 0], jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2
+    )
     gap = jnp.where(leads, offset[leader, 0] - jnp.asarray(scene.car_size)[0], FREE_GAP)
     limit = jnp.asarray(game.humans.speed_limit)
-    change = idm_acceleration(own[3], limit, gap, others[leader, 3], HEADWAY, STANDSTILL)
+    change = idm_acceleration(
+        own[3], limit, gap, others[leader, 3], HEADWAY, STANDSTILL
+    )
     return keep_velocity(game.dynamics, own).at[1].add(change)
 
 
@@ -213,7 +227,9 @@ def is_of_package(model: HumanModel) -> bool:
     return type(model) in PACKAGE_TYPES
 
 
-def scaled_prediction(model: HumanModel, game: Game, state: State, start: Plan | None = None) -> Controls:
+def scaled_prediction(
+    model: HumanModel, game: Game, state: State, start: Plan | None = None
+) -> Controls:
     """Return a model's prediction, scaled; a registered model's is cut to the limits of plans.
 
     Raises:
@@ -234,10 +250,16 @@ def own_solver(model: HumanModel, game: Game) -> Solver:
     """
     solver = model.solver(game)
     usual = game.planner.solver
-    steps = ("iterations", "step_size") if isinstance(usual, Ascent) else ("steps", "joint_steps")
+    steps = (
+        ("iterations", "step_size")
+        if isinstance(usual, Ascent)
+        else ("steps", "joint_steps")
+    )
     kind = type(usual).__name__
     if type(solver) is not type(usual):
-        remedy = f"return game.planner.solver, a {kind}, with other {steps[0]} or {steps[1]}"
+        remedy = (
+            f"return game.planner.solver, a {kind}, with other {steps[0]} or {steps[1]}"
+        )
         raise ValueError(f"human model {model.name!r} plans by {solver!r}; {remedy}")
     for each in fields(usual):
         own = getattr(solver, each.name)
@@ -249,7 +271,9 @@ def own_solver(model: HumanModel, game: Game) -> Solver:
         most = solver.most_steps(responds)
         if not isinstance(most, int) or most < 1:
             remedy = "give whole numbers of at least 1"
-            raise ValueError(f"human model {model.name!r} plans in {most!r} steps; {remedy}")
+            raise ValueError(
+                f"human model {model.name!r} plans in {most!r} steps; {remedy}"
+            )
     return solver
 
 
@@ -293,7 +317,9 @@ def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
     wanted, found = (game.planner.horizon, 2), repr(controls)
     with suppress(TypeError, ValueError):
         array = jnp.asarray(controls)
-        if array.shape == wanted and jnp.isdtype(array.dtype, ("integral", "real floating")):
+        if array.shape == wanted and jnp.isdtype(
+            array.dtype, ("integral", "real floating")
+        ):
             return array
         found = f"an array of shape {array.shape} and type {array.dtype}"
     remedy = f"predict numbers {wanted}: curvature [1/m] and acceleration [m/s^2] in every step of the horizon"
@@ -308,14 +334,23 @@ def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> No
         own, cars = pair(read_only(within(model, game)), jnp.asarray(state), 0)
         with naming_writes(f"the human model {model.name!r}"):
             predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
-        kept = np.asarray(_scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale)
+        kept = np.asarray(
+            _scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale
+        )
         finite = np.isfinite(predicted)
-        cut = np.argwhere(~finite | (np.abs(predicted - kept) > 1e-3 * np.abs(predicted)))
+        cut = np.argwhere(
+            ~finite | (np.abs(predicted - kept) > 1e-3 * np.abs(predicted))
+        )
         if len(cut):
             place = tuple(cut[0])
-            what = ("a curvature of {:.3g} 1/m", "an acceleration of {:.3g} m/s^2")[place[1]].format(predicted[place])
+            what = ("a curvature of {:.3g} 1/m", "an acceleration of {:.3g} m/s^2")[
+                place[1]
+            ].format(predicted[place])
             effect = "so that no plan follows"
             if finite[place]:
                 effect = f"which the limits of plans cut to {kept[place]:.3g}"
             remedy = "predictions are in SI units, see ms_highway.HumanModel.predict"
-            warn(f"human model {model.name!r} predicts {what}, {effect}; {remedy}", stacklevel=2)
+            warn(
+                f"human model {model.name!r} predicts {what}, {effect}; {remedy}",
+                stacklevel=2,
+            )

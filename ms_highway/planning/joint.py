@@ -84,7 +84,9 @@ class KnownResponders:
         """Return the number of responding humans in a step."""
         return len(self.order)
 
-    def fold(self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+    def fold(
+        self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
+    ) -> Carry:
         """Apply a function to the number of every human who responds in a step, one by one.
 
         Args:
@@ -133,12 +135,16 @@ class AssignedResponders:
         """See `KnownResponders.count`."""
         return jnp.sum(self.steps > step)
 
-    def fold(self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+    def fold(
+        self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
+    ) -> Carry:
         """See `KnownResponders.fold`."""
         return _fold(self.order, count, function, carry)
 
 
-def _fold(order: Rungs, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry) -> Carry:
+def _fold(
+    order: Rungs, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
+) -> Carry:
     """Apply a function to the first ``count`` numbers of an order, one by one."""
 
     def respond(place: Index, carry: Carry) -> Carry:
@@ -197,7 +203,9 @@ def ascend(interaction: Interaction, start: Plan) -> Solution:
         plan, _ = take_step(interaction, step, Plan(robot, start.humans), others)
         return plan.robot
 
-    def joint_step(step: Index, now: tuple[Plan, Trajectories]) -> tuple[Plan, Trajectories]:
+    def joint_step(
+        step: Index, now: tuple[Plan, Trajectories]
+    ) -> tuple[Plan, Trajectories]:
         return take_step(interaction, step, *now)
 
     most = responders.most_steps(solver)
@@ -209,13 +217,17 @@ def ascend(interaction: Interaction, start: Plan) -> Solution:
     return Solution(plan, joint.steps, joint.converged)
 
 
-def plan_against(game: Game, state: State, humans: HumansControls, start: Plan) -> Solution:
+def plan_against(
+    game: Game, state: State, humans: HumansControls, start: Plan
+) -> Solution:
     """Optimise the robot's controls against fixed controls of the humans, from a start."""
     nobody = KnownResponders(())
     return ascend(Interaction(game, state, nobody), Plan(start.robot, humans))
 
 
-def trajectories_around(human: Index, robot: Trajectory, others: Trajectories) -> Trajectories:
+def trajectories_around(
+    human: Index, robot: Trajectory, others: Trajectories
+) -> Trajectories:
     """Return the trajectories of all others from a human's side, the robot's first.
 
     Args:
@@ -256,7 +268,9 @@ def _gradient_step(
         around = trajectories_around(human, robot, others)
         derivatives = own.payoff.second_order(others[human], around)
         cost = partial(discomfort, own, car)
-        expansion = second_order_expansion(path, plan.humans[human], derivatives.slope, derivatives.own, cost)
+        expansion = second_order_expansion(
+            path, plan.humans[human], derivatives.slope, derivatives.own, cost
+        )
 
         # What the robot earns through the human's response to its plan.
         jacobian = expansion.jacobian.reshape(-1, plan.robot.size)
@@ -268,7 +282,11 @@ def _gradient_step(
         size = responders.step_size(solver, human)
         climbed = plan.humans[human] + size * expansion.gradient.reshape(-1, 2)
         controls = bounded(own, car, climbed)
-        return slope, humans.at[human].set(controls), paths.at[human].set(path(controls))
+        return (
+            slope,
+            humans.at[human].set(controls),
+            paths.at[human].set(path(controls)),
+        )
 
     start = (along_robot, plan.humans, others)
     slope, humans, paths = responders.fold(count, respond, start)
@@ -291,11 +309,15 @@ class _Responses(NamedTuple):
 
     slope: Vector  # of the robot's reward in its controls, through the humans
     local: Local  # around the controls of each human
-    mixed: Float[jax.Array, "humans fields fields steps"]  # second derivatives in its trajectory, then the robot's
+    mixed: Float[
+        jax.Array, "humans fields fields steps"
+    ]  # second derivatives in its trajectory, then the robot's
     humans: HumansControls  # improved
 
 
-def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Trajectories) -> tuple[Plan, Trajectories]:
+def _newton_step(
+    interaction: Interaction, step: Index, plan: Plan, others: Trajectories
+) -> tuple[Plan, Trajectories]:
     """Take a Newton step of the robot and of the humans who respond.
 
     Args:
@@ -331,7 +353,9 @@ def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Traj
         slope = through.ravel() @ robot.jacobian.reshape(through.size, -1)
         return _Responses(
             responses.slope + slope,
-            jax.tree.map(lambda all_of, one: all_of.at[human].set(one), responses.local, local),
+            jax.tree.map(
+                lambda all_of, one: all_of.at[human].set(one), responses.local, local
+            ),
             responses.mixed.at[human].set(mixed),
             responses.humans.at[human].set(improve(wanted, now, local)),
         )
@@ -356,7 +380,9 @@ def _newton_step(interaction: Interaction, step: Index, plan: Plan, others: Traj
     def paths_after(part: Scalar) -> tuple[HumansControls, Trajectories]:
         """Return the humans' controls and trajectories after their steps and a part of the reactions."""
 
-        def put(human: Index, now: tuple[HumansControls, Trajectories]) -> tuple[HumansControls, Trajectories]:
+        def put(
+            human: Index, now: tuple[HumansControls, Trajectories]
+        ) -> tuple[HumansControls, Trajectories]:
             humans, paths = now
             car = state[1 + human]
             own = bounded(game, car, responses.humans[human] + part * reactions[human])

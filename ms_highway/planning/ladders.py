@@ -51,7 +51,10 @@ def register(model: HumanModel, before: str | None = None) -> None:
         ValueError: if the name is the package's, that of a controller, a driver or an agent, or no word, or ``before``
             names no other model; if the model is no `HumanModel`, or not hashable.
     """
-    if not isinstance(model, HumanModel) or getattr(type(model), "name", None) != model.name:
+    if (
+        not isinstance(model, HumanModel)
+        or getattr(type(model), "name", None) != model.name
+    ):
         remedy = "make it a frozen dataclass derived from ms_highway.HumanModel, whose class has a name"
         raise ValueError(f"{model!r} is no model; {remedy}")
     if hasattr(model, "plan"):
@@ -61,21 +64,31 @@ def register(model: HumanModel, before: str | None = None) -> None:
         )
     if not model.responds and type(model).predict is HumanModel.predict:
         remedy = "define `predict`, or set the class's ``responds`` to True"
-        raise ValueError(f"human model {model.name!r} neither predicts nor responds; {remedy}")
+        raise ValueError(
+            f"human model {model.name!r} neither predicts nor responds; {remedy}"
+        )
     if model.responds and type(model).predict is not HumanModel.predict:
         remedy = "a human that responds is not predicted; leave it out, or set the class's ``responds`` to False"
-        raise ValueError(f"human model {model.name!r} responds, and defines `predict`; {remedy}")
+        raise ValueError(
+            f"human model {model.name!r} responds, and defines `predict`; {remedy}"
+        )
     if not model.responds and type(model).start is not HumanModel.start:
         remedy = "only models that respond have a start of their own; leave it out"
-        raise ValueError(f"human model {model.name!r} does not respond, and defines `start`; {remedy}")
+        raise ValueError(
+            f"human model {model.name!r} does not respond, and defines `start`; {remedy}"
+        )
     try:
         hash(model)
     except TypeError as error:
-        raise ValueError(f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass") from None
+        raise ValueError(
+            f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass"
+        ) from None
     check_own_name("a human model", model.name, lower=False)
     names = [name for name in MODELS if name != model.name]
     if before is not None and before not in names:
-        raise ValueError(f"unknown human model {before!r} to come before; the models are {', '.join(names)}")
+        raise ValueError(
+            f"unknown human model {before!r} to come before; the models are {', '.join(names)}"
+        )
     names.insert(len(names) if before is None else names.index(before), model.name)
     known = MODELS | {model.name: model}
     MODELS.clear()  # not replaced, as other modules hold it
@@ -92,7 +105,9 @@ def human_model(name: str) -> HumanModel:
     parts = NAME.fullmatch(name) if isinstance(name, str) else None
     steps = int(parts["steps"] or 0) if parts else 0
     if parts is None or parts["model"] not in MODELS or steps > MAX_ITERATIONS:
-        raise ValueError(f"unknown human model {name!r}; the models are {model_names()}")
+        raise ValueError(
+            f"unknown human model {name!r}; the models are {model_names()}"
+        )
     model = MODELS[parts["model"]]
     return replace(model, steps=steps or None, warm=bool(parts["warm"]))
 
@@ -112,7 +127,9 @@ def model_names() -> str:
 
 def known_models(used: Iterable[str]) -> list[str]:
     """Return the names of all known models and of the models in use, with their efforts, cheapest first."""
-    return sorted({*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name)))
+    return sorted(
+        {*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name))
+    )
 
 
 def cheapest_first(used: Iterable[str]) -> list[str]:
@@ -145,5 +162,7 @@ def ladder(names: Sequence[str]) -> tuple[HumanModel, ...]:
     ranks = [_rank(rung) for rung in rungs]
     if not ranks or ranks != sorted(set(ranks)):
         order = f"out of {list(MODELS)}, and of the same model fewer steps first"
-        raise ValueError(f"impossible ladder {list(names)}: name each model once, cheapest first, {order}")
+        raise ValueError(
+            f"impossible ladder {list(names)}: name each model once, cheapest first, {order}"
+        )
     return rungs

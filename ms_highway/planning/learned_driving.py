@@ -25,12 +25,16 @@ from ms_highway.runtime.arrays import Scalar
 AnyCars = Float[Any, "*cars"]
 
 UNIT = PAPER_UNIT  # m
-TURN_SCALE = 1 / SPEED_LIMIT  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
+TURN_SCALE = (
+    1 / SPEED_LIMIT
+)  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
 MAX_BRAKING, MAX_ACCELERATION, MAX_CURVATURE = 8.0, 4.0, 0.02  # m/s^2, m/s^2, 1/m
 TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps over which a control is held
 
 
-def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: AnyCars, leader: Leader) -> AnyCars:
+def held_acceleration(
+    weights: Mapping[str, Any], traits: RewardTraits, speed: AnyCars, leader: Leader
+) -> AnyCars:
     """Return the best acceleration to hold over `TIMES`, from -8 to 4 m/s^2.
 
     With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a t_k^2 / 2`` it maximises, with the
@@ -47,22 +51,33 @@ def held_acceleration(weights: Mapping[str, Any], traits: RewardTraits, speed: A
     """
     xp = namespace(traits.desired_speed, speed, leader.gap)
     wish = xp.maximum(traits.desired_speed, 1.0)
-    attention = xp.where(leader.there, xp.exp(-xp.maximum(leader.gap, 0.0) / (ATTENTION_GAP * UNIT)), 0.0)
+    attention = xp.where(
+        leader.there, xp.exp(-xp.maximum(leader.gap, 0.0) / (ATTENTION_GAP * UNIT)), 0.0
+    )
     closing = leader.speed - speed
     slope = 0.0 * speed  # a float, also for whole speeds
     bend = len(TIMES) * weights["comfort_acceleration"] * traits.patience / UNIT**2
     for time in TIMES:
-        lack = leader.gap + closing * time - STANDSTILL_GAP * UNIT - traits.headway * speed
+        lack = (
+            leader.gap + closing * time - STANDSTILL_GAP * UNIT - traits.headway * speed
+        )
         change = time**2 / 2 + traits.headway * time  # of the lack, per acceleration
         slope += 2 * weights["speed"] * (wish - speed) * time / wish**2
         slope += 2 * attention * weights["headway"] * lack * change / UNIT**2
         slope += 2 * attention * weights["closing_speed"] * closing * time / wish**2
-        bend += 2 * (weights["speed"] + attention * weights["closing_speed"]) * time**2 / wish**2
+        bend += (
+            2
+            * (weights["speed"] + attention * weights["closing_speed"])
+            * time**2
+            / wish**2
+        )
         bend += 2 * attention * weights["headway"] * change**2 / UNIT**2
     return xp.clip(slope / bend, -MAX_BRAKING, MAX_ACCELERATION)
 
 
-def held_curvature(weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars, speed: AnyCars) -> AnyCars:
+def held_curvature(
+    weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars, speed: AnyCars
+) -> AnyCars:
     """Return the best curvature to hold over `TIMES`, at most 0.02 1/m to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
@@ -81,9 +96,17 @@ def held_curvature(weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars
     bend = xp.full_like(speed, len(TIMES) * weights["comfort_steering"] / TURN_SCALE**2)
     for time in TIMES:
         aside, turned = (speed * time) ** 2 / 2, speed * time
-        slope -= 2 * weights["lane_alignment"] * (offset + speed * time * heading) * aside / UNIT**2
+        slope -= (
+            2
+            * weights["lane_alignment"]
+            * (offset + speed * time * heading)
+            * aside
+            / UNIT**2
+        )
         slope -= straight * heading * turned
-        bend += 2 * weights["lane_alignment"] * aside**2 / UNIT**2 + straight * turned**2
+        bend += (
+            2 * weights["lane_alignment"] * aside**2 / UNIT**2 + straight * turned**2
+        )
     return xp.clip(slope / bend, -MAX_CURVATURE, MAX_CURVATURE)
 
 
@@ -101,7 +124,9 @@ STEPS_PER_SECOND = 10
 FREE_GAP = 60.0
 """Distance to the leader if none is seen [m]."""
 
-STRIDE = 2  # steps between the past times at which plans are compared with recorded driving
+STRIDE = (
+    2  # steps between the past times at which plans are compared with recorded driving
+)
 MAX_SURPRISE = 3.0  # standard deviations, to which surprises are clipped
 MAX_DEVIATION = 1.5  # of the logarithm of a trait from the median's
 UNSEEN_DISTANCE = 1e4  # m behind, where cars that are not seen are put
@@ -135,13 +160,19 @@ def lane_numbers(lanes: Float[Any, "lanes"], y: Cars) -> Sides:
 def leader_of(snapshot: Any, states: States, others: States, lane: Cars) -> Leader:
     """Return the nearest of the others ahead of each car, in the lane around a lateral position for each."""
     not_itself, lengths = ~jnp.eye(len(states), dtype=bool), snapshot.sizes[:, 0]
-    place, there = leaders(states[:, 0], lane, others, not_itself, snapshot.lane_width / 2)
+    place, there = leaders(
+        states[:, 0], lane, others, not_itself, snapshot.lane_width / 2
+    )
     gap = others[place, 0] - states[:, 0] - (lengths + lengths[place]) / 2
     return Leader(jnp.where(there, gap, FREE_GAP), others[place, 3], there)
 
 
 def roll_out(
-    drivers: Drivers, snapshot: Any, logarithms: TraitLogarithms, side: Sides, around: States | None = None
+    drivers: Drivers,
+    snapshot: Any,
+    logarithms: TraitLogarithms,
+    side: Sides,
+    around: States | None = None,
 ) -> Float[Any, "50 cars 4"]:
     """Let all cars of one snapshot drive for 5 s; return their states after each step.
 
@@ -161,19 +192,29 @@ def roll_out(
 
     weights = {name: weight * factor(name) for name, weight in drivers.weights.items()}
     usual = drivers.prior.traits(logarithms, snapshot.speed_limit)
-    speeds, headways = usual.desired_speed * factor("desired speed"), usual.headway * factor("typical headway")
+    speeds, headways = (
+        usual.desired_speed * factor("desired speed"),
+        usual.headway * factor("typical headway"),
+    )
     traits = RewardTraits(speeds, headways, usual.patience)
 
     @jax.checkpoint  # or else gradients over 5 s would exhaust the memory
     def go(now: States, others: States | None) -> tuple[States, States]:
         x, y, heading, speed = now.T
-        leader = leader_of(snapshot, now, now if others is None else others, jnp.where(changes, wanted, y))
+        leader = leader_of(
+            snapshot,
+            now,
+            now if others is None else others,
+            jnp.where(changes, wanted, y),
+        )
         acceleration = held_acceleration(weights, traits, speed, leader)
         curvature = held_curvature(weights, y - wanted, heading, speed)
         faster = jnp.maximum(speed + acceleration * TIME_STEP, 0.0)
         distance = (speed + faster) / 2 * TIME_STEP
         ahead, aside = x + distance * jnp.cos(heading), y + distance * jnp.sin(heading)
-        after = jnp.stack([ahead, aside, heading + curvature * distance, faster], axis=-1)
+        after = jnp.stack(
+            [ahead, aside, heading + curvature * distance, faster], axis=-1
+        )
         return after, after
 
     return jax.lax.scan(go, seen_states(snapshot.past[-1]), around, length=STEPS)[1]
@@ -186,9 +227,15 @@ def shown_traits(drivers: Drivers, snapshot: Any) -> TraitLogarithms:
     `held_acceleration` in the recorded states predicts with the prior's noise. Surprises are clipped to 3 standard
     deviations.
     """
-    prior, seen, past = drivers.prior, jnp.isfinite(snapshot.past).all(axis=-1), seen_states(snapshot.past)
+    prior, seen, past = (
+        drivers.prior,
+        jnp.isfinite(snapshot.past).all(axis=-1),
+        seen_states(snapshot.past),
+    )
     speeds = past[..., 3]
-    leader = jax.vmap(lambda states: leader_of(snapshot, states, states, states[:, 1]))(past)
+    leader = jax.vmap(lambda states: leader_of(snapshot, states, states, states[:, 1]))(
+        past
+    )
 
     @jax.vmap
     @jax.value_and_grad
@@ -197,15 +244,25 @@ def shown_traits(drivers: Drivers, snapshot: Any) -> TraitLogarithms:
         return held_acceleration(drivers.weights, usual, speed, leader).mean()
 
     mean = jnp.zeros((past.shape[1], 3))
-    covariance = jnp.tile(jnp.diag(jnp.asarray(prior.deviations) ** 2), (len(mean), 1, 1))
+    covariance = jnp.tile(
+        jnp.diag(jnp.asarray(prior.deviations) ** 2), (len(mean), 1, 1)
+    )
     for first in range(0, PAST_STEPS, STEPS_PER_SECOND):
-        then, last = slice(first, first + STEPS_PER_SECOND, STRIDE), first + STEPS_PER_SECOND
+        then, last = (
+            slice(first, first + STEPS_PER_SECOND, STRIDE),
+            first + STEPS_PER_SECOND,
+        )
         gained = (speeds[last] - speeds[first]) / (STEPS_PER_SECOND * TIME_STEP)
-        predicted, slope = expected(mean, speeds[then].T, Leader(*(part[then].T for part in leader)))
+        predicted, slope = expected(
+            mean, speeds[then].T, Leader(*(part[then].T for part in leader))
+        )
         along = jnp.einsum("cij,cj->ci", covariance, slope)
         variance = jnp.sum(slope * along, axis=1) + prior.noise**2
         reach = MAX_SURPRISE * jnp.sqrt(variance)
-        gain = jnp.where(seen[first : last + 1].all(axis=0), 1 / variance, 0.0)[:, None] * along
+        gain = (
+            jnp.where(seen[first : last + 1].all(axis=0), 1 / variance, 0.0)[:, None]
+            * along
+        )
         moved = mean + gain * jnp.clip(gained - predicted, -reach, reach)[:, None]
         mean = jnp.clip(moved, -MAX_DEVIATION, MAX_DEVIATION)
         covariance -= gain[:, :, None] * along[:, None]

@@ -23,27 +23,43 @@ MAX_LATERAL_ACCELERATION = 6.0  # m/s^2
 MIN_SPEED = 3.0  # m/s, by which accelerations are divided at least to get curvatures
 OPEN_GAP = 6.0  # car lengths, of the gap behind the last car of a lane or ahead of the first one
 GAP_MARGIN = 1.3  # car lengths that a car keeps to the centres of the cars around a gap that is wide enough
-POSITION_GAIN, SPEED_GAIN = 2.0, 3.0  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
+POSITION_GAIN, SPEED_GAIN = (
+    2.0,
+    3.0,
+)  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
 GAP_BRAKING, GAP_ACCELERATION = 7.0, 4.0  # m/s^2, towards a gap
 ENTRY_TOLERANCE = 2.0  # m, from its place in a gap, within which a car changes lanes
 
 FREE_GAP = 1e3
 """Distance to the car ahead if there is none [m]."""
 
-MAX_ACCELERATION, COMFORTABLE_BRAKING = 3.0, 5.0  # m/s^2, highway-env's, behind the car ahead
+MAX_ACCELERATION, COMFORTABLE_BRAKING = (
+    3.0,
+    5.0,
+)  # m/s^2, highway-env's, behind the car ahead
 HEADWAY, STANDSTILL = 1.5, 10.0  # s, and m between centres, highway-env's
 MAX_BRAKING = 6.0  # m/s^2, behind the car ahead
 
-Ways = tuple[Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]]
+Ways = tuple[
+    Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]
+]
 Around = TypeVar("Around")
 
 
 def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array) -> Ways:
     """Return the scaled controls and the states of a car that goes to the middle of each lane at each acceleration."""
-    lanes, held = jnp.meshgrid(jnp.asarray(game.scene.lanes), jnp.asarray(accelerations), indexing="ij")
+    lanes, held = jnp.meshgrid(
+        jnp.asarray(game.scene.lanes), jnp.asarray(accelerations), indexing="ij"
+    )
 
     def one(lane: Scalar, acceleration: Scalar) -> tuple[jax.Array, jax.Array]:
-        return _drive(game, car, lambda car, _: _towards(game, car, lane, acceleration), None, steps)
+        return _drive(
+            game,
+            car,
+            lambda car, _: _towards(game, car, lane, acceleration),
+            None,
+            steps,
+        )
 
     return jax.vmap(one)(lanes.ravel(), held.ravel())
 
@@ -62,7 +78,10 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
         others: motion of all others after each step, arrays [others, steps].
     """
     lanes, length = jnp.asarray(game.scene.lanes), jnp.asarray(game.scene.car_size)[0]
-    present, places = _nearest(lanes, car[1]), jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
+    present, places = (
+        _nearest(lanes, car[1]),
+        jax.vmap(partial(_nearest, lanes))(others.y[:, 0]),
+    )
     x, speed = others.x, others.speed
     leader, leads = nearest_ahead(x[:, 0] - x[:, :1], places == places[:, None])
     leads = leads[:, None]
@@ -71,20 +90,37 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     taken = of_lane.any(axis=1)[:, None]
     kept = car[0] + car[3] * game.dynamics.time_step * jnp.arange(1, 1 + x.shape[1])
     behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN_GAP * length, kept)])
-    before = jnp.concatenate([jnp.where(leads, x[leader], x + OPEN_GAP * length), jnp.where(taken, x[last], kept)])
+    before = jnp.concatenate(
+        [
+            jnp.where(leads, x[leader], x + OPEN_GAP * length),
+            jnp.where(taken, x[last], kept),
+        ]
+    )
     pace = jnp.concatenate(
-        [(speed + jnp.where(leads, speed[leader], speed)) / 2, jnp.where(taken, speed[last], car[3])]
+        [
+            (speed + jnp.where(leads, speed[leader], speed)) / 2,
+            jnp.where(taken, speed[last], car[3]),
+        ]
     )
     middle, half = (behind + before) / 2, (before - behind) / 2
 
-    def one(lane: Scalar, *gap: Float[jax.Array, "steps"]) -> tuple[jax.Array, jax.Array]:
+    def one(
+        lane: Scalar, *gap: Float[jax.Array, "steps"]
+    ) -> tuple[jax.Array, jax.Array]:
         def follow(car: Car, now: tuple[Scalar, ...]) -> Control:
             middle, half, pace = now
             off = car[0] + car[3] * game.dynamics.time_step - middle
             spare = jnp.maximum(half - GAP_MARGIN * length, 0.0)
-            pull = POSITION_GAIN * (jnp.clip(off, -spare, spare) - off) + SPEED_GAIN * (pace - car[3])
+            pull = POSITION_GAIN * (jnp.clip(off, -spare, spare) - off) + SPEED_GAIN * (
+                pace - car[3]
+            )
             enters = jnp.abs(off) < jnp.maximum(half - length, 0.0) + ENTRY_TOLERANCE
-            return _towards(game, car, jnp.where(enters, lane, present), jnp.clip(pull, -GAP_BRAKING, GAP_ACCELERATION))
+            return _towards(
+                game,
+                car,
+                jnp.where(enters, lane, present),
+                jnp.clip(pull, -GAP_BRAKING, GAP_ACCELERATION),
+            )
 
         return _drive(game, car, follow, gap, None)
 
@@ -102,18 +138,34 @@ def _towards(game: Game, car: Car, lane: Scalar, acceleration: Scalar) -> Contro
     """
     _, y, heading, speed = car
     limit = jnp.asarray(game.planner.control_limit)
-    aside = -(STEERING_FREQUENCY**2) * (y - lane) - 2 * STEERING_FREQUENCY * speed * jnp.sin(heading)
-    omega = jnp.clip(aside, -MAX_LATERAL_ACCELERATION, MAX_LATERAL_ACCELERATION) / jnp.maximum(speed, MIN_SPEED)
-    omega = omega / jnp.maximum(speed, MIN_SPEED) if game.dynamics.steering == "curvature" else omega
+    aside = -(STEERING_FREQUENCY**2) * (
+        y - lane
+    ) - 2 * STEERING_FREQUENCY * speed * jnp.sin(heading)
+    omega = jnp.clip(
+        aside, -MAX_LATERAL_ACCELERATION, MAX_LATERAL_ACCELERATION
+    ) / jnp.maximum(speed, MIN_SPEED)
+    omega = (
+        omega / jnp.maximum(speed, MIN_SPEED)
+        if game.dynamics.steering == "curvature"
+        else omega
+    )
     wanted = jnp.maximum(acceleration, -speed / game.dynamics.time_step)
-    control = jnp.clip(jnp.stack([omega, wanted + keep_velocity(game.dynamics, car)[1]]), -limit, limit)
+    control = jnp.clip(
+        jnp.stack([omega, wanted + keep_velocity(game.dynamics, car)[1]]), -limit, limit
+    )
     if game.planner.grip is not None:
-        control = within_grip(game.dynamics, jnp.asarray(game.planner.grip), speed, control)
+        control = within_grip(
+            game.dynamics, jnp.asarray(game.planner.grip), speed, control
+        )
     return control
 
 
 def _drive(
-    game: Game, car: Car, driver: Callable[[Car, Around], Control], around: Around, steps: int | None
+    game: Game,
+    car: Car,
+    driver: Callable[[Car, Around], Control],
+    around: Around,
+    steps: int | None,
 ) -> tuple[jax.Array, jax.Array]:
     """Return the scaled controls of a driver, and the states after them."""
 
@@ -164,4 +216,6 @@ def idm_acceleration(
     xp = namespace(speed, wanted, gap, ahead)
     desired = standstill + xp.maximum(speed * headway + closing, 0.0)
     free = 1 - (speed / xp.maximum(wanted, 0.1)) ** 4
-    return xp.maximum(strongest * (free - (desired / xp.maximum(gap, 0.5)) ** 2), -MAX_BRAKING)
+    return xp.maximum(
+        strongest * (free - (desired / xp.maximum(gap, 0.5)) ** 2), -MAX_BRAKING
+    )

@@ -32,7 +32,9 @@ from ms_highway.runtime.arrays import (
 RESTART_MARGIN = 5.0
 """Reward by which a manoeuvre has to be better than the last plan, so that small gains do not change plans."""
 
-ACCELERATIONS = np.array([-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32)  # m/s^2, of the manoeuvres to start from
+ACCELERATIONS = np.array(
+    [-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32
+)  # m/s^2, of the manoeuvres to start from
 
 
 class Plan(NamedTuple):
@@ -112,9 +114,13 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
     held = manoeuvres(game, car, game.planner.horizon, ACCELERATIONS)
     gaps = into_gaps(game, car, Motion(*jnp.moveaxis(others, 1, 0)))
     objective = driving(game, car, others)
-    controls, states = (jnp.concatenate(sides) for sides in zip(held, gaps, strict=True))
+    controls, states = (
+        jnp.concatenate(sides) for sides in zip(held, gaps, strict=True)
+    )
     controls = jnp.concatenate([last[None], controls])
-    paths = jnp.concatenate([objective.path(last)[None], jnp.stack(observe(states), axis=1)])
+    paths = jnp.concatenate(
+        [objective.path(last)[None], jnp.stack(observe(states), axis=1)]
+    )
     earned = jax.vmap(objective.earned)(controls, paths)
     return best_of(controls, earned.at[0].add(RESTART_MARGIN))
 

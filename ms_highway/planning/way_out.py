@@ -21,9 +21,13 @@ from ms_highway.planning.manoeuvres import manoeuvres
 from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
 ESCAPE_STEPS = 30  # steps of an escape: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster than the limit
-STEPS_AMONG_CARS = 25  # of these, in which other cars count: they do not keep their velocity for long
+STEPS_AMONG_CARS = (
+    25  # of these, in which other cars count: they do not keep their velocity for long
+)
 ACCELERATIONS = np.array([-8.0, -4.0, 0.0, 4.0], np.float32)  # m/s^2, of the manoeuvres
-CLEARANCE = 0.15  # m, wanted between bodies, as others do not keep their velocity exactly
+CLEARANCE = (
+    0.15  # m, wanted between bodies, as others do not keep their velocity exactly
+)
 
 
 class Escape(NamedTuple):
@@ -53,34 +57,54 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         control: scaled, about to be executed.
     """
     others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE_STEPS))
-    early = others._replace(x=jnp.where(np.arange(ESCAPE_STEPS) < STEPS_AMONG_CARS, others.x, state[0, 0] - FAR_AWAY))
+    early = others._replace(
+        x=jnp.where(
+            np.arange(ESCAPE_STEPS) < STEPS_AMONG_CARS, others.x, state[0, 0] - FAR_AWAY
+        )
+    )
     after = step(game.dynamics, state[0], control * game.planner.control_scale)
     _, later = manoeuvres(game, after, ESCAPE_STEPS, ACCELERATIONS)
     # The control is the first step of the ways that keep it.
-    kept = jnp.concatenate([jnp.broadcast_to(after, later[:, :1].shape), later[:, :-1]], axis=1)
+    kept = jnp.concatenate(
+        [jnp.broadcast_to(after, later[:, :1].shape), later[:, :-1]], axis=1
+    )
     best_kept = _steps_free(game, kept, early).max()
 
     def search() -> Escape:
         controls, escapes = manoeuvres(game, state[0], ESCAPE_STEPS, ACCELERATIONS)
         of_escapes = _steps_free(game, escapes, early)
-        earned = jax.vmap(lambda way: jnp.sum(motion_reward(game.scene, game.robot, observe(way), others)))(escapes)
+        earned = jax.vmap(
+            lambda way: jnp.sum(
+                motion_reward(game.scene, game.robot, observe(way), others)
+            )
+        )(escapes)
         best = jnp.argmax(jnp.where(of_escapes == of_escapes.max(), earned, -jnp.inf))
         steps = np.minimum(np.arange(game.planner.horizon), ESCAPE_STEPS - 1)
         return Escape(controls[best][steps], of_escapes.max() > best_kept)
 
-    unchanged = Escape(jnp.tile(control, (game.planner.horizon, 1)), jnp.zeros((), bool))
+    unchanged = Escape(
+        jnp.tile(control, (game.planner.horizon, 1)), jnp.zeros((), bool)
+    )
     return jax.lax.cond(best_kept > ESCAPE_STEPS, lambda: unchanged, search)
 
 
 def _within_road(game: Game, others: Motion) -> Motion:
     """Stop motion off the road: at its edge, or where a car beyond the edge is after a step."""
     scene, first = game.scene, others.y[..., :1]
-    lanes, room = jnp.asarray(scene.lanes), (scene.lane_width - jnp.asarray(scene.car_size)[1]) / 2
-    low, high = jnp.minimum(lanes.min() - room, first), jnp.maximum(lanes.max() + room, first)
+    lanes, room = (
+        jnp.asarray(scene.lanes),
+        (scene.lane_width - jnp.asarray(scene.car_size)[1]) / 2,
+    )
+    low, high = (
+        jnp.minimum(lanes.min() - room, first),
+        jnp.maximum(lanes.max() + room, first),
+    )
     return others._replace(y=jnp.clip(others.y, low, high))
 
 
-def _steps_free(game: Game, ways: Float[jax.Array, "ways steps 4"], others: Motion) -> Int[jax.Array, "ways"]:
+def _steps_free(
+    game: Game, ways: Float[jax.Array, "ways steps 4"], others: Motion
+) -> Int[jax.Array, "ways"]:
     """Return the number of steps before a car collides on each way, one more if it keeps `CLEARANCE` to everything."""
     scene = game.scene
 

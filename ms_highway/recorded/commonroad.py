@@ -28,7 +28,11 @@ from ms_highway.recorded.scenario import (
 from ms_highway.runtime.files import reading
 
 COMPRESSED = ".xml.gz"
-ROLES = "dynamicObstacle", "staticObstacle", "environmentObstacle"  # the last are buildings and ignored
+ROLES = (
+    "dynamicObstacle",
+    "staticObstacle",
+    "environmentObstacle",
+)  # the last are buildings and ignored
 
 DRIVING_TYPES = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
 """Types of obstacles that drive in lanes; all others are replayed."""
@@ -40,9 +44,16 @@ SPEED_SIGNS = {"274", "3.24", "B14", "B31", "C43", "R15", "R2-1", "r301", "Ρ-32
 """Ids of the speed limit signs of all countries; the Greek one begins with a Greek letter."""
 
 MAX_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
-MAX_STEPS, MAX_SPEED, MAX_RADIANS, MAX_COORDINATE = 1e5, 200.0, 1e3, 1e8  # of a time, m/s, of an angle, m
+MAX_STEPS, MAX_SPEED, MAX_RADIANS, MAX_COORDINATE = (
+    1e5,
+    200.0,
+    1e3,
+    1e8,
+)  # of a time, m/s, of an angle, m
 SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
-ANGLES = 2 * np.pi / 64 * np.arange(64)  # rad, of the corners of the polygon that replaces a circle
+ANGLES = (
+    2 * np.pi / 64 * np.arange(64)
+)  # rad, of the corners of the polygon that replaces a circle
 
 Read = TypeVar("Read")
 
@@ -54,10 +65,16 @@ def scenario_files(directory: Path) -> list[Path]:
         ValueError: if there is no such directory, or no such file in it.
     """
     if not directory.is_dir():
-        raise ValueError(f"{directory} is not a directory; give the one that holds the CommonRoad scenarios")
-    paths = sorted(path for path in directory.iterdir() if path.name.endswith((".xml", COMPRESSED)))
+        raise ValueError(
+            f"{directory} is not a directory; give the one that holds the CommonRoad scenarios"
+        )
+    paths = sorted(
+        path for path in directory.iterdir() if path.name.endswith((".xml", COMPRESSED))
+    )
     if not paths:
-        raise ValueError(f"{directory} holds no CommonRoad scenarios, files *.xml or *.xml.gz")
+        raise ValueError(
+            f"{directory} holds no CommonRoad scenarios, files *.xml or *.xml.gz"
+        )
     return paths
 
 
@@ -67,7 +84,9 @@ def read_scenario(path: Path) -> TrafficRecording:
     Raises:
         ValueError: naming the file and the element, if the file is damaged or holds something else.
     """
-    with reading(path, "fetch it again, mend it or leave it out", " as a CommonRoad scenario"):
+    with reading(
+        path, "fetch it again, mend it or leave it out", " as a CommonRoad scenario"
+    ):
         return _recording(fromstring(read_xml(path)), path.name)
 
 
@@ -89,32 +108,52 @@ def read_xml(path: Path) -> bytes:
 def _recording(root: Element, source: str) -> TrafficRecording:
     version, name = root.get("commonRoadVersion"), root.get("benchmarkID", "")
     if root.tag != "commonRoad" or version != "2020a" or not name:
-        raise ValueError(f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a with a benchmarkID")
+        raise ValueError(
+            f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a with a benchmarkID"
+        )
     if not np.isclose(float(step := root.get("timeStepSize", "nan")), TIME_STEP):
-        raise ValueError(f"timeStepSize of <commonRoad> is {step:.40} s; it must be {TIME_STEP} s")
+        raise ValueError(
+            f"timeStepSize of <commonRoad> is {step:.40} s; it must be {TIME_STEP} s"
+        )
     for element in root:
         if element.tag.endswith("Obstacle") and element.tag not in ROLES:
-            raise ValueError(f"{element.tag} {element.get('id')!r:.40} cannot be read; only {', '.join(ROLES)} can")
+            raise ValueError(
+                f"{element.tag} {element.get('id')!r:.40} cannot be read; only {', '.join(ROLES)} can"
+            )
     limits = _each(root, "trafficSign", _speed_limits)
     lanelets = _each(root, "lanelet", partial(_lanelet, limits=limits))
-    areas = {number: np.concatenate([lane.left, lane.right[::-1]]) for number, (lane, _) in lanelets.items()}
+    areas = {
+        number: np.concatenate([lane.left, lane.right[::-1]])
+        for number, (lane, _) in lanelets.items()
+    }
     lanes = tuple(lane for lane, drivable in lanelets.values() if drivable)
-    problems = tuple(_each(root, "planningProblem", partial(_problem, areas=areas)).values())
+    problems = tuple(
+        _each(root, "planningProblem", partial(_problem, areas=areas)).values()
+    )
     tracks = tuple(_each(root, "dynamicObstacle", _track).values())
     if not any(len(track.samples) > 1 for track in tracks):
         raise ValueError("there is no driving: no dynamic obstacle has two samples")
-    last = max([track.last for track in tracks] + [problem.last for problem in problems])
+    last = max(
+        [track.last for track in tracks] + [problem.last for problem in problems]
+    )
     return TrafficRecording(
         name=name,
-        group=name.split("_")[min(1, name.count("_"))],  # USA_US101-17_1_T-1 is cut from US101-17
+        group=name.split("_")[
+            min(1, name.count("_"))
+        ],  # USA_US101-17_1_T-1 is cut from US101-17
         source=source,
         lanelets=lanes,
-        tracks=(*tracks, *_each(root, "staticObstacle", partial(_standing, last=last)).values()),
+        tracks=(
+            *tracks,
+            *_each(root, "staticObstacle", partial(_standing, last=last)).values(),
+        ),
         problems=problems,
     )
 
 
-def _each(root: Element, tag: str, read: Callable[[int, Element], Read]) -> dict[int, Read]:
+def _each(
+    root: Element, tag: str, read: Callable[[int, Element], Read]
+) -> dict[int, Read]:
     """Return what ``read`` makes of each element with a tag, by the elements' ids; errors name the element."""
     found: dict[int, Read] = {}
     for element in root.iterfind(tag):
@@ -133,7 +172,12 @@ def _references(element: Element, tag: str) -> tuple[int, ...]:
     return tuple(int(one.get("ref", "")) for one in element.iterfind(tag))
 
 
-def _number(element: Element, path: str, most: float = MAX_COORDINATE, default: float | None = None) -> float:
+def _number(
+    element: Element,
+    path: str,
+    most: float = MAX_COORDINATE,
+    default: float | None = None,
+) -> float:
     """Return the number at a path of tags below an element, or the default where there is none.
 
     Raises:
@@ -147,44 +191,79 @@ def _number(element: Element, path: str, most: float = MAX_COORDINATE, default: 
     except ValueError:
         found = np.nan
     if not abs(found) <= most:
-        raise ValueError(f"<{path}> of <{element.tag}> is {text!r:.40}; it must be from {-most:g} to {most:g}")
+        raise ValueError(
+            f"<{path}> of <{element.tag}> is {text!r:.40}; it must be from {-most:g} to {most:g}"
+        )
     return found
 
 
 def _points(element: Element, path: str) -> Points:
-    return np.array([[_number(point, axis) for axis in "xy"] for point in element.iterfind(path)]).reshape(-1, 2)
+    return np.array(
+        [[_number(point, axis) for axis in "xy"] for point in element.iterfind(path)]
+    ).reshape(-1, 2)
 
 
 def _speed_limits(_: int, element: Element) -> list[float]:
     """Return the speed limits that a traffic sign shows [m/s]."""
     shown = element.iterfind("trafficSignElement")
-    limits = [_number(one, "additionalValue") for one in shown if one.findtext("trafficSignID") in SPEED_SIGNS]
+    limits = [
+        _number(one, "additionalValue")
+        for one in shown
+        if one.findtext("trafficSignID") in SPEED_SIGNS
+    ]
     if not all(1 <= limit <= MAX_SPEED for limit in limits):
-        raise ValueError(f"it shows <additionalValue> {limits} m/s; limits are from 1 to {MAX_SPEED:g} m/s")
+        raise ValueError(
+            f"it shows <additionalValue> {limits} m/s; limits are from 1 to {MAX_SPEED:g} m/s"
+        )
     return limits
 
 
-def _lanelet(number: int, element: Element, limits: dict[int, list[float]]) -> tuple[Lanelet, bool]:
+def _lanelet(
+    number: int, element: Element, limits: dict[int, list[float]]
+) -> tuple[Lanelet, bool]:
     """Return a lanelet, and whether cars drive on it."""
-    left, right = _points(element, "leftBound/point"), _points(element, "rightBound/point")
-    if len(left) != len(right) or len(left) < 2 or not np.ptp(left + right, axis=0).any():
+    left, right = (
+        _points(element, "leftBound/point"),
+        _points(element, "rightBound/point"),
+    )
+    if (
+        len(left) != len(right)
+        or len(left) < 2
+        or not np.ptp(left + right, axis=0).any()
+    ):
         counts = f"its bounds have {len(left)} and {len(right)} points"
-        raise ValueError(f"{counts}; they need the same number, two or more, around a middle line")
+        raise ValueError(
+            f"{counts}; they need the same number, two or more, around a middle line"
+        )
     signs = _references(element, "trafficSignRef")
     if missing := set(signs) - limits.keys():
         raise ValueError(f"there is no trafficSign {min(missing)}, to which it refers")
-    sides = (element.find(f"{side}[@drivingDir='same']") for side in ("adjacentLeft", "adjacentRight"))
-    beside_left, beside_right = (None if side is None else int(side.get("ref", "")) for side in sides)
-    before, after = _references(element, "predecessor"), _references(element, "successor")
+    sides = (
+        element.find(f"{side}[@drivingDir='same']")
+        for side in ("adjacentLeft", "adjacentRight")
+    )
+    beside_left, beside_right = (
+        None if side is None else int(side.get("ref", "")) for side in sides
+    )
+    before, after = (
+        _references(element, "predecessor"),
+        _references(element, "successor"),
+    )
     limit = min(chain(*(limits[sign] for sign in signs)), default=None)
-    lanelet = Lanelet(number, left, right, before, after, (beside_left, beside_right), limit)
-    return lanelet, not NO_LANES & {kind.text for kind in element.iterfind("laneletType")}
+    lanelet = Lanelet(
+        number, left, right, before, after, (beside_left, beside_right), limit
+    )
+    return lanelet, not NO_LANES & {
+        kind.text for kind in element.iterfind("laneletType")
+    }
 
 
 def _track(number: int, element: Element) -> RecordedTrack:
     """Return the track of a moving obstacle."""
     if element.find("occupancySet") is not None:
-        raise ValueError("only a <trajectory> can be read, and it has an <occupancySet>")
+        raise ValueError(
+            "only a <trajectory> can be read, and it has an <occupancySet>"
+        )
     states = _initial_state(element), *element.iterfind("trajectory/state")
     samples = np.array([_sample(state) for state in states])
     if not (np.diff(samples[:, 0]) >= 1).all():
@@ -199,12 +278,16 @@ def _standing(number: int, element: Element, last: int) -> RecordedTrack:
     return _boxed(number, element, samples, False)
 
 
-def _boxed(number: int, element: Element, samples: np.ndarray, drives: bool) -> RecordedTrack:
+def _boxed(
+    number: int, element: Element, samples: np.ndarray, drives: bool
+) -> RecordedTrack:
     """Return the track of the box around the shapes of an obstacle, whose samples are of the shapes' origin."""
     corners = np.concatenate(_outlines(element))
     low, high = corners.min(axis=0), corners.max(axis=0)
     length, width = (high - low).tolist()
-    samples[:, 1:3] += _turned(np.tile((low + high) / 2, (len(samples), 1)), samples[:, 3])
+    samples[:, 1:3] += _turned(
+        np.tile((low + high) / 2, (len(samples), 1)), samples[:, 3]
+    )
     return RecordedTrack(number, (length, width), samples, drives)
 
 
@@ -231,7 +314,9 @@ def _sample(state: Element) -> list[float]:
 
 def _problem(number: int, element: Element, areas: dict[int, Points]) -> Problem:
     time, x, y, orientation, speed = _sample(_initial_state(element))
-    goals = tuple(goal for state in element.iterfind("goalState") for goal in _goals(state, areas))
+    goals = tuple(
+        goal for state in element.iterfind("goalState") for goal in _goals(state, areas)
+    )
     if speed < 0 or not goals or max(goal.times[1] for goal in goals) <= time:
         raise ValueError("it starts backwards, or has no goal after its start")
     return Problem(number, (x, y, orientation, speed), int(time), goals)
@@ -244,22 +329,32 @@ def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
     first, last = _interval(state, "time", MAX_STEPS)
     speeds = _interval(state, "velocity", MAX_SPEED) if "velocity" in parts else None
-    headings = _interval(state, "orientation", MAX_RADIANS) if "orientation" in parts else None
+    headings = (
+        _interval(state, "orientation", MAX_RADIANS) if "orientation" in parts else None
+    )
     if headings and headings[1] - headings[0] >= FULL_TURN:
         headings = None
     regions: list[Points | None] = [None]
     if "position" in parts:
         numbers = _references(state, "position/lanelet")
         if missing := set(numbers) - areas.keys():
-            raise ValueError(f"there is no lanelet {min(missing)}, to which a goal refers")
-        regions = [areas[number] for number in numbers] or [*_outlines(state, "position/*")]
+            raise ValueError(
+                f"there is no lanelet {min(missing)}, to which a goal refers"
+            )
+        regions = [areas[number] for number in numbers] or [
+            *_outlines(state, "position/*")
+        ]
     for region in regions:
         yield GoalRegion((round(first), round(last)), region, speeds, headings)
 
 
 def _interval(state: Element, tag: str, most: float) -> tuple[float, float]:
     """Return both ends of an interval; of an exact value, return it twice."""
-    ends = ("intervalStart", "intervalEnd") if state.find(f"{tag}/exact") is None else ("exact", "exact")
+    ends = (
+        ("intervalStart", "intervalEnd")
+        if state.find(f"{tag}/exact") is None
+        else ("exact", "exact")
+    )
     first, last = (_number(state, f"{tag}/{end}", most) for end in ends)
     if first > last:
         raise ValueError(f"<{tag}> of a goal ends before it begins")
@@ -278,13 +373,17 @@ def _outline(piece: Element) -> Points:
     if piece.tag == "polygon":
         corners = _points(piece, "point")
     elif piece.tag == "circle":
-        corners = _number(piece, "radius") * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=-1)
+        corners = _number(piece, "radius") * np.stack(
+            [np.cos(ANGLES), np.sin(ANGLES)], axis=-1
+        )
     elif piece.tag == "rectangle":
         corners = SQUARE * [_number(piece, "length"), _number(piece, "width")]
         corners[:, 0] -= _number(piece, "originXShift", default=0.0)
         corners = _turned(corners, _number(piece, "orientation", MAX_RADIANS, 0.0))
     else:
-        raise ValueError(f"<{piece.tag}> is none of the shapes that can be read: rectangle, circle and polygon")
+        raise ValueError(
+            f"<{piece.tag}> is none of the shapes that can be read: rectangle, circle and polygon"
+        )
     if len(corners) < 3 or not np.ptp(corners, axis=0).all():
         raise ValueError(f"<{piece.tag}> has no area")
     return corners + [_number(piece, f"center/{axis}", default=0.0) for axis in "xy"]

@@ -34,8 +34,13 @@ from ms_highway.runtime.limits import Number
 # Planning problems
 
 LATE = 20  # steps by which the ego may reach the last position of a recorded vehicle later than that vehicle
-GOAL_SIZE = 4.0, 3.0  # m, length along the road and width of the region around that position
-SAME_HEADING = np.pi / 6  # rad, largest turn of a recorded vehicle that is the ego of a planning problem
+GOAL_SIZE = (
+    4.0,
+    3.0,
+)  # m, length along the road and width of the region around that position
+SAME_HEADING = (
+    np.pi / 6
+)  # rad, largest turn of a recorded vehicle that is the ego of a planning problem
 
 
 def problem_of(scenario: TrafficRecording, ego: str | int) -> Problem:
@@ -56,17 +61,24 @@ def problem_of(scenario: TrafficRecording, ego: str | int) -> Problem:
     """
     problem = _chosen(scenario, ego)
     if problem.track is None:
-        problem = msgspec.structs.replace(problem, track=_recorded_as(scenario, problem))
+        problem = msgspec.structs.replace(
+            problem, track=_recorded_as(scenario, problem)
+        )
 
     # Whatever else is there would collide with the ego at once.
     for track, pose in _seen(scenario, problem.time):
-        if track.number != problem.track and separation(problem.start[:3], problem.size, pose, track.size) < 0:
+        if (
+            track.number != problem.track
+            and separation(problem.start[:3], problem.size, pose, track.size) < 0
+        ):
             place = f"the start of the ego, config['ego'] {ego!r}, overlaps obstacle {track.number}"
             raise ValueError(f"{place}; mend the file or choose another ego")
     return problem
 
 
-def _seen(scenario: TrafficRecording, step: int) -> Iterator[tuple[RecordedTrack, Pose]]:
+def _seen(
+    scenario: TrafficRecording, step: int
+) -> Iterator[tuple[RecordedTrack, Pose]]:
     """Yield the tracks that were seen at a step, with x, y and orientation there."""
     for track in scenario.tracks:
         if track.first <= step <= track.last:
@@ -90,21 +102,33 @@ def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
 
 def _chosen(scenario: TrafficRecording, ego: str | int) -> Problem:
     """Return the problem of an ego as the recording has it; see `problem_of`."""
-    vehicles = {track.number: track for track in scenario.tracks if track.drives and len(track.samples) > 1}
+    vehicles = {
+        track.number: track
+        for track in scenario.tracks
+        if track.drives and len(track.samples) > 1
+    }
     if isinstance(ego, str):
         number = ego.partition(":")[2]
         for problem in scenario.problems:
             if number in ("", str(problem.number)):
                 return problem
         known = [f"'problem:{problem.number}'" for problem in scenario.problems]
-        choices = " or ".join([*known, f"a vehicle, such as {next(iter(vehicles), 'none here')}"])
-        raise ValueError(f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose {choices}")
+        choices = " or ".join(
+            [*known, f"a vehicle, such as {next(iter(vehicles), 'none here')}"]
+        )
+        raise ValueError(
+            f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose {choices}"
+        )
     if ego not in vehicles:
         choices = ", ".join(map(str, vehicles))
-        raise ValueError(f"config['ego'] is {ego}, which is no vehicle that was seen twice; choose one of {choices}")
+        raise ValueError(
+            f"config['ego'] is {ego}, which is no vehicle that was seen twice; choose one of {choices}"
+        )
     track = vehicles[ego]
     (_, *start), (_, x, y, orientation, _) = track.samples[[0, -1]].tolist()
-    goal = GoalRegion((track.first, track.last + LATE), rect_corners((x, y), *GOAL_SIZE, orientation))
+    goal = GoalRegion(
+        (track.first, track.last + LATE), rect_corners((x, y), *GOAL_SIZE, orientation)
+    )
     return Problem(ego, tuple(start), track.first, (goal,), track.size, ego)
 
 
@@ -119,8 +143,12 @@ def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
             heading = float(road.axes.headings(low + (high - low) % FULL_TURN / 2))
         index = road.network.get_closest_lane_index(position, heading)
         place, _ = road.network.get_lane(index).local_coordinates(position)
-        first, last = (max(TIME_STEP * (time - problem.time), 0.0) for time in goal.times)
-        return TimedGoal(Spot(index, place), position, (first, last), goal.speeds or (0.0, np.inf))
+        first, last = (
+            max(TIME_STEP * (time - problem.time), 0.0) for time in goal.times
+        )
+        return TimedGoal(
+            Spot(index, place), position, (first, last), goal.speeds or (0.0, np.inf)
+        )
     return None
 
 
@@ -134,9 +162,15 @@ MIN_DESIRED_SPEED = 5.0  # m/s, least desired speed of a robot without a timed g
 class RecordedSettings(Struct, frozen=True):
     """The keys of a `RecordedEnv` that highway-env does not have."""
 
-    recording: Annotated[str, Meta(description=f"give the file of a CommonRoad scenario, or say {SHIPPED!r}")]
+    recording: Annotated[
+        str,
+        Meta(description=f"give the file of a CommonRoad scenario, or say {SHIPPED!r}"),
+    ]
     traffic: Literal["learned", "replay", "idm"]
-    ego: Annotated[Annotated[str, Meta(pattern=r"^problem(:[0-9]+)?\Z")] | int, Meta(description=EGO_REMEDY)]
+    ego: Annotated[
+        Annotated[str, Meta(pattern=r"^problem(:[0-9]+)?\Z")] | int,
+        Meta(description=EGO_REMEDY),
+    ]
     goal_reward: Number
     collision_reward: Number
     off_road_reward: Number
@@ -185,15 +219,26 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             "ContinuousAction": RANGES | {"dynamical": Any},
             "DiscreteAction": RANGES | {"dynamical": Any, "actions_per_axis": Any},
         },
-        "observation": {name: keys for name, keys in TYPES["observation"].items() if not name.endswith("States")},
+        "observation": {
+            name: keys
+            for name, keys in TYPES["observation"].items()
+            if not name.endswith("States")
+        },
     }
 
     @classmethod
     def default_config(cls) -> Config:
         """highway-env's configuration with this environment's own."""
         return super().default_config() | {
-            "observation": {"type": "Kinematics", "vehicles_count": 8, "absolute": False},
-            "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 4, 8, 12, 16, 20, 24, 28]},
+            "observation": {
+                "type": "Kinematics",
+                "vehicles_count": 8,
+                "absolute": False,
+            },
+            "action": {
+                "type": "DiscreteMetaAction",
+                "target_speeds": [0, 4, 8, 12, 16, 20, 24, 28],
+            },
             "recording": SHIPPED,
             "traffic": "learned",
             "ego": "problem",
@@ -216,25 +261,59 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             raise ValueError(f"{scenario.source}: {error}") from error
 
     def _build(self, scenario: TrafficRecording) -> None:
-        task, straight = problem_of(scenario, self.settings.ego), straight_road(scenario)
+        task, straight = (
+            problem_of(scenario, self.settings.ego),
+            straight_road(scenario),
+        )
         x, y, orientation, speed = task.start
-        position, heading = straight.axes.positions([x, y]), float(straight.axes.headings(orientation))
-        lane = straight.network.get_lane(straight.network.get_closest_lane_index(position, heading))
+        position, heading = (
+            straight.axes.positions([x, y]),
+            float(straight.axes.headings(orientation)),
+        )
+        lane = straight.network.get_lane(
+            straight.network.get_closest_lane_index(position, heading)
+        )
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
-            raise ValueError(f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out")
-        road = RecordedRoad(scenario, task.time, task.track, self.settings.traffic, self.np_random)
-        vehicle = sized(self.action_type.vehicle_class(road, position, heading=heading, speed=speed), task.size)
+            raise ValueError(
+                f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out"
+            )
+        road = RecordedRoad(
+            scenario, task.time, task.track, self.settings.traffic, self.np_random
+        )
+        vehicle = sized(
+            self.action_type.vehicle_class(
+                road, position, heading=heading, speed=speed
+            ),
+            task.size,
+        )
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
-        self.scenario, self.task, self.road, self.axes = scenario, task, road, straight.axes
-        self.goal, self.desired_speed = timed_goal(task, straight), max(speed, MIN_DESIRED_SPEED)
-        self.controlled_vehicles, self.success, self.off_road, self.progress = [vehicle], False, False, 0.0
+        self.scenario, self.task, self.road, self.axes = (
+            scenario,
+            task,
+            road,
+            straight.axes,
+        )
+        self.goal, self.desired_speed = (
+            timed_goal(task, straight),
+            max(speed, MIN_DESIRED_SPEED),
+        )
+        self.controlled_vehicles, self.success, self.off_road, self.progress = (
+            [vehicle],
+            False,
+            False,
+            0.0,
+        )
         self._along = float(road.states[vehicle][0])
 
     @property
     def goal_areas(self) -> list[Points]:
         """Corners of the regions of all goals that have a region."""
-        return [self.axes.positions(goal.area) for goal in self.task.goals if goal.area is not None]
+        return [
+            self.axes.positions(goal.area)
+            for goal in self.task.goals
+            if goal.area is not None
+        ]
 
     def _simulate(self, action: Any = None) -> None:
         """Let all vehicles act and move for a step; find out whether the ego has reached the goal or left the road."""
@@ -243,7 +322,10 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         along = float(road.states[ego][0])
         self.progress, self._along = along - self._along, along
         self.off_road |= not road.straight.covers(ego.polygon()[:-1])
-        orientation, point = float(self.axes.headings(ego.heading)), self.axes.points(ego.position)
+        orientation, point = (
+            float(self.axes.headings(ego.heading)),
+            self.axes.points(ego.position),
+        )
         reached = self.task.is_reached(road.now, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
 
@@ -256,7 +338,9 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         }
 
     def _reward(self, action: Any) -> float:
-        return sum(self.config[name] * value for name, value in self._rewards(action).items())
+        return sum(
+            self.config[name] * value for name, value in self._rewards(action).items()
+        )
 
     def _is_terminated(self) -> bool:
         return bool(self.success or self.vehicle.crashed or self.off_road)
@@ -274,6 +358,8 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
                 "collision": bool(self.vehicle.crashed),
                 "off_road": self.off_road,
                 "replaced": -1 if self.task.track is None else self.task.track,
-                "waiting": np.array([track.number in waiting for track in self.scenario.tracks]),
+                "waiting": np.array(
+                    [track.number in waiting for track in self.scenario.tracks]
+                ),
             },
         }

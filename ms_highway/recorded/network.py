@@ -19,11 +19,19 @@ Values = Float[np.ndarray, "n"]
 
 STEP = 1.0  # m, between samples of a lane
 SPACING = 0.5  # m, between samples of curves
-SMOOTHED = 10.0, 5.0, 2.5, 1.25, 0.625  # m; waves shorter than 2 pi times this, at first about 60 m, are smoothed away
+SMOOTHED = (
+    10.0,
+    5.0,
+    2.5,
+    1.25,
+    0.625,
+)  # m; waves shorter than 2 pi times this, at first about 60 m, are smoothed away
 MIN_POINTS = 5  # for which a smoothing spline can be fitted
 BRIDGED = 60.0  # m of the lanes before and after a lane with which it is smoothed
 CLOSE = 5.0  # m, by which a lane may be farther away than the nearest one, and be closer counting the heading
-WITHIN = 0.1  # m, largest distance from the middle of a lanelet to the middle of its lane
+WITHIN = (
+    0.1  # m, largest distance from the middle of a lanelet to the middle of its lane
+)
 
 
 class Axes(NamedTuple):
@@ -42,7 +50,10 @@ class Axes(NamedTuple):
         """Return axes along the mean direction of a road, with their origin in its middle, at whole metres."""
         lines = [lanelet.centre for lanelet in lanelets]
         along = np.sum([line[-1] - line[0] for line in lines], axis=0)
-        return cls(np.round(np.concatenate(lines).mean(axis=0)), float(np.arctan2(along[1], along[0])))
+        return cls(
+            np.round(np.concatenate(lines).mean(axis=0)),
+            float(np.arctan2(along[1], along[0])),
+        )
 
     def positions(self, points: Any) -> Points:
         """Return points of the map in highway-env's axes."""
@@ -59,7 +70,9 @@ class Axes(NamedTuple):
     def states(self, samples: np.ndarray) -> State:
         """Return x, y, heading and speed in highway-env's axes, given samples of a track [times, 5]."""
         _, _, _, orientations, speeds = samples.T
-        return np.column_stack([self.positions(samples[:, 1:3]), self.headings(orientations), speeds])
+        return np.column_stack(
+            [self.positions(samples[:, 1:3]), self.headings(orientations), speeds]
+        )
 
     @property
     def _mirror(self) -> np.ndarray:
@@ -77,7 +90,13 @@ class SampledLane(AbstractLane):
         speed_limit: [m/s].
     """
 
-    def __init__(self, centres: Points, widths: Values, line_types: Sequence[int], speed_limit: float) -> None:
+    def __init__(
+        self,
+        centres: Points,
+        widths: Values,
+        line_types: Sequence[int],
+        speed_limit: float,
+    ) -> None:
         self.centres, self.widths = centres, widths
         x, y = centres.T
         spacing = np.hypot(np.diff(x), np.diff(y)).mean()
@@ -112,13 +131,20 @@ class LaneletNetwork(RoadNetwork):
         centres = [lane.centres for lane in self.lanes_list()]
         return np.concatenate(centres), np.cumsum([0, *map(len, centres[:-1])])
 
-    def get_closest_lane_index(self, position: np.ndarray, heading: float | None = None) -> LaneIndex:
+    def get_closest_lane_index(
+        self, position: np.ndarray, heading: float | None = None
+    ) -> LaneIndex:
         """Return the index of the lane that is nearest in position and heading."""
         samples, firsts = self._samples
         distances = np.minimum.reduceat(np.hypot(*(samples - position).T), firsts)
         close = distances < distances.min() + CLOSE
         near = compress(self.lanes_dict(), close)
-        return min(near, key=lambda index: self.get_lane(index).distance_with_heading(position, heading))
+        return min(
+            near,
+            key=lambda index: self.get_lane(index).distance_with_heading(
+                position, heading
+            ),
+        )
 
 
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
@@ -137,7 +163,9 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
             )
         for place, lanelet in enumerate(road):
             left = LineType.STRIPED if place else LineType.CONTINUOUS_LINE
-            right = LineType.NONE if lanelet is not road[-1] else LineType.CONTINUOUS_LINE
+            right = (
+                LineType.NONE if lanelet is not road[-1] else LineType.CONTINUOUS_LINE
+            )
             network.add_lane(start, end, _lane(lanelet, known, axes, [left, right]))
     return network
 
@@ -152,7 +180,9 @@ def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
         for side in (0, 1):
             while (beside := road[-side].beside[side]) in known:
                 if beside in (other.number for other in road):
-                    raise ValueError(f"lanelet {beside} is beside itself; mend the file or leave it out")
+                    raise ValueError(
+                        f"lanelet {beside} is beside itself; mend the file or leave it out"
+                    )
                 road.insert(side * len(road), known[beside])
         placed |= {other.number for other in road}
         yield road
@@ -160,7 +190,11 @@ def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
 
 def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
     """Return the names of the nodes at which each road begins and ends; roads whose lanelets meet share a node."""
-    number = {lanelet.number: road for road, lanelets in enumerate(roads) for lanelet in lanelets}
+    number = {
+        lanelet.number: road
+        for road, lanelets in enumerate(roads)
+        for lanelet in lanelets
+    }
     nodes = np.arange(2 * len(roads)).reshape(-1, 2)
     for lanelet in chain(*roads):
         for after in number.keys() & set(lanelet.after):
@@ -168,19 +202,33 @@ def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
     return nodes.astype(str).tolist()
 
 
-def _lane(lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]) -> SampledLane:
+def _lane(
+    lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]
+) -> SampledLane:
     """Return the lane of a lanelet along its smoothed centre, if possible smoothed with the lanes before and after it.
 
     Raises:
         ValueError: if every smooth lane is too far from the centre.
     """
     centre = lanelet.centre
-    before = [_last(known[number].centre) for number in lanelet.before[:1] if number in known]
-    after = [_last(known[number].centre[::-1])[::-1] for number in lanelet.after[:1] if number in known]
+    before = [
+        _last(known[number].centre) for number in lanelet.before[:1] if number in known
+    ]
+    after = [
+        _last(known[number].centre[::-1])[::-1]
+        for number in lanelet.after[:1]
+        if number in known
+    ]
     for smooth in chain(fits(np.concatenate([*before, centre, *after])), fits(centre)):
         along, _ = smooth.locate(centre)
-        places = np.linspace(along[0], along[-1], max(round((along[-1] - along[0]) / STEP), 2) + 1)
-        widths = np.interp(places, np.maximum.accumulate(along), np.linalg.norm(lanelet.left - lanelet.right, axis=-1))
+        places = np.linspace(
+            along[0], along[-1], max(round((along[-1] - along[0]) / STEP), 2) + 1
+        )
+        widths = np.interp(
+            places,
+            np.maximum.accumulate(along),
+            np.linalg.norm(lanelet.left - lanelet.right, axis=-1),
+        )
         middle = axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1))
         lane = SampledLane(middle, widths, lines, lanelet.limit or SPEED_LIMIT)
         along, aside = lane.curve.locate(axes.positions(resample(centre.T, STEP).T))
@@ -198,7 +246,9 @@ def fits(line: Points) -> Iterator[Curve]:
     distance = arc_lengths(line.T)
     for smoothed in SMOOTHED:
         spacing = smoothed / 2
-        even = np.linspace(0, distance[-1], max(round(distance[-1] / spacing) + 1, MIN_POINTS))
+        even = np.linspace(
+            0, distance[-1], max(round(distance[-1] / spacing) + 1, MIN_POINTS)
+        )
         points = np.stack([np.interp(even, distance, part) for part in line.T], axis=-1)
         smooth = make_smoothing_spline(even, points, lam=smoothed**4 / spacing)
         step = min(SPACING, distance[-1] / MIN_POINTS)

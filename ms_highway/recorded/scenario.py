@@ -87,7 +87,9 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         """Return samples at steps of time [steps, 5], interpolated where it was not seen."""
         times, x, y, orientation, speed = self.samples.T
         parts = x, y, np.unwrap(orientation), speed
-        return np.stack([steps, *(np.interp(steps, times, part) for part in parts)], axis=-1)
+        return np.stack(
+            [steps, *(np.interp(steps, times, part) for part in parts)], axis=-1
+        )
 
 
 class GoalRegion(msgspec.Struct, frozen=True):
@@ -105,7 +107,9 @@ class GoalRegion(msgspec.Struct, frozen=True):
     speeds: tuple[float, float] | None = None
     headings: tuple[float, float] | None = None
 
-    def is_reached(self, step: int, point: Points, orientation: float, speed: float) -> bool:
+    def is_reached(
+        self, step: int, point: Points, orientation: float, speed: float
+    ) -> bool:
         """Return whether an ego with its middle at a point of the map reaches the goal."""
         low, high = self.headings or (orientation, orientation)
         slowest, fastest = self.speeds or (speed, speed)
@@ -141,9 +145,13 @@ class Problem(msgspec.Struct, frozen=True):
         """The last step of all goals."""
         return max(goal.times[1] for goal in self.goals)
 
-    def is_reached(self, step: int, point: Points, orientation: float, speed: float) -> bool:
+    def is_reached(
+        self, step: int, point: Points, orientation: float, speed: float
+    ) -> bool:
         """Return whether an ego with its middle at a point of the map reaches one of the goals."""
-        return any(goal.is_reached(step, point, orientation, speed) for goal in self.goals)
+        return any(
+            goal.is_reached(step, point, orientation, speed) for goal in self.goals
+        )
 
 
 class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
@@ -192,9 +200,15 @@ def open_recording(recording: str) -> TrafficRecording:
 
 @cache
 def _shipped_recording() -> TrafficRecording:
-    packed = (resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz").read_bytes()
+    packed = (
+        resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
+    ).read_bytes()
     unpacked = gzip.decompress(packed)
-    return msgspec.json.decode(unpacked, type=TrafficRecording, dec_hook=lambda _, numbers: np.array(numbers, float))
+    return msgspec.json.decode(
+        unpacked,
+        type=TrafficRecording,
+        dec_hook=lambda _, numbers: np.array(numbers, float),
+    )
 
 
 @lru_cache(KEPT)

@@ -31,29 +31,56 @@ class StraightRoad:
 
     def __init__(self, recording: TrafficRecording) -> None:
         if not recording.lanelets:
-            raise ValueError("there are no lanelets on which cars drive; give a recording of a road")
+            raise ValueError(
+                "there are no lanelets on which cars drive; give a recording of a road"
+            )
         self.axes = Axes.of(recording.lanelets)
         self.network = network_of(recording.lanelets, self.axes)
         self._lanes = [*road_map(self.network).lanes.values()]
-        found: dict[Lane, tuple[int, float]] = {}  # number of each lane from the left, and x where it begins
+        found: dict[
+            Lane, tuple[int, float]
+        ] = {}  # number of each lane from the left, and x where it begins
         for first in self._lanes:
-            queue = [(first, 2 + max((number for number, _ in found.values()), default=-2), 0.0)]  # roads stay apart
+            queue = [
+                (
+                    first,
+                    2 + max((number for number, _ in found.values()), default=-2),
+                    0.0,
+                )
+            ]  # roads stay apart
             for lane, number, start in queue:
                 if lane not in found:
                     found[lane] = number, start
-                    queue += [(beside, number + beside.number - lane.number, start) for beside in lane.siblings]
-                    queue += [(after, number, start + _length(lane)) for after in lane.following()]
-                    before = [other for other in self._lanes if lane in other.following()]
-                    queue += [(other, number, start - _length(other)) for other in before]
-        numbers, self._starts = map(np.array, zip(*(found[lane] for lane in self._lanes), strict=True))
+                    queue += [
+                        (beside, number + beside.number - lane.number, start)
+                        for beside in lane.siblings
+                    ]
+                    queue += [
+                        (after, number, start + _length(lane))
+                        for after in lane.following()
+                    ]
+                    before = [
+                        other for other in self._lanes if lane in other.following()
+                    ]
+                    queue += [
+                        (other, number, start - _length(other)) for other in before
+                    ]
+        numbers, self._starts = map(
+            np.array, zip(*(found[lane] for lane in self._lanes), strict=True)
+        )
         numbers -= numbers.min()
-        widths = np.array([lane.shape.width_at(lane.length / 2) for lane in self._lanes])
+        widths = np.array(
+            [lane.shape.width_at(lane.length / 2) for lane in self._lanes]
+        )
         self.lane_width = float(np.median(widths))
         medians = np.full(numbers.max() + 1, self.lane_width)
         for number in numbers:
             medians[number] = np.median(widths[numbers == number])
         y = np.cumsum(medians) - (medians + medians[0]) / 2
-        self.centres = {lane.index: float(y[number]) for lane, number in zip(self._lanes, numbers, strict=True)}
+        self.centres = {
+            lane.index: float(y[number])
+            for lane, number in zip(self._lanes, numbers, strict=True)
+        }
 
     def __deepcopy__(self, memo: object) -> "StraightRoad":
         return self  # it never changes: copies of environments share it
@@ -61,23 +88,36 @@ class StraightRoad:
     def states(self, states: State) -> State:
         """Convert states in highway-env's axes, each by the lane that is nearest in position and heading."""
         x, y, heading, speeds = states.T
-        every = np.array([lane.shape.curve.project(x, y, heading) for lane in self._lanes])  # [lanes, 3, n]
+        every = np.array(
+            [lane.shape.curve.project(x, y, heading) for lane in self._lanes]
+        )  # [lanes, 3, n]
         along, aside, heading = every.swapaxes(0, 1)
         lengths = np.array([[lane.length] for lane in self._lanes])
         beyond = np.maximum(along - lengths, 0.0) + np.maximum(-along, 0.0)
-        nearest = (np.abs(aside) + beyond + np.abs(heading)).argmin(axis=0)  # as highway-env measures distances
+        nearest = (np.abs(aside) + beyond + np.abs(heading)).argmin(
+            axis=0
+        )  # as highway-env measures distances
         along, aside, heading = every[nearest, :, np.arange(len(states))].T
         lanes = [self._lanes[number] for number in nearest]
-        x = self._starts[nearest] + along * [_length(lane) / lane.length for lane in lanes]
+        x = self._starts[nearest] + along * [
+            _length(lane) / lane.length for lane in lanes
+        ]
         y = aside + [self.centres[lane.index] for lane in lanes]
         return np.stack([x, y, heading, speeds], axis=-1)
 
     @property
     def lines(self) -> list[Points]:
         """For every y of lanes, from the left: the middles of the lanes there, one after the other."""
-        lanes = [self._lanes[place] for place in np.argsort(self._starts, kind="stable")]
+        lanes = [
+            self._lanes[place] for place in np.argsort(self._starts, kind="stable")
+        ]
         rows = sorted(set(self.centres.values()))
-        return [np.concatenate([lane.shape.centres for lane in lanes if self.centres[lane.index] == y]) for y in rows]
+        return [
+            np.concatenate(
+                [lane.shape.centres for lane in lanes if self.centres[lane.index] == y]
+            )
+            for y in rows
+        ]
 
     def way(self, track: RecordedTrack) -> State:
         """Return the recorded states of a track on the straight road."""
@@ -88,9 +128,16 @@ class StraightRoad:
         inside = np.zeros(len(points), bool)
         for lane in self._lanes:
             along, aside = lane.shape.curve.locate(points)
-            first, last = 0.0 if lane.preceding else -ONWARD, lane.length + (0.0 if lane.following() else ONWARD)
+            first, last = (
+                0.0 if lane.preceding else -ONWARD,
+                lane.length + (0.0 if lane.following() else ONWARD),
+            )
             widths = lane.shape.curve.interpolate(lane.shape.widths, along)
-            inside |= (first <= along) & (along <= last) & (np.abs(aside) <= widths / 2 + SEAM)
+            inside |= (
+                (first <= along)
+                & (along <= last)
+                & (np.abs(aside) <= widths / 2 + SEAM)
+            )
         return bool(inside.all())
 
 

@@ -46,22 +46,36 @@ class LearnedVehicle(FollowingVehicle):
         """Change towards the lane of the recorded vehicle, unless a change is going on or there is no room for one."""
         straight, (start, end, lane) = self.road.straight, self.lane_index
         x, *_, speed = self.road.states[self]
-        later = min(int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)), len(self.way) - 1)
+        later = min(
+            int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)),
+            len(self.way) - 1,
+        )
         aside = self.way[later, 1] - straight.centres[self.lane_index]
         beside = start, end, lane + int(np.sign(round(aside / straight.lane_width)))
-        may_change = self.lane_index == self.target_lane_index != beside and beside in straight.centres
-        if may_change and all(map(self._leaves_room, self.road.neighbour_vehicles(self, beside))):
+        may_change = (
+            self.lane_index == self.target_lane_index != beside
+            and beside in straight.centres
+        )
+        if may_change and all(
+            map(self._leaves_room, self.road.neighbour_vehicles(self, beside))
+        ):
             self.target_lane_index = beside
 
     def _leaves_room(self, other: Vehicle | None) -> bool:
         """Return whether a vehicle in the lane beside leaves room for a change to that lane."""
         if other is None:
             return True
-        distance, _, _, relative_speed = self.road.states[other] - self.road.states[self]
+        distance, _, _, relative_speed = (
+            self.road.states[other] - self.road.states[self]
+        )
         gap = abs(distance) - (other.LENGTH + self.LENGTH) / 2
-        return bool(gap > ENTRY_GAP + GAP_TIME * max(-np.sign(distance) * relative_speed, 0.0))
+        return bool(
+            gap > ENTRY_GAP + GAP_TIME * max(-np.sign(distance) * relative_speed, 0.0)
+        )
 
-    def acceleration(self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None) -> float:
+    def acceleration(
+        self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None
+    ) -> float:
         """Return the acceleration of a vehicle behind another one [m/s^2], see `FollowingVehicle`."""
         if front_vehicle:
             return super().acceleration(ego_vehicle, front_vehicle)
@@ -92,13 +106,22 @@ class RecordedRoad(Road):
     vehicles: list[Any]
 
     def __init__(
-        self, recording: TrafficRecording, begin: int, left_out: int | None, traffic: str, np_random: Any
+        self,
+        recording: TrafficRecording,
+        begin: int,
+        left_out: int | None,
+        traffic: str,
+        np_random: Any,
     ) -> None:
         self.straight = straight_road(recording)
         super().__init__(self.straight.network, np_random=np_random)
         self.begin, self.now, self._driver = begin, begin, VEHICLES[traffic]
         self._computed: tuple[tuple, dict[Vehicle, State]] = ((), {})
-        self.coming = [track for track in recording.tracks if track.number != left_out and track.last >= begin]
+        self.coming = [
+            track
+            for track in recording.tracks
+            if track.number != left_out and track.last >= begin
+        ]
         self._let_enter()
 
     @property
@@ -120,7 +143,9 @@ class RecordedRoad(Road):
             self._computed = when, dict(zip(self.vehicles, states, strict=True))
         return self._computed[1]
 
-    def neighbour_vehicles(self, vehicle: Vehicle, lane_index: LaneIndex | None = None) -> tuple[Any, Any]:
+    def neighbour_vehicles(
+        self, vehicle: Vehicle, lane_index: LaneIndex | None = None
+    ) -> tuple[Any, Any]:
         """Return the nearest vehicles ahead and behind, None without one: in a lane and the lanes before and after it.
 
         By default, that is the lane of the vehicle.
@@ -128,7 +153,10 @@ class RecordedRoad(Road):
         vehicles, (x, y, *_) = [*self.states], np.array([*self.states.values()]).T
         centre = self.straight.centres[lane_index or vehicle.lane_index]
         inside = np.abs(y - centre) < self.straight.lane_width / 2 + LANE_TOLERANCE
-        found = [nearest_ahead(sign * (x - self.states[vehicle][0]), inside) for sign in (1, -1)]
+        found = [
+            nearest_ahead(sign * (x - self.states[vehicle][0]), inside)
+            for sign in (1, -1)
+        ]
         ahead, behind = (vehicles[place] if there else None for place, there in found)
         return ahead, behind
 
@@ -140,7 +168,9 @@ class RecordedRoad(Road):
         for vehicle in filter(self._has_left, self.others):
             self.vehicles.remove(vehicle)
         self._let_enter()
-        for ego in [vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")]:
+        for ego in [
+            vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")
+        ]:
             for other in self.others:
                 if overlap(ego, other):
                     ego.crashed = other.crashed = True
@@ -159,12 +189,27 @@ class RecordedRoad(Road):
             kind: Any = self._driver if track.drives else ReplayedVehicle
             replayed, states = kind is ReplayedVehicle, self.recorded(track)
             *position, heading, speed = states[0].tolist()
-            vehicle = sized(kind(self, states) if replayed else kind(self, position, heading, speed), track.size)
-            vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = track, False, track.drives
+            vehicle = sized(
+                kind(self, states)
+                if replayed
+                else kind(self, position, heading, speed),
+                track.size,
+            )
+            vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = (
+                track,
+                False,
+                track.drives,
+            )
             vehicle.way = self.straight.way(track)
             vehicle.way[:, 0] = np.maximum.accumulate(vehicle.way[:, 0])
-            vehicle.target_speed = SPEED_LIMIT if kind is LearnedVehicle else max(float(track.samples[:, 4].max()), 1.0)
-            with_room = sized(copy(vehicle), (vehicle.LENGTH + 2 * ENTRY_GAP, vehicle.WIDTH))
+            vehicle.target_speed = (
+                SPEED_LIMIT
+                if kind is LearnedVehicle
+                else max(float(track.samples[:, 4].max()), 1.0)
+            )
+            with_room = sized(
+                copy(vehicle), (vehicle.LENGTH + 2 * ENTRY_GAP, vehicle.WIDTH)
+            )
             free = not any(overlap(with_room, other) for other in self.vehicles)
             if free or self.now == self.begin or replayed:
                 self.vehicles.append(vehicle)
@@ -175,7 +220,10 @@ class RecordedRoad(Road):
         if isinstance(vehicle, ReplayedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
-        return place > vehicle.lane.length + EXIT_DISTANCE and not self.network.graph.get(vehicle.lane_index[1])
+        return (
+            place > vehicle.lane.length + EXIT_DISTANCE
+            and not self.network.graph.get(vehicle.lane_index[1])
+        )
 
 
 VEHICLES = {"learned": LearnedVehicle, "replay": ReplayedVehicle, "idm": IDMVehicle}
@@ -192,4 +240,7 @@ def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two objects on a road overlap."""
     own, theirs = ((*item.position, item.heading) for item in (one, other))
-    return bool(separation(own, (one.LENGTH, one.WIDTH), theirs, (other.LENGTH, other.WIDTH)) < 0)
+    return bool(
+        separation(own, (one.LENGTH, one.WIDTH), theirs, (other.LENGTH, other.WIDTH))
+        < 0
+    )

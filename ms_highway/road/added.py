@@ -23,7 +23,9 @@ SOURCE = "driver"
 
 def added_drivers() -> list[str]:
     """Return the names of the drivers that a user has added and that can drive a robot."""
-    return [name for name in function_names() if name not in PACKAGE_NAMES["a human driver"]]
+    return [
+        name for name in function_names() if name not in PACKAGE_NAMES["a human driver"]
+    ]
 
 
 @dataclass
@@ -59,13 +61,17 @@ class AddedRoadDriver:
         view = look(self.robot, scene)
         game = self._game(view)
         if self._driver is None:
-            self._driver = FunctionDriver(game, self.name, HUMAN_DRIVERS[self.name], self.key)
+            self._driver = FunctionDriver(
+                game, self.name, HUMAN_DRIVERS[self.name], self.key
+            )
         self._driver.game = game
         answer = self._driver.step(view.states)
 
         # The driver knows a straight road with friction; the robot has a bent one without.
         friction = keep_velocity(game.world, view.states[0])[1]
-        control = np.array([answer.control[0] + view.scene.bend, answer.control[1] - friction])
+        control = np.array(
+            [answer.control[0] + view.scene.bend, answer.control[1] - friction]
+        )
         return RoadStep(
             control,
             control[None],
@@ -83,4 +89,6 @@ class AddedRoadDriver:
         """Return the game of the driver on its straightened road."""
         limit = min(float(self.planning.desired_speed), view.speed_limit)
         steps: Any = PlanningSettings(time_step=float(self.planning.time_step))
-        return driving_game(view.scene, limit, planning=steps, grip=float(self.planning.grip))
+        return driving_game(
+            view.scene, limit, planning=steps, grip=float(self.planning.grip)
+        )

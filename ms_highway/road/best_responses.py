@@ -29,11 +29,24 @@ ACCELERATION_UNIT = 5.0
 """Unit of the optimised accelerations [m/s^2]."""
 
 MIN_ACCELERATION, MAX_ACCELERATION = -6.0 / ACCELERATION_UNIT, 3.0 / ACCELERATION_UNIT
-FIRST_ACCELERATIONS = np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / ACCELERATION_UNIT  # steady braking
-PATH_TIME = 0.8  # s, time constant of the distance to the path, as under highway-env's steering
+FIRST_ACCELERATIONS = (
+    np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / ACCELERATION_UNIT
+)  # steady braking
+PATH_TIME = (
+    0.8  # s, time constant of the distance to the path, as under highway-env's steering
+)
 NEAREST_CARS = 6  # cars that a driver heeds besides the robot
-ALONG_PER_ASIDE = 5.0  # longitudinal distance that counts like a lateral distance of 1 m [m]
-HEEDED = "speed", "collision_risk", "headway", "closing_speed", "induced_braking", "comfort_acceleration"
+ALONG_PER_ASIDE = (
+    5.0  # longitudinal distance that counts like a lateral distance of 1 m [m]
+)
+HEEDED = (
+    "speed",
+    "collision_risk",
+    "headway",
+    "closing_speed",
+    "induced_braking",
+    "comfort_acceleration",
+)
 """Terms of the reward that depend on accelerations."""
 
 
@@ -60,7 +73,10 @@ class Commuter:
 
     def earned(self, scaled: Vector) -> Scalar:
         """Return the sum of rewards, less the discomfort of accelerations."""
-        return jnp.sum(self.rewards(self.move(scaled))) - self._comfort * jnp.sum(scaled**2) / 2
+        return (
+            jnp.sum(self.rewards(self.move(scaled)))
+            - self._comfort * jnp.sum(scaled**2) / 2
+        )
 
     def rewards(self, motion: Steps) -> Steps:
         """Return the reward after each step, given s and speed after each step [2, steps]."""
@@ -75,10 +91,16 @@ class Commuter:
         only second derivatives in these two numbers.
         """
         effects = self._effects
-        slopes, bends = along_fields(lambda motion: along_fields(self.rewards, motion)[1], self.move(scaled))
-        hessian = jnp.tensordot(effects, jnp.sum(bends[..., None] * effects, axis=1), ((0, 1), (0, 1)))
+        slopes, bends = along_fields(
+            lambda motion: along_fields(self.rewards, motion)[1], self.move(scaled)
+        )
+        hessian = jnp.tensordot(
+            effects, jnp.sum(bends[..., None] * effects, axis=1), ((0, 1), (0, 1))
+        )
         gradient = jnp.tensordot(slopes, effects, 2)
-        return gradient - self._comfort * scaled, hessian - self._comfort * jnp.eye(len(scaled))
+        return gradient - self._comfort * scaled, hessian - self._comfort * jnp.eye(
+            len(scaled)
+        )
 
     def best_response(self) -> Vector:
         """Return the best accelerations, by damped Newton steps from steady braking.
@@ -92,9 +114,15 @@ class Commuter:
 
         def improve(_: Index, scaled: Vector) -> Vector:
             gradient, hessian = self.expand(scaled)
-            return best(scaled + DAMPED_SHARES[:, None] * damped_solve(hessian, gradient))
+            return best(
+                scaled + DAMPED_SHARES[:, None] * damped_solve(hessian, gradient)
+            )
 
-        first = best(jnp.broadcast_to(FIRST_ACCELERATIONS, (len(FIRST_ACCELERATIONS), self.planning.steps)))
+        first = best(
+            jnp.broadcast_to(
+                FIRST_ACCELERATIONS, (len(FIRST_ACCELERATIONS), self.planning.steps)
+            )
+        )
         return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)
 
     def held(self, scaled: Vector) -> Vector:
@@ -104,12 +132,16 @@ class Commuter:
         """
         _, free = self.move(jnp.clip(scaled, MIN_ACCELERATION, MAX_ACCELERATION))
         kept = free - jnp.minimum(jax.lax.cummin(free), 0.0)
-        return (kept - earlier(self.state[3], kept)) / (self.planning.time_step * ACCELERATION_UNIT)
+        return (kept - earlier(self.state[3], kept)) / (
+            self.planning.time_step * ACCELERATION_UNIT
+        )
 
     def move(self, scaled: Vector) -> Steps:
         """Return s and speed after each step [2, steps]."""
         s, _, _, speed = self.state
-        kept = jnp.stack([s + speed * self.planning.times, jnp.full_like(scaled, speed)])
+        kept = jnp.stack(
+            [s + speed * self.planning.times, jnp.full_like(scaled, speed)]
+        )
         return kept + jnp.sum(self._effects * scaled, axis=-1)
 
     @property
@@ -130,7 +162,9 @@ class Commuter:
         return self.reward.comfort[1] * (ACCELERATION_UNIT / PAPER_UNIT) ** 2
 
 
-def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World) -> Commuter:
+def commuter_among(
+    scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World
+) -> Commuter:
     """Return other car i as a commuter among the robot and the `NEAREST_CARS` others.
 
     Args:
@@ -141,14 +175,21 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
         others: predicted trajectories of all traffic; the car itself, its other paths and absent cars are ignored.
     """
     path, state, size, limit = jax.tree.map(
-        lambda field: jnp.asarray(field)[i], (scene.paths, scene.states, scene.sizes, scene.limits)
+        lambda field: jnp.asarray(field)[i],
+        (scene.paths, scene.states, scene.sizes, scene.limits),
     )
     x, y, heading, speed = jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0)
     s, d, relative = path.project(x, y, heading)
     cosine = jnp.cos(relative)
     road = Scene(jnp.zeros(1), LANE, car_size=size)
     counts = jnp.append(True, scene.present & (scene.owners != scene.owners[i]))
-    seen = Motion(jnp.where(counts[:, None], s, s - FAR_AWAY), d, cosine, jnp.sin(relative), speed * cosine)
+    seen = Motion(
+        jnp.where(counts[:, None], s, s - FAR_AWAY),
+        d,
+        cosine,
+        jnp.sin(relative),
+        speed * cosine,
+    )
     human = Commuter(planning, state, road, replace(_reward(), speed_limit=limit), seen)
     kept = state[0] + state[3] * planning.times
     apart = ((s - kept) ** 2 / ALONG_PER_ASIDE**2 + (d - human.aside) ** 2).min(axis=1)
@@ -159,4 +200,7 @@ def commuter_among(scene: RoadScene, planning: RoadPlanning, i: Index, robot: Wo
 
 @cache
 def _reward() -> Reward:
-    return linear_reward({name: weight for name, weight in commuter_weights().items() if name in HEEDED}, 1.0)
+    return linear_reward(
+        {name: weight for name, weight in commuter_weights().items() if name in HEEDED},
+        1.0,
+    )

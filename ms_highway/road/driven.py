@@ -28,7 +28,13 @@ from ms_highway.road.constants import MODELS
 from ms_highway.road.graphics import show
 from ms_highway.road.robot import PERIOD, RoadRobot
 from ms_highway.road.settings import RoadSettings
-from ms_highway.road.stock import desired_speed_of, destination_of, replace_ego, restore_traffic, success
+from ms_highway.road.stock import (
+    desired_speed_of,
+    destination_of,
+    replace_ego,
+    restore_traffic,
+    success,
+)
 
 WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
 UNTIL_FIRST = {
@@ -91,9 +97,15 @@ def check_drivable(env: Any) -> None:
     if reason:
         raise ValueError(f"{name} {reason}; the robot drives {WORKS}")
     kind = base.action_type
-    if isinstance(base, (MergeEnv, RoundaboutEnv)) and type(kind) is ContinuousAction and kind.size > 1:
+    if (
+        isinstance(base, (MergeEnv, RoundaboutEnv))
+        and type(kind) is ContinuousAction
+        and kind.size > 1
+    ):
         remedy = "make the environment with config={'action': {'type': 'DiscreteMetaAction'}}"
-        raise ValueError(f"the reward of {name} reads lane changes, which a ContinuousAction does not have; {remedy}")
+        raise ValueError(
+            f"the reward of {name} reads lane changes, which a ContinuousAction does not have; {remedy}"
+        )
 
 
 class Driven(gym.Wrapper, RecordConstructorArgs):
@@ -133,7 +145,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         self.robots: list[RoadRobot] = []
         show(env)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode, and replace every controlled vehicle by a robot.
 
         Raises:
@@ -149,16 +163,27 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             check_drivable(self.env)
             raise
         base: Any = self.unwrapped
-        if enable_pictures(base) and self.env.observation_space == base.observation_space:
+        if (
+            enable_pictures(base)
+            and self.env.observation_space == base.observation_space
+        ):
             observation = base.observation_type.observe()  # the first picture was black
         frame = 1 / base.config["simulation_frequency"]
         planning = self.settings.planning(desired_speed_of(base), frame)
-        random = deepcopy(base.np_random)  # so that traffic does not depend on who drives
+        random = deepcopy(
+            base.np_random
+        )  # so that traffic does not depend on who drives
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
-            goal, robot = destination_of(base, number), replace_ego(base, RoadRobot.create_from, number)
+            goal, robot = (
+                destination_of(base, number),
+                replace_ego(base, RoadRobot.create_from, number),
+            )
             robot.drive_with(
-                self.settings.build(planning, random), goal, self.settings.acceleration, self.settings.intentions
+                self.settings.build(planning, random),
+                goal,
+                self.settings.acceleration,
+                self.settings.intentions,
             )
             self.robots.append(robot)
         return observation, self._described(info)
@@ -198,21 +223,27 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         frequency = base.config["simulation_frequency"]
         frames = frequency // base.config["policy_frequency"]
         frames_of_plan = max(1, round(PERIOD * frequency))
-        seconds = [step.planning_seconds + step.decision_seconds for step in robot.steps]
+        seconds = [
+            step.planning_seconds + step.decision_seconds for step in robot.steps
+        ]
         missing = ceil(frames / frames_of_plan) - len(seconds)
         counts = Counter(name for step in robot.steps for name in step.models)
         last = robot.last_step
         gains = NO_GAINS if last is None or last.gains is None else last.gains
 
         # The action that does the same, if there is one; with several robots, one for each.
-        kinds = kind.agents_action_types if isinstance(kind, MultiAgentAction) else [kind]
+        kinds = (
+            kind.agents_action_types if isinstance(kind, MultiAgentAction) else [kind]
+        )
         executed: Any = tuple(map(executed_action, kinds, self.robots))
         if frames > frames_of_plan or any(each is None for each in executed):
             executed = None
         elif not isinstance(kind, MultiAgentAction):
             executed = executed[0]
 
-        road = {name: getattr(last, name, value) for name, value in UNTIL_FIRST.items()} | {
+        road = {
+            name: getattr(last, name, value) for name, value in UNTIL_FIRST.items()
+        } | {
             "gains": dict(zip(MODELS, gains.T, strict=True)),
             "decisions": np.array(seconds + [np.nan] * missing),
             "sources": (*(step.source for step in robot.steps), *[""] * missing),
@@ -247,7 +278,9 @@ def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | N
     It is NaN where no action of the space does the same, because tyres or highway-env's limits changed the control
     within the step, or because the control is outside the ranges of the space.
     """
-    continuous = isinstance(action_type, ContinuousAction) and not isinstance(action_type, DiscreteAction)
+    continuous = isinstance(action_type, ContinuousAction) and not isinstance(
+        action_type, DiscreteAction
+    )
     if not continuous or action_type.dynamical:
         return None
     if not robot.actions:  # at the reset, nothing has been done yet
@@ -255,7 +288,9 @@ def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | N
     frames = robot.actions
     action = _nearest_in(action_type, frames[0])
     repeated = ContinuousAction.get_action(action_type, action)
-    same = all(abs(frame[key] - repeated[key]) < SAME for frame in frames for key in repeated)
+    same = all(
+        abs(frame[key] - repeated[key]) < SAME for frame in frames for key in repeated
+    )
     return action if same else np.full_like(action, np.nan)
 
 
@@ -263,11 +298,19 @@ def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) ->
     """Return the action of a space that is nearest to what a vehicle executed [m/s^2, rad]; acceleration first."""
     values = []
     if action_type.longitudinal:
-        values.append(lmap(executed["acceleration"], action_type.acceleration_range, (-1, 1)))
+        values.append(
+            lmap(executed["acceleration"], action_type.acceleration_range, (-1, 1))
+        )
     if action_type.lateral:
         values.append(lmap(executed["steering"], action_type.steering_range, (-1, 1)))
     action = np.clip(values, -1, 1).astype(np.float32)
     if isinstance(action_type, DiscreteAction):
-        places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(int)
-        return int(np.ravel_multi_index(tuple(places), (action_type.actions_per_axis,) * action_type.size))
+        places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(
+            int
+        )
+        return int(
+            np.ravel_multi_index(
+                tuple(places), (action_type.actions_per_axis,) * action_type.size
+            )
+        )
     return action

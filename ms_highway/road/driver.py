@@ -54,7 +54,13 @@ decided = jit_quickly(decide_on)
 """Proposals, answers to them and decisions, each compiled once for all scenes, models, limits and weights."""
 
 
-def plan_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, models: Rungs, last: LastPlan) -> RoadPlan:
+def plan_of(
+    scene: RoadScene,
+    planning: RoadPlanning,
+    weights: RoadWeights,
+    models: Rungs,
+    last: LastPlan,
+) -> RoadPlan:
     """Return the best plan, given the number of the model of each of the others."""
     return responded_to(proposed_for(scene, planning, weights, models, last), models)
 
@@ -122,19 +128,30 @@ class RoadDriver:
         self._carry: Carry | None = None  # before the first step
         numbers = [MODELS.index(model.name) for model in self.rule.ladder]
         self._numbers = np.array(numbers, np.int32)
-        self._proposing = self._responding = self._deciding = 0.0  # seconds of the last step
+        self._proposing = self._responding = self._deciding = (
+            0.0  # seconds of the last step
+        )
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Choose the models, plan, and return the record of this step."""
         refuse_after_fork()
         carry = self._carry or self._begin(scene)
         nobody = np.zeros(TRAFFIC, np.int32)
-        compiling = warm_up(plan_of, scene, self.planning, self.weights, nobody, carry.fallback.warm_start)
+        compiling = warm_up(
+            plan_of,
+            scene,
+            self.planning,
+            self.weights,
+            nobody,
+            carry.fallback.warm_start,
+        )
         if self.rule.estimates:
             compiling += warm_up(decided, self.rule, carry.memory, UNKNOWN_WORTH)
         self._started = perf_counter()
         is_late = self._is_late if np.isfinite(self.budget) else None
-        self._carry, result = step(carry, scene, Parts(self._choose, self._plan, self._brake, is_late))
+        self._carry, result = step(
+            carry, scene, Parts(self._choose, self._plan, self._brake, is_late)
+        )
         return self._record(result, compiling)
 
     def _begin(self, scene: RoadScene) -> Carry:
@@ -154,7 +171,9 @@ class RoadDriver:
         path = plan.path[: len(controls) if finite else 0]
 
         # Where the best plan does not drive, the last one does, or braking, which a plan may also be.
-        hardest = plan.broken and plan.controls[0, 1] < -BRAKING_SHARE * self.planning.grip
+        hardest = (
+            plan.broken and plan.controls[0, 1] < -BRAKING_SHARE * self.planning.grip
+        )
         if result.status != PLANNED:
             source = "last plan" if result.driven.steps > 0 else "braking"
         else:
@@ -165,7 +184,9 @@ class RoadDriver:
         models = np.array(MODELS)[self._models(look.scene, result.choice.rungs)]
         estimated = np.asarray(result.choice.decision.gains)
         gains = np.full((TRAFFIC, len(MODELS)), np.nan)
-        gains[:, self._numbers] = np.where(estimated == NOT_ESTIMATED, np.nan, estimated)
+        gains[:, self._numbers] = np.where(
+            estimated == NOT_ESTIMATED, np.nan, estimated
+        )
 
         return RoadStep(
             control=controls[0].astype(float),
@@ -196,16 +217,24 @@ class RoadDriver:
             decision = decide_on(rule, memory, UNKNOWN_WORTH)
 
         # Propose with the chosen models or, if they are yet to be chosen, with the first one.
-        rungs = np.zeros(TRAFFIC, np.int32) if decision is None else decision.memory.rungs
+        rungs = (
+            np.zeros(TRAFFIC, np.int32) if decision is None else decision.memory.rungs
+        )
         first = self._models(scene, rungs)
         last = carry.fallback.warm_start.later()
-        proposed, self._proposing = timed(proposed_for, scene, self.planning, self.weights, first, last)
+        proposed, self._proposing = timed(
+            proposed_for, scene, self.planning, self.weights, first, last
+        )
 
         if decision is None:
-            rule = deciding_in(rule, lambda: perf_counter() - self._started - self._proposing)
+            rule = deciding_in(
+                rule, lambda: perf_counter() - self._started - self._proposing
+            )
             decision = jax.tree.map(np.asarray, decided(rule, memory, proposed.worth))
         self._deciding = perf_counter() - self._started - self._proposing
-        return Choice(None, decision, decision.memory.rungs, Look(scene, first, proposed))
+        return Choice(
+            None, decision, decision.memory.rungs, Look(scene, first, proposed)
+        )
 
     def _plan(self, scene: RoadScene, choice: Choice, last: RemainingPlan) -> NewPlan:
         """Return the best proposal, once others have responded where a model says so."""
@@ -213,7 +242,9 @@ class RoadDriver:
         models = self._models(look.scene, choice.rungs)
         plan = look.proposed.plan
         self._responding = 0.0
-        if (models != look.models).any() or (models == TOM).any():  # the proposals have to be scored again
+        if (models != look.models).any() or (
+            models == TOM
+        ).any():  # the proposals have to be scored again
             plan, self._responding = timed(responded_to, look.proposed, models)
         plan = jax.tree.map(np.asarray, plan)
         return NewPlan(_alone(plan.controls), plan.last(), details=plan)
@@ -221,7 +252,10 @@ class RoadDriver:
     def _brake(self, left: RemainingPlan, scene: RoadScene) -> RemainingPlan:
         """Brake straight on, by the whole grip; nothing is left for the next plan to start from."""
         braking = np.full_like(left.plan.robot, [0.0, -self.planning.grip])
-        return left._replace(plan=_alone(braking), warm_start=no_plan(self.planning)._replace(controls=braking))
+        return left._replace(
+            plan=_alone(braking),
+            warm_start=no_plan(self.planning)._replace(controls=braking),
+        )
 
     def _is_late(self) -> bool:
         """Return whether the budget is spent."""
@@ -233,10 +267,22 @@ class RoadDriver:
         """Return the scene with the mean accelerations of others since the scene of the last step."""
         owners = scene.owners.tolist()
         speeds = scene.states[:, 3].tolist()
-        last = dict(zip(before.owners.tolist(), before.states[:, 3].tolist(), strict=True))
-        changes = [speed - last.get(owner, speed) for owner, speed in zip(owners, speeds, strict=True)]
-        accelerations = np.nan_to_num(np.array(changes, np.float32) / float(self.planning.time_step))
-        return replace(scene, accelerations=accelerations.clip(-MAX_BRAKING, MAX_BRAKING).astype(np.float32))
+        last = dict(
+            zip(before.owners.tolist(), before.states[:, 3].tolist(), strict=True)
+        )
+        changes = [
+            speed - last.get(owner, speed)
+            for owner, speed in zip(owners, speeds, strict=True)
+        ]
+        accelerations = np.nan_to_num(
+            np.array(changes, np.float32) / float(self.planning.time_step)
+        )
+        return replace(
+            scene,
+            accelerations=accelerations.clip(-MAX_BRAKING, MAX_BRAKING).astype(
+                np.float32
+            ),
+        )
 
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
         """Return the number of the model of each car; naive for those that cannot move."""

@@ -8,17 +8,29 @@ from typing import NamedTuple
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Pose
-from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Steps, Traffic
+from ms_highway.perception.scene import (
+    EachStep,
+    Flags,
+    Places,
+    RoadScene,
+    Steps,
+    Traffic,
+)
 from ms_highway.planning.manoeuvres import FREE_GAP, MAX_BRAKING, idm_acceleration
 from ms_highway.road.constants import IDM, TOM
 from ms_highway.road.traffic import ROOM, Situation
 from ms_highway.runtime.arrays import Car
 
-SAME_WAY_COSINE = 0.7  # cosine of the angle between paths above which a car follows the robot ahead
+SAME_WAY_COSINE = (
+    0.7  # cosine of the angle between paths above which a car follows the robot ahead
+)
 PATH_TIME = 1.0  # s, time constant of the way back to the middle of the path
 SLOW_SHARE = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
 REVERSING_SPEED = 0.3  # m/s, above which a car rolls backwards
-HARD_BRAKING, BRAKING_TIME = 3.0, 3.0  # m/s^2 and s: a car ahead that brakes harder is expected to brake on so long
+HARD_BRAKING, BRAKING_TIME = (
+    3.0,
+    3.0,
+)  # m/s^2 and s: a car ahead that brakes harder is expected to brake on so long
 CORRECTION_TIME = 1.0  # s, time constant with which deviations from the model fade
 
 
@@ -48,12 +60,18 @@ def behaviour_of(now: Situation, models: Places, plans: int) -> Behaviour:
     follows = (models >= IDM) & scene.moving & ~now.crossings.exist
     expected = follows | ((models == TOM) & scene.moving)
     residual = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
-    limit = jnp.where(now.leading & (scene.accelerations < -HARD_BRAKING), scene.accelerations, jnp.inf)[:, None]
+    limit = jnp.where(
+        now.leading & (scene.accelerations < -HARD_BRAKING),
+        scene.accelerations,
+        jnp.inf,
+    )[:, None]
     return Behaviour(
         follows,
         accelerations=jnp.zeros((plans, len(models), len(times))),
         residual=residual[:, None] * jnp.exp(-times / CORRECTION_TIME),
-        limit=jnp.where(times - now.planning.time_step / 2 < BRAKING_TIME, limit, jnp.inf),
+        limit=jnp.where(
+            times - now.planning.time_step / 2 < BRAKING_TIME, limit, jnp.inf
+        ),
     )
 
 
@@ -71,10 +89,14 @@ def aside(scene: RoadScene, times: Steps) -> EachStep:
     _, now, heading, speed = scene.states.T[..., None]
     sideways = speed * jnp.sin(heading)
     settles = (now + (sideways + now / PATH_TIME) * times) * jnp.exp(-times / PATH_TIME)
-    return jnp.where(scene.moving[:, None], settles, now + sideways * (1 - jnp.exp(-times)))
+    return jnp.where(
+        scene.moving[:, None], settles, now + sideways * (1 - jnp.exp(-times))
+    )
 
 
-def follow_all(now: Situation, where: Pose, along: Traffic, speeds: Traffic, robot: Car) -> Traffic:
+def follow_all(
+    now: Situation, where: Pose, along: Traffic, speeds: Traffic, robot: Car
+) -> Traffic:
     """Return the accelerations of others that follow the car ahead on their path, and the robot in their lane.
 
     They desire their present speed, or the limit if they are much slower.
@@ -90,9 +112,13 @@ def follow_all(now: Situation, where: Pose, along: Traffic, speeds: Traffic, rob
     first, _, _, desired = jnp.asarray(scene.states).T
     desired = jnp.where(desired < SLOW_SHARE * scene.limits, scene.limits, desired)
     moved, ahead = along - first, s + scene.size[0] / 2 - where[0]
-    gaps = jnp.where(scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FREE_GAP)
+    gaps = jnp.where(
+        scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FREE_GAP
+    )
     in_lane = jnp.abs(where[1] - d) < scene.reach[:, 1] + ROOM
-    behind = jnp.where((ahead > 0) & in_lane & (where[2] > SAME_WAY_COSINE), ahead, FREE_GAP)
+    behind = jnp.where(
+        (ahead > 0) & in_lane & (where[2] > SAME_WAY_COSINE), ahead, FREE_GAP
+    )
     by_leader = idm_acceleration(speeds, desired, gaps, speeds[scene.leaders])
     return jnp.minimum(by_leader, idm_acceleration(speeds, desired, behind, speed))
 
@@ -100,13 +126,23 @@ def follow_all(now: Situation, where: Pose, along: Traffic, speeds: Traffic, rob
 def accelerations_now(now: Situation) -> Traffic:
     """Return the present accelerations by the Intelligent Driver Model: the least on all paths of a car."""
     scene, (along, across, _, speeds) = now.scene, jnp.asarray(now.scene.states).T
-    each = follow_all(now, now.ways.at(along, across), along, speeds, jnp.asarray(scene.robot))
+    each = follow_all(
+        now, now.ways.at(along, across), along, speeds, jnp.asarray(scene.robot)
+    )
     same = scene.owners[:, None] == scene.owners
-    return jnp.maximum(jnp.where(same, each, jnp.inf).min(axis=1), -speeds / now.planning.time_step)
+    return jnp.maximum(
+        jnp.where(same, each, jnp.inf).min(axis=1), -speeds / now.planning.time_step
+    )
 
 
 def move_traffic(
-    now: Situation, behaviour: Behaviour, rows: Steps, where: Pose, along: Traffic, speeds: Traffic, robot: Car
+    now: Situation,
+    behaviour: Behaviour,
+    rows: Steps,
+    where: Pose,
+    along: Traffic,
+    speeds: Traffic,
+    robot: Car,
 ) -> tuple[Traffic, Traffic]:
     """Return positions and speeds of others along their paths one time step later.
 
@@ -120,9 +156,17 @@ def move_traffic(
         robot: see `follow_all`.
     """
     (given, residual, limit), dt = rows, now.planning.time_step
-    modelled = jnp.where(behaviour.follows, follow_all(now, where, along, speeds, robot), given)
-    acceleration = jnp.clip(jnp.minimum(modelled + residual, limit), -MAX_BRAKING, MAX_BRAKING)
-    acceleration = jnp.where(now.scene.moving, acceleration, -speeds)  # crashed cars slide to a stop
-    rolls = along_paths(now.scene)[1] < -REVERSING_SPEED  # these may roll on; the others stop at most
+    modelled = jnp.where(
+        behaviour.follows, follow_all(now, where, along, speeds, robot), given
+    )
+    acceleration = jnp.clip(
+        jnp.minimum(modelled + residual, limit), -MAX_BRAKING, MAX_BRAKING
+    )
+    acceleration = jnp.where(
+        now.scene.moving, acceleration, -speeds
+    )  # crashed cars slide to a stop
+    rolls = (
+        along_paths(now.scene)[1] < -REVERSING_SPEED
+    )  # these may roll on; the others stop at most
     acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
     return along + speeds * dt, speeds + acceleration * dt

@@ -11,8 +11,15 @@ from ms_highway.envs.viewer import INK, PAPER, Viewer, model_color, words
 from ms_highway.road.constants import MODELS
 from ms_highway.road.driver import RoadStep
 
-PANEL, SIZE, GAP = 24, 13, 10  # px: height of the line of text, size of its font, and gap between its parts
-MEANINGS = {"proposal": "proposal: planned now", "last plan": "last plan: planned earlier"}
+PANEL, SIZE, GAP = (
+    24,
+    13,
+    10,
+)  # px: height of the line of text, size of its font, and gap between its parts
+MEANINGS = {
+    "proposal": "proposal: planned now",
+    "last plan": "last plan: planned earlier",
+}
 
 
 def show(env: Any) -> None:
@@ -36,12 +43,20 @@ class RoadViewer(Viewer):
 
     def display(self) -> None:
         """Draw everything."""
-        offscreen, self.offscreen = self.offscreen, True  # so that the window does not show an incomplete picture
+        offscreen, self.offscreen = (
+            self.offscreen,
+            True,
+        )  # so that the window does not show an incomplete picture
         super().display()
         self.offscreen = offscreen
         step = getattr(self.env.vehicle, "last_step", None)
         for area in getattr(self.env, "goal_areas", ()):
-            pygame.draw.polygon(self.sim_surface, PAPER, [self.sim_surface.vec2pix(corner) for corner in area], 2)
+            pygame.draw.polygon(
+                self.sim_surface,
+                PAPER,
+                [self.sim_surface.vec2pix(corner) for corner in area],
+                2,
+            )
         if step is not None and not self.env.vehicle.crashed:
             self._draw_plan(step)
         self.picture.blit(self.sim_surface, (0, 0))
@@ -55,20 +70,34 @@ class RoadViewer(Viewer):
     def _draw_plan(self, step: RoadStep) -> None:
         """Draw predictions as dots, their cars in the colours of the rungs, and the plan as a line."""
         ego, surface = self.env.vehicle, self.sim_surface
-        known, predictions = list(ego.road_memory.numbers), np.asarray(step.humans, dtype=float)
+        known, predictions = (
+            list(ego.road_memory.numbers),
+            np.asarray(step.humans, dtype=float),
+        )
         predicted = [
             (MODELS.index(rung), known[owner], path)
-            for rung, owner, path in zip(step.models, step.owners, predictions, strict=True)
+            for rung, owner, path in zip(
+                step.models, step.owners, predictions, strict=True
+            )
             if rung
         ]
-        for rung, car, path in sorted(predicted, key=itemgetter(0)):  # the most expensive rung colours its car last
+        for rung, car, path in sorted(
+            predicted, key=itemgetter(0)
+        ):  # the most expensive rung colours its car last
             color = model_color(MODELS[rung])
             if not car.crashed:
-                pygame.draw.polygon(surface, color, [surface.vec2pix(corner) for corner in car.polygon()])
+                pygame.draw.polygon(
+                    surface,
+                    color,
+                    [surface.vec2pix(corner) for corner in car.polygon()],
+                )
             for point in path[1::2]:
                 pygame.draw.circle(surface, PAPER, surface.vec2pix(point), 3)
                 pygame.draw.circle(surface, color, surface.vec2pix(point), 2)
-        line = [surface.vec2pix(point) for point in (ego.position, *np.asarray(step.path, dtype=float)[:, :2])]
+        line = [
+            surface.vec2pix(point)
+            for point in (ego.position, *np.asarray(step.path, dtype=float)[:, :2])
+        ]
         for color, width in ((PAPER, 4), (INK, 2)) if len(line) > 1 else ():
             pygame.draw.lines(surface, color, False, line, width)
 
@@ -78,9 +107,13 @@ class RoadViewer(Viewer):
         pygame.draw.rect(self.picture, PAPER, (0, height - PANEL, width, PANEL))
         text, place = f"{self.env.vehicle.speed:.1f} m/s", GAP
         if step is not None:
-            cars = dict.fromkeys(zip(step.models, np.asarray(step.owners).tolist(), strict=True))  # each once
+            cars = dict.fromkeys(
+                zip(step.models, np.asarray(step.owners).tolist(), strict=True)
+            )  # each once
             for rung, count in Counter(rung for rung, _ in cars if rung).items():
-                pygame.draw.circle(self.picture, model_color(rung), (place + 4, height - PANEL // 2), 5)
+                pygame.draw.circle(
+                    self.picture, model_color(rung), (place + 4, height - PANEL // 2), 5
+                )
                 place = self._write(f"{rung} {count}", place + 14)
             milliseconds = 1e3 * (step.planning_seconds + step.decision_seconds)
             text = f"{MEANINGS.get(step.source, step.source)}, {milliseconds:.1f} ms, {text}"
@@ -89,5 +122,8 @@ class RoadViewer(Viewer):
     def _write(self, text: str, place: int) -> int:
         """Write on the panel from a place on, and return the place after the text."""
         label = words(text, SIZE, INK)
-        self.picture.blit(label, label.get_rect(midleft=(place, self.picture.get_height() - PANEL // 2)))
+        self.picture.blit(
+            label,
+            label.get_rect(midleft=(place, self.picture.get_height() - PANEL // 2)),
+        )
         return place + label.get_width() + GAP

@@ -84,11 +84,19 @@ class Proposed(NamedTuple):
 
 def no_plan(planning: RoadPlanning) -> LastPlan:
     """Return the plan that replaces the last plan before the first step: it goes straight on."""
-    return LastPlan(np.zeros((planning.steps, 2), np.float32), np.full(2, np.nan, np.float32), np.int32(0))
+    return LastPlan(
+        np.zeros((planning.steps, 2), np.float32),
+        np.full(2, np.nan, np.float32),
+        np.int32(0),
+    )
 
 
 def propose_road(
-    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights, models: Places, last: LastPlan
+    scene: RoadScene,
+    planning: RoadPlanning,
+    weights: RoadWeights,
+    models: Places,
+    last: LastPlan,
 ) -> Proposed:
     """Propose plans, and find the best of them if nobody optimises.
 
@@ -100,7 +108,12 @@ def propose_road(
         last: the rest of the last plan.
     """
     now = situation_of(scene, planning, weights)
-    scored = _scored(now, behaviour_of(now, models, PROPOSALS), jnp.arange(PROPOSALS), proposals(now, last))
+    scored = _scored(
+        now,
+        behaviour_of(now, models, PROPOSALS),
+        jnp.arange(PROPOSALS),
+        proposals(now, last),
+    )
     total = scored.scores.total
     worth = (total[:, None] + scored.scores.responsive).max(axis=0) - total.max()
     _, best = jax.lax.top_k(scored.scores.preference, WITH_RESPONSES)
@@ -119,12 +132,15 @@ def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
     optimises = (models == TOM) & now.scene.moving
     behaviour = behaviour_of(now, models, WITH_RESPONSES)
     behaviour = behaviour._replace(
-        follows=behaviour.follows & ~optimises, accelerations=_best_responses(now, optimises, few.driven)
+        follows=behaviour.follows & ~optimises,
+        accelerations=_best_responses(now, optimises, few.driven),
     )
     return _best(now, few, _scored(now, behaviour, few.numbers, few.plans))
 
 
-def _scored(now: Situation, behaviour: Behaviour, numbers: Places, plans: Profiles) -> ScoredPlans:
+def _scored(
+    now: Situation, behaviour: Behaviour, numbers: Places, plans: Profiles
+) -> ScoredPlans:
     """Simulate plans among others that behave in a given way, and score them."""
     driven = simulate(now, behaviour, plans)
     return ScoredPlans(numbers, plans, driven, score(now, driven, plans))
@@ -136,7 +152,14 @@ def _best(now: Situation, few: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
     best = jnp.argmax(responded.scores.preference - now.weights.unsound * relies)
     number, plan, driven, scores = jax.tree.map(lambda field: field[best], responded)
     predictions = jnp.swapaxes(driven.world[:, :2], 1, 2)
-    return RoadPlan(driven.controls, driven.path[:3].T, predictions, number, plan.side, scores.broken)
+    return RoadPlan(
+        driven.controls,
+        driven.path[:3].T,
+        predictions,
+        number,
+        plan.side,
+        scores.broken,
+    )
 
 
 def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> EachStep:
@@ -144,7 +167,15 @@ def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> Ea
     scene, planning = now.scene, now.planning
 
     def one(car: Places, found: EachStep) -> EachStep:
-        response = jax.vmap(lambda *all_others: commuter_among(scene, planning, car, *all_others).best_response())
-        return found.at[:, car].set(ACCELERATION_UNIT * response(driven.path, driven.world))
+        response = jax.vmap(
+            lambda *all_others: commuter_among(
+                scene, planning, car, *all_others
+            ).best_response()
+        )
+        return found.at[:, car].set(
+            ACCELERATION_UNIT * response(driven.path, driven.world)
+        )
 
-    return for_each(optimises, one, jnp.zeros((WITH_RESPONSES, len(optimises), planning.steps)))
+    return for_each(
+        optimises, one, jnp.zeros((WITH_RESPONSES, len(optimises), planning.steps))
+    )

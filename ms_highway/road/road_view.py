@@ -71,7 +71,9 @@ def look(driver: Vehicle, seen: RoadScene) -> RoadView:
         bend=float(seen.route.bend(own[0])),
     )
     neighbours = np.where(taken[:, None], others[numbers], far_behind(own))
-    limit = min(driver.lane.speed_limit or LIMIT, _limit_before_bends(seen.route, own[0]))
+    limit = min(
+        driver.lane.speed_limit or LIMIT, _limit_before_bends(seen.route, own[0])
+    )
     return RoadView(seen, scene, np.stack([own, *neighbours]), limit)
 
 
@@ -87,4 +89,6 @@ def _limit_before_bends(route: Curve, place: float) -> float:
     """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead of a place [m]."""
     ahead = np.arange(0.0, BENDS_SEEN)
     bends = np.maximum(np.abs(route.bend(place + ahead)), STRAIGHT)
-    return float(np.sqrt(np.maximum(CORNERING / bends, MIN_SPEED**2) + 2 * SLOWING * ahead).min())
+    return float(
+        np.sqrt(np.maximum(CORNERING / bends, MIN_SPEED**2) + 2 * SLOWING * ahead).min()
+    )

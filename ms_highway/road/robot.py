@@ -68,8 +68,14 @@ def keep_grip(
     curvature, acceleration = map(float, wanted)
     most, turn, product = grip * dt, ANY_TURN, 2 * speed * abs(before)
     if product >= 1e-9:
-        turn = float(np.arccos(np.clip((speed**2 + abs(before) ** 2 - most**2) / product, -1.0, 1.0)))
-    left, right = np.clip([phase(before) - turn, phase(before) + turn], -MAX_SLIP, MAX_SLIP)
+        turn = float(
+            np.arccos(
+                np.clip((speed**2 + abs(before) ** 2 - most**2) / product, -1.0, 1.0)
+            )
+        )
+    left, right = np.clip(
+        [phase(before) - turn, phase(before) + turn], -MAX_SLIP, MAX_SLIP
+    )
     sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * MAX_SLIP_SINE / length)
     curvature = min(max(curvature, 2 * sin(left) / length), 2 * sin(right) / length)
     curvature = min(max(curvature, -sharpest), sharpest)
@@ -107,14 +113,24 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     action: dict[str, float]
 
-    def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
+    def __init__(
+        self,
+        road: Road | None,
+        position: Sequence[float],
+        heading: float = 0,
+        speed: float = 0,
+    ) -> None:
         super().__init__(road, position, heading, speed)
         self.route: Route | None = None
         self.last_step: RoadStep | None = None
         self.applied, self._wanted = (0.0, 0.0), np.zeros(2)
-        self._before: complex | None = None  # velocity of the centre in the last frame, slip included
+        self._before: complex | None = (
+            None  # velocity of the centre in the last frame, slip included
+        )
         self._elapsed, self.frame = np.inf, PERIOD
-        self._executed: list[complex] = []  # accelerations within the last period, lateral ones as imaginary parts
+        self._executed: list[
+            complex
+        ] = []  # accelerations within the last period, lateral ones as imaginary parts
         self.drive_with(None)
         self.forget()
 
@@ -139,7 +155,9 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self.grip = grip
         self.intentions = intentions
         self.time = 0.0
-        if isinstance(driver, AddedRoadDriver):  # which straightens the road along the robot's way
+        if isinstance(
+            driver, AddedRoadDriver
+        ):  # which straightens the road along the robot's way
             driver.robot = self
 
     def forget(self) -> None:
@@ -161,7 +179,10 @@ class RoadRobot(OfferedSpeeds, Vehicle):
                 self.goal.guide(self.driver, self, self.time)
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)
-            self._wanted, self._elapsed = np.asarray(self.last_step.control, dtype=float), 0.0
+            self._wanted, self._elapsed = (
+                np.asarray(self.last_step.control, dtype=float),
+                0.0,
+            )
 
     def step(self, dt: float) -> None:
         """Move for ``dt`` seconds within the grip; after a crash, move like highway-env's vehicles."""
@@ -174,9 +195,14 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         speed, now = self.speed, self._along_heading()
         before = now if self._before is None else self._before
         towards = before * rect(1.0, -self.heading)
-        curvature, along = keep_grip(self._wanted, speed, towards, self.LENGTH, dt, GRIP_MARGIN * self.grip)
+        curvature, along = keep_grip(
+            self._wanted, speed, towards, self.LENGTH, dt, GRIP_MARGIN * self.grip
+        )
         self.applied = curvature, along
-        self.action = {"steering": steering_of(curvature, self.LENGTH), "acceleration": along}
+        self.action = {
+            "steering": steering_of(curvature, self.LENGTH),
+            "acceleration": along,
+        }
         super().step(dt)
         self.actions.append(dict(self.action))
         self._before = now * rect(1.0, _slip(curvature, self.LENGTH))

@@ -6,14 +6,28 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Pose, interpolate, rotated
-from ms_highway.perception.scene import EachCar, EachFlag, EachStep, PlanFlags, PlanLanes, Plans, World
+from ms_highway.perception.scene import (
+    EachCar,
+    EachFlag,
+    EachStep,
+    PlanFlags,
+    PlanLanes,
+    Plans,
+    World,
+)
 from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.simulation import DrivenPlans, earlier
 from ms_highway.road.swing import aside_of
 from ms_highway.road.terminal_value import terminal_value
-from ms_highway.road.traffic import CROSSING, SAME_WAY, STANDING_SPEED, Situation, lane_of
+from ms_highway.road.traffic import (
+    CROSSING,
+    SAME_WAY,
+    STANDING_SPEED,
+    Situation,
+    lane_of,
+)
 from ms_highway.runtime.arrays import Numbers
 
 
@@ -47,8 +61,12 @@ class Scores(NamedTuple):
     @property
     def preference(self) -> Plans:
         """Order of the plans: sound ones first, then those that hit nobody, then those with the softest impact."""
-        faults = jnp.where(self.impact > 0, 2 + self.impact, self.broken + self.intrusion)
-        return self.total - RoadWeights.unsound * (faults + RoadWeights.off_road_impact * self.leaves)
+        faults = jnp.where(
+            self.impact > 0, 2 + self.impact, self.broken + self.intrusion
+        )
+        return self.total - RoadWeights.unsound * (
+            faults + RoadWeights.off_road_impact * self.leaves
+        )
 
     @property
     def collides(self) -> PlanFlags:
@@ -69,9 +87,15 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     goal = lane_of(scene.lanes, lanes, s)
     off_speed = jnp.abs(speed - jnp.minimum(interpolate(now.caps, s), desired))
     aside = d - interpolate(now.inside, s) - goal
-    per_second = weights.speed * (1 - off_speed / desired) - weights.centre * aside**2 - _discomfort(now, driven)
+    per_second = (
+        weights.speed * (1 - off_speed / desired)
+        - weights.centre * aside**2
+        - _discomfort(now, driven)
+    )
     closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
-    closed = closed | ((plans.side != 0) & ~now.obstruction.exists)  # there is no obstacle to pass
+    closed = closed | (
+        (plans.side != 0) & ~now.obstruction.exists
+    )  # there is no obstacle to pass
     leaves = _leaves(now, driven)
     off_road = weights.off_road * (leaves.astype(float) + closed)
     others, intrusion, impact = _collisions(now, driven, lanes)
@@ -89,12 +113,27 @@ def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
 
 def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
     """Return the cost of acceleration and jerk after each step."""
-    scene, weights, (curvature, acceleration) = now.scene, now.weights, jnp.moveaxis(driven.controls, -1, 0)
+    scene, weights, (curvature, acceleration) = (
+        now.scene,
+        now.weights,
+        jnp.moveaxis(driven.controls, -1, 0),
+    )
     squared = earlier(scene.robot[3], driven.states[..., 3]) ** 2
-    lateral, bend = squared * curvature, interpolate(scene.route.curvature, driven.states[..., 0])
-    before = earlier(scene.robot[3] ** 2 * scene.applied[0], lateral), earlier(scene.applied[1], acceleration)
-    jerk = ((lateral - before[0]) ** 2 + (acceleration - before[1]) ** 2) / now.planning.time_step**2
-    return weights.acceleration * (acceleration**2 + (lateral - squared * bend) ** 2) + weights.jerk * jerk
+    lateral, bend = (
+        squared * curvature,
+        interpolate(scene.route.curvature, driven.states[..., 0]),
+    )
+    before = (
+        earlier(scene.robot[3] ** 2 * scene.applied[0], lateral),
+        earlier(scene.applied[1], acceleration),
+    )
+    jerk = (
+        (lateral - before[0]) ** 2 + (acceleration - before[1]) ** 2
+    ) / now.planning.time_step**2
+    return (
+        weights.acceleration * (acceleration**2 + (lateral - squared * bend) ** 2)
+        + weights.jerk * jerk
+    )
 
 
 def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
@@ -102,22 +141,37 @@ def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
     scene = now.scene
     length, width = scene.size
     left, right = interpolate(scene.edges, driven.states[..., 0] + length / 2)
-    places = [(ahead, side) for ahead in (0.0, length) for side in (-width / 2, width / 2)]
-    corners = jnp.stack([aside_of(scene, driven.states, ahead, side) for ahead, side in places])
+    places = [
+        (ahead, side) for ahead in (0.0, length) for side in (-width / 2, width / 2)
+    ]
+    corners = jnp.stack(
+        [aside_of(scene, driven.states, ahead, side) for ahead, side in places]
+    )
     beyond = jnp.maximum(left - corners.min(axis=0), corners.max(axis=0) - right)
     beyond = jnp.maximum(beyond, 0.0)
     return (beyond > beyond[:, :1] + now.weights.off_road_tolerance).any(axis=1)
 
 
-def _collisions(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[EachCar, Plans, Plans]:
+def _collisions(
+    now: Situation, driven: DrivenPlans, lanes: PlanLanes
+) -> tuple[EachCar, Plans, Plans]:
     """Return the cost of the nearness of each car, the depth of plans in margins, and the speed of impacts.
 
     If the robot can still stop before a crossing car's path after the first step, later collisions with that car cost
     less and break no constraint, because the robot will plan again. The speed of an impact is the highest relative
     speed when bodies first touch.
     """
-    scene, planning, weights, speeds = now.scene, now.planning, now.weights, driven.speeds
-    dt, steps, (s, d, _, speed) = planning.time_step, jnp.arange(planning.steps), driven.robot
+    scene, planning, weights, speeds = (
+        now.scene,
+        now.planning,
+        now.weights,
+        driven.speeds,
+    )
+    dt, steps, (s, d, _, speed) = (
+        planning.time_step,
+        jnp.arange(planning.steps),
+        driven.robot,
+    )
     own, others = _pose(driven.path[:, None]), _pose(driven.world)
     # A follower in the robot's lane is ignored as long as both keep this lane, even if it runs into the robot.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
@@ -125,10 +179,16 @@ def _collisions(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[
     stays = jnp.equal(lanes, 1)[:, None, None] | (
         steps < _first(jnp.abs(d - scene.robot[1]) >= weights.lane_change_offset)
     )
-    counts = scene.present[:, None] & ~(behind & followed & (driven.cosine > CROSSING) & stays)
-    clear = jnp.where(counts, separation(own, scene.size, others, _occupied(now, driven)), FREE_GAP)
+    counts = scene.present[:, None] & ~(
+        behind & followed & (driven.cosine > CROSSING) & stays
+    )
+    clear = jnp.where(
+        counts, separation(own, scene.size, others, _occupied(now, driven)), FREE_GAP
+    )
     touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
-    onward, sideways = rotated(speeds * jnp.cos(others[2]), speeds * jnp.sin(others[2]), own[2])
+    onward, sideways = rotated(
+        speeds * jnp.cos(others[2]), speeds * jnp.sin(others[2]), own[2]
+    )
     relative = jnp.sqrt(jnp.maximum((speed - onward) ** 2 + sideways**2, 1e-4))
     avoidable = _avoidable(now, driven)
     binds = ~(avoidable[..., None] & (dt * steps > weights.certain_time))
@@ -136,13 +196,19 @@ def _collisions(now: Situation, driven: DrivenPlans, lanes: PlanLanes) -> tuple[
     near = jnp.clip(1 - clear / weights.comfortable, 0.0, 1.0) ** 2
     braking = (earlier(scene.states[:, 3:], speeds) - speeds) / dt
     endangered = (driven.s < s) & (speeds > speed)  # the gap to slower followers grows
-    imposed = jnp.where(endangered, jnp.maximum(braking - weights.tolerated_braking, 0.0), 0.0)
-    depth = jnp.where(scene.moving, weights.margin, weights.wreck_margin)[:, None] - clear
+    imposed = jnp.where(
+        endangered, jnp.maximum(braking - weights.tolerated_braking, 0.0), 0.0
+    )
+    depth = (
+        jnp.where(scene.moving, weights.margin, weights.wreck_margin)[:, None] - clear
+    )
     cost = (
         dt * weights.near * jnp.sum(near * fading, axis=-1)
         + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
         + weights.collision * jnp.max(jnp.where(depth > 0, fading, 0.0), axis=-1)
-        + weights.blocking * blocks(now, driven) * jnp.where(avoidable, weights.avoidable, 1.0)
+        + weights.blocking
+        * blocks(now, driven)
+        * jnp.where(avoidable, weights.avoidable, 1.0)
     )
     impact = jnp.where((steps == _first(touch)) & binds, relative, 0.0).max(axis=(1, 2))
     return cost, jnp.where(binds, jnp.maximum(depth, 0.0), 0.0).max(axis=(1, 2)), impact
@@ -165,17 +231,26 @@ def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
     Their time of arrival is uncertain, since they may brake or speed up; their present position is known.
     """
     weights, times = now.weights, now.planning.times
-    early = jnp.minimum(weights.arrival_error * driven.speeds + 0.5, weights.acceleration_error * times**2 / 2)
-    early = jnp.where((driven.cosine < SAME_WAY) & (driven.speeds > STANDING_SPEED), early, 0.0)
+    early = jnp.minimum(
+        weights.arrival_error * driven.speeds + 0.5,
+        weights.acceleration_error * times**2 / 2,
+    )
+    early = jnp.where(
+        (driven.cosine < SAME_WAY) & (driven.speeds > STANDING_SPEED), early, 0.0
+    )
     lengths, widths = now.scene.sizes.T[..., None]
-    return jnp.stack([lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1)
+    return jnp.stack(
+        [lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1
+    )
 
 
 def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
     """Return whether the robot can still stop before the path of each crossing car after the first steps of a plan."""
     s, _, _, speed = driven.robot[..., now.weights.replanned_step]
     left = now.crossings.line - s - now.scene.size[0]
-    return now.crossings.exist & (left > speed**2 / (2 * now.planning.stopping * now.planning.grip))
+    return now.crossings.exist & (
+        left > speed**2 / (2 * now.planning.stopping * now.planning.grip)
+    )
 
 
 def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
@@ -186,10 +261,20 @@ def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     """
     scene, weights, ways, end = now.scene, now.weights, now.crossings, driven.end
     s, d, _, speed = driven.robot[..., -1]
-    rear, front = s[..., None] - weights.clearance, s[..., None] + scene.size[0] + weights.clearance
+    rear, front = (
+        s[..., None] - weights.clearance,
+        s[..., None] + scene.size[0] + weights.clearance,
+    )
     across = jnp.abs(ways.d - d[..., None]) < weights.corridor
     here = across & (ways.s > rear) & (ways.s < front)
     leaving = (highest(ways.s, across) + weights.clearance - s) / (speed + 1.0)
-    coming = (lowest(ways.places, here) - scene.sizes[:, 0] - end.along) / jnp.maximum(end.speeds, 1.0)
+    coming = (lowest(ways.places, here) - scene.sizes[:, 0] - end.along) / jnp.maximum(
+        end.speeds, 1.0
+    )
     comes = end.along < highest(ways.places, here)
-    return scene.moving & comes & (coming < leaving + weights.crossing_time_gap) & (coming < weights.crossing_horizon)
+    return (
+        scene.moving
+        & comes
+        & (coming < leaving + weights.crossing_time_gap)
+        & (coming < weights.crossing_horizon)
+    )

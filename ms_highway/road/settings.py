@@ -44,9 +44,15 @@ class Bounds(Estimator[PerHuman]):
 DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
 """Values of ``config["driver"]``."""
 
-OptionalPositive = Annotated[Positive | None, Meta(description="it must be a positive number, or None")]
-COSTS = "say 'shipped', or give milliseconds of at least 0 by rung, such as {'tom': 0.5}"
-IN_ORDER = f"give rungs of {', '.join(MODELS)} in this order, beginning with {MODELS[0]}"
+OptionalPositive = Annotated[
+    Positive | None, Meta(description="it must be a positive number, or None")
+]
+COSTS = (
+    "say 'shipped', or give milliseconds of at least 0 by rung, such as {'tom': 0.5}"
+)
+IN_ORDER = (
+    f"give rungs of {', '.join(MODELS)} in this order, beginning with {MODELS[0]}"
+)
 
 
 class RoadSettings(Struct, frozen=True):
@@ -72,10 +78,14 @@ class RoadSettings(Struct, frozen=True):
         ValueError: for a ladder in another order, unknown rungs, or an impossible driver.
     """
 
-    driver: Annotated[str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")] = "priced"
+    driver: Annotated[
+        str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")
+    ] = "priced"
     price: NotNegative = 1.0
     budget: OptionalPositive = None
-    costs: Annotated[Literal["shipped"] | dict[str, NotNegative], Meta(description=COSTS)] = "shipped"
+    costs: Annotated[
+        Literal["shipped"] | dict[str, NotNegative], Meta(description=COSTS)
+    ] = "shipped"
     ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = MODELS
     desired_speed: OptionalPositive = None
     acceleration: Positive = 5.0
@@ -92,8 +102,14 @@ class RoadSettings(Struct, frozen=True):
         return read(cls, "config", {} if config is None else config)
 
     def __post_init__(self) -> None:
-        refuse_unknown("config['costs']", self.costs if isinstance(self.costs, dict) else (), MODELS)
-        if MODELS[0] not in self.ladder or self.ladder != tuple(rung for rung in MODELS if rung in self.ladder):
+        refuse_unknown(
+            "config['costs']",
+            self.costs if isinstance(self.costs, dict) else (),
+            MODELS,
+        )
+        if MODELS[0] not in self.ladder or self.ladder != tuple(
+            rung for rung in MODELS if rung in self.ladder
+        ):
             raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
         self._choice()
 
@@ -105,13 +121,23 @@ class RoadSettings(Struct, frozen=True):
         """
         message = f"config['driver'] is {self.driver!r}"
         if self.driver == "priced":
-            return ("priced", self.price) if self.budget is None else ("budget", self.budget)
+            return (
+                ("priced", self.price)
+                if self.budget is None
+                else ("budget", self.budget)
+            )
         if self.budget is not None:
-            raise ValueError(f"config['budget'] is {self.budget!r}, but {message}; say 'priced'")
+            raise ValueError(
+                f"config['budget'] is {self.budget!r}, but {message}; say 'priced'"
+            )
         if self.driver in added_drivers():
             return "added", self.driver
         kind, _, value = self.driver.partition(":")
-        values = {"priced": NotNegative, "budget": NotNegative, "fixed": Literal[self.ladder]}
+        values = {
+            "priced": NotNegative,
+            "budget": NotNegative,
+            "fixed": Literal[self.ladder],
+        }
         try:
             return kind, convert(value, values[kind], strict=False)
         except (KeyError, ValidationError):
@@ -134,7 +160,9 @@ class RoadSettings(Struct, frozen=True):
         # Models that cost less than all later ones.
         seconds = costs.select(self.ladder).each
         kept = [
-            name for place, name in enumerate(self.ladder) if seconds[place] < min(seconds[place + 1 :], default=np.inf)
+            name
+            for place, name in enumerate(self.ladder)
+            if seconds[place] < min(seconds[place + 1 :], default=np.inf)
         ]
         if kind == "budget":
             # The bounds are gains of the last model; those between are not estimated.
@@ -159,7 +187,9 @@ class RoadSettings(Struct, frozen=True):
             frame=frame,
         )
 
-    def build(self, planning: RoadPlanning, random: np.random.Generator | None = None) -> RoadDriver | AddedRoadDriver:
+    def build(
+        self, planning: RoadPlanning, random: np.random.Generator | None = None
+    ) -> RoadDriver | AddedRoadDriver:
         """Return a driver with these limits and wishes.
 
         Args:

@@ -10,7 +10,11 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.planning.manoeuvres import COMFORTABLE_BRAKING, MAX_ACCELERATION, STANDSTILL
+from ms_highway.planning.manoeuvres import (
+    COMFORTABLE_BRAKING,
+    MAX_ACCELERATION,
+    STANDSTILL,
+)
 from ms_highway.road.timed_goal import RobotGoal
 
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
@@ -44,8 +48,16 @@ def destination_of(env: Any, number: int = 0) -> RobotGoal:
         return env.goal
     if isinstance(env, IntersectionEnv):
         route = getattr(env.controlled_vehicles[number], "route", None) or []
-        return route[-1][1] if len(route) > 1 else env.config["destination"] if number == 0 else None
-    return next((node for kind, node in DESTINATIONS.items() if isinstance(env, kind)), None)
+        return (
+            route[-1][1]
+            if len(route) > 1
+            else env.config["destination"]
+            if number == 0
+            else None
+        )
+    return next(
+        (node for kind, node in DESTINATIONS.items() if isinstance(env, kind)), None
+    )
 
 
 def desired_speed_of(env: Any) -> float:
@@ -57,7 +69,9 @@ def desired_speed_of(env: Any) -> float:
     action = config["action"].get("action_config", config["action"])
     if isinstance(env.unwrapped, GoalEnv):
         return env.unwrapped.desired_speed
-    if isinstance(env.unwrapped, IntersectionEnv):  # 9 m/s are rewarded, but take longer than 13 s
+    if isinstance(
+        env.unwrapped, IntersectionEnv
+    ):  # 9 m/s are rewarded, but take longer than 13 s
         return float(env.unwrapped.vehicle.lane.speed_limit)
     speeds = config.get("reward_speed_range") or action.get("target_speeds")
     speeds = [config.get("speed_limit") or USUAL_SPEED] if speeds is None else speeds
@@ -89,13 +103,24 @@ def success(env: Any) -> bool | None:
 
 
 KEPT = (
-    *("color", "route", "target_speeds", "check_collisions", "collidable", "solid", "MIN_SPEED", "MAX_SPEED"),
+    *(
+        "color",
+        "route",
+        "target_speeds",
+        "check_collisions",
+        "collidable",
+        "solid",
+        "MIN_SPEED",
+        "MAX_SPEED",
+    ),
     *("LENGTH", "WIDTH", "diagonal"),
 )
 """Instance attributes of a vehicle, beside its state, that its replacement keeps."""
 
 
-def replace_ego(env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0) -> Vehicle:
+def replace_ego(
+    env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0
+) -> Vehicle:
     """Replace a controlled vehicle by another one in the same state and with the same route.
 
     Args:
@@ -118,7 +143,9 @@ def replace_ego(env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0) -
     new.on_state_update()
     env.controlled_vehicles[number] = new
     env.road.vehicles[env.road.vehicles.index(old)] = new
-    if isinstance(env.action_type, MultiAgentAction):  # otherwise, the first controlled vehicle acts and observes
+    if isinstance(
+        env.action_type, MultiAgentAction
+    ):  # otherwise, the first controlled vehicle acts and observes
         env.action_type.agents_action_types[number].controlled_vehicle = new
     if isinstance(env.observation_type, MultiAgentObservation):
         env.observation_type.agents_observation_types[number].observer_vehicle = new
@@ -133,4 +160,7 @@ def restore_traffic() -> None:
     """Restore highway-env's values of the attributes in `OVERWRITTEN`, unless others than these have been set."""
     if OVERWRITTEN.items() <= vars(IDMVehicle).items():
         IDMVehicle.DISTANCE_WANTED = STANDSTILL
-        IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = MAX_ACCELERATION, -COMFORTABLE_BRAKING
+        IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = (
+            MAX_ACCELERATION,
+            -COMFORTABLE_BRAKING,
+        )

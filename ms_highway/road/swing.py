@@ -17,7 +17,9 @@ AROUND = 8.0
 """Distance before and behind a sharp bend within which the body is positioned as in it [m]."""
 
 
-def aside_of(scene: RoadScene, states: States, ahead: Numbers, right: Numbers = 0.0) -> Numbers:
+def aside_of(
+    scene: RoadScene, states: States, ahead: Numbers, right: Numbers = 0.0
+) -> Numbers:
     """Return the lateral position of a point of the robot's body, on a road that bends away below the body [m].
 
     A point that is x along the road from the rear axle and y beside it lies
@@ -62,7 +64,9 @@ def inside_of(scene: RoadScene) -> Knots:
     # Where the corner is too near, or soon will be, or was.
     excess = jnp.maximum(left_corner, right_corner) - room
     knots = 2 * round(AROUND / SPACING) + 1
-    nearby = jax.lax.reduce_window(excess, -jnp.inf, jax.lax.max, (knots,), (1,), "SAME")
+    nearby = jax.lax.reduce_window(
+        excess, -jnp.inf, jax.lax.max, (knots,), (1,), "SAME"
+    )
     return -middle * jnp.clip(nearby / FADE, 0.0, 1.0)
 
 

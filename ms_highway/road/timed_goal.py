@@ -51,7 +51,9 @@ class TimedGoal:
                 break
             passed += lane.length
         else:  # the spot is behind
-            return self.spot.place - float(roads.lanes[self.spot.lane].shape.local_coordinates(vehicle.position)[0])
+            return self.spot.place - float(
+                roads.lanes[self.spot.lane].shape.local_coordinates(vehicle.position)[0]
+            )
         return passed - float(own.shape.local_coordinates(vehicle.position)[0])
 
     def desired_speed(self, vehicle: Vehicle, now: float) -> float:
@@ -69,20 +71,34 @@ class TimedGoal:
         if left <= 0 and now > self.times[0]:
             return max(speed, MIN_SPEED)
         within = min(SPEED_MARGIN, (self.speeds[1] - self.speeds[0]) / 2)
-        ends = self.speeds[1] - within, self.speeds[0] + (within if self.speeds[0] > 0 else 0.0)
-        soonest, latest = (2 * max(left, 0.0) / max(speed + end, MIN_SPEED) for end in ends)
+        ends = (
+            self.speeds[1] - within,
+            self.speeds[0] + (within if self.speeds[0] > 0 else 0.0),
+        )
+        soonest, latest = (
+            2 * max(left, 0.0) / max(speed + end, MIN_SPEED) for end in ends
+        )
         first, last = (max(time - now, SOON) for time in self.times)
-        if max(first, soonest) <= min(last, latest):  # there is a time with an allowed speed
+        if max(first, soonest) <= min(
+            last, latest
+        ):  # there is a time with an allowed speed
             first, last = max(first, soonest), min(last, latest)
         spare = min((last - first) / 2, TIME_MARGIN)
         time = min(max(left / max(speed, MIN_SPEED), first + spare), last - spare)
         acceleration = 2 * (left - speed * time) / time**2
         wanted = speed + min(acceleration * min(LOOK_AHEAD, time), MAX_SPEED_GAIN)
         return max(
-            wanted, min(_follower_speed(vehicle), sqrt(2 * GENTLE_BRAKING * max(left - STOP_MARGIN, 0.0))), MIN_SPEED
+            wanted,
+            min(
+                _follower_speed(vehicle),
+                sqrt(2 * GENTLE_BRAKING * max(left - STOP_MARGIN, 0.0)),
+            ),
+            MIN_SPEED,
         )
 
-    def guide(self, driver: RoadDriver | AddedRoadDriver, vehicle: Vehicle, now: float) -> None:
+    def guide(
+        self, driver: RoadDriver | AddedRoadDriver, vehicle: Vehicle, now: float
+    ) -> None:
         """Let a vehicle's driver plan to be there in time; the speed after that time has no value.
 
         Args:
@@ -91,9 +107,13 @@ class TimedGoal:
             now: the time [s].
         """
         planning, weights = driver.planning, RoadWeights()
-        rest = (self.times[1] - now - planning.steps * float(planning.time_step)) / weights.horizon
+        rest = (
+            self.times[1] - now - planning.steps * float(planning.time_step)
+        ) / weights.horizon
         terminal = float(weights.terminal) * min(max(rest, 0.0), 1.0)
-        driver.planning = replace(planning, desired_speed=self.desired_speed(vehicle, now))
+        driver.planning = replace(
+            planning, desired_speed=self.desired_speed(vehicle, now)
+        )
         driver.weights = replace(weights, goal=GOAL_WEIGHT, terminal=terminal)
 
 
@@ -106,5 +126,8 @@ def _follower_speed(vehicle: Vehicle) -> float:
     _, rear = vehicle.road.neighbour_vehicles(vehicle)
     if rear is None:
         return 0.0
-    gap = float(np.linalg.norm(rear.position - vehicle.position)) - (rear.LENGTH + vehicle.LENGTH) / 2
+    gap = (
+        float(np.linalg.norm(rear.position - vehicle.position))
+        - (rear.LENGTH + vehicle.LENGTH) / 2
+    )
     return float(rear.speed) if gap < CLOSE_TIME * rear.speed + CLOSE_GAP else 0.0

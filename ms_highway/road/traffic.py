@@ -6,7 +6,15 @@ import jax
 from jax import numpy as jnp
 
 from ms_highway.geometry.bodies import CORNERS
-from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Knots, Pose, interpolate, rotated
+from ms_highway.geometry.curve import (
+    BEHIND,
+    SPACING,
+    Curve,
+    Knots,
+    Pose,
+    interpolate,
+    rotated,
+)
 from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
 from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
@@ -26,7 +34,9 @@ way, and is no crossing car."""
 PASSED_MARGIN = 1.0  # m behind the robot's rear axle, from which on nobody crosses its path any more
 BEND_BRAKING = 2.5  # m/s^2, before bends
 OBSTACLE_SIGHT = 30.0  # m ahead within which the robot passes obstacles
-KNOTS_IN_SIGHT = int((BEHIND + OBSTACLE_SIGHT + 10.0) / SPACING)  # of the route, but not of the next lap of a loop
+KNOTS_IN_SIGHT = int(
+    (BEHIND + OBSTACLE_SIGHT + 10.0) / SPACING
+)  # of the route, but not of the next lap of a loop
 STRIDE = 0.5  # m between places on crossing paths: knots move with cars, so waiting lines at knots would jump
 
 
@@ -115,12 +125,18 @@ class Situation(NamedTuple):
     obstruction: Obstruction
 
 
-def situation_of(scene: RoadScene, planning: RoadPlanning, weights: RoadWeights) -> Situation:
+def situation_of(
+    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights
+) -> Situation:
     """Compute what all plans of a step share."""
     s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
     ways = Ways(s, d, jnp.cos(turn))
     s, d, cosine = ways.at(scene.states[:, 0], scene.states[:, 1])
-    leading = (s > scene.robot[0]) & (cosine > CROSSING) & (jnp.abs(d - scene.robot[1]) < scene.size[1])
+    leading = (
+        (s > scene.robot[0])
+        & (cosine > CROSSING)
+        & (jnp.abs(d - scene.robot[1]) < scene.size[1])
+    )
     inside = inside_of(scene)
     return Situation(
         scene,
@@ -143,7 +159,8 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """
     places = jnp.arange(-BEHIND, SPACING * ways.s.shape[-1] - BEHIND, STRIDE)
     s, d, apart, cosine = (
-        jax.vmap(interpolate, (0, None))(field, places) for field in (ways.s, ways.d, jnp.abs(ways.d), ways.cosine)
+        jax.vmap(interpolate, (0, None))(field, places)
+        for field in (ways.s, ways.d, jnp.abs(ways.d), ways.cosine)
     )
     now = int(BEHIND / STRIDE)
     # Not abs(d), since the sign of d may change between knots.
@@ -151,12 +168,31 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     along = inside & (cosine > SHARING)
     joins = along & (s < scene.robot[0]) & (places >= 0)
     shares = along[:, now] | joins.any(axis=-1)
-    oncoming = inside[:, now] & (cosine[:, now] < -SHARING) & (s[:, now] > scene.robot[0]) & scene.moving
-    aslant = (s > scene.robot[0] - PASSED_MARGIN) & (cosine < SHARING) & ~shares[:, None]
+    oncoming = (
+        inside[:, now]
+        & (cosine[:, now] < -SHARING)
+        & (s[:, now] > scene.robot[0])
+        & scene.moving
+    )
+    aslant = (
+        (s > scene.robot[0] - PASSED_MARGIN) & (cosine < SHARING) & ~shares[:, None]
+    )
     across = inside & aslant
-    line = lowest(s[:, 1:], across[:, 1:] & across[:, :-1]) - scene.sizes[:, 1] / 2 - WAITING
+    line = (
+        lowest(s[:, 1:], across[:, 1:] & across[:, :-1])
+        - scene.sizes[:, 1] / 2
+        - WAITING
+    )
     aside = jnp.where(aslant & ~oncoming[:, None], jnp.sign(d) * apart, FREE_GAP)
-    return Crossings(places, s, aside, oncoming, line, lowest(places, across), highest(places, across))
+    return Crossings(
+        places,
+        s,
+        aside,
+        oncoming,
+        line,
+        lowest(places, across),
+        highest(places, across),
+    )
 
 
 def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
@@ -167,9 +203,13 @@ def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
 def speed_caps(scene: RoadScene, planning: RoadPlanning, inside: Knots) -> Knots:
     """Return the highest speed at each knot of the route from which gentle braking suffices for all bends ahead."""
     bends = jnp.maximum(sharpest_bends(scene, inside), 1e-4)
-    allowed = jnp.minimum(planning.cornering * planning.grip / bends, planning.desired_speed**2)
+    allowed = jnp.minimum(
+        planning.cornering * planning.grip / bends, planning.desired_speed**2
+    )
     ahead = 2 * BEND_BRAKING * SPACING * jnp.arange(len(bends))
-    return jnp.sqrt(jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0))
+    return jnp.sqrt(
+        jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0)
+    )
 
 
 def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
@@ -179,17 +219,30 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     """
     along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
     slid = speed * jnp.array([0.0, 1.0])
-    x, y, path = jax.vmap(Curve.place)(scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading))
-    ahead, aside = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)  # [traffic, 1, corners]
+    x, y, path = jax.vmap(Curve.place)(
+        scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading)
+    )
+    ahead, aside = jnp.moveaxis(
+        scene.sizes[:, None, None] / 2 * CORNERS, -1, 0
+    )  # [traffic, 1, corners]
     turned = path[..., None]
     forth, sideways = rotated(ahead, aside, -turned - scene.askew[..., None])
     in_sight = jax.tree.map(lambda knots: knots[:KNOTS_IN_SIGHT], scene.route)
     s, d, _ = in_sight.project(x[..., None] + forth, y[..., None] + sideways, turned)
-    first, last, left, right = (bound(each, axis=(1, 2)) for each in (s, d) for bound in (jnp.min, jnp.max))
+    first, last, left, right = (
+        bound(each, axis=(1, 2)) for each in (s, d) for bound in (jnp.min, jnp.max)
+    )
     needed = scene.size[1] + 2 * weights.comfortable
     own = interpolate(scene.lanes[1], first)
-    near = scene.present & ~scene.moving & (last > scene.robot[0]) & (first < scene.robot[0] + OBSTACLE_SIGHT)
+    near = (
+        scene.present
+        & ~scene.moving
+        & (last > scene.robot[0])
+        & (first < scene.robot[0] + OBSTACLE_SIGHT)
+    )
     found = near & (left < own + needed / 2) & (right > own - needed / 2)
 
-    sides = jnp.stack([lowest(left, found) - needed / 2, highest(right, found) + needed / 2])
+    sides = jnp.stack(
+        [lowest(left, found) - needed / 2, highest(right, found) + needed / 2]
+    )
     return Obstruction(found.any(), sides, lowest(first, found), highest(last, found))

@@ -51,7 +51,9 @@ def for_rows(function: Callable[..., Any], *arrays: Any) -> Any:
     """Compute a function of every row of pytrees of arrays; a single row needs no `jax.vmap`, so it compiles faster."""
     if len(jax.tree.leaves(arrays)[0]) > 1:
         return jax.vmap(function)(*arrays)
-    return jax.tree.map(lambda part: part[None], function(*jax.tree.map(lambda part: part[0], arrays)))
+    return jax.tree.map(
+        lambda part: part[None], function(*jax.tree.map(lambda part: part[0], arrays))
+    )
 
 
 def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
@@ -61,7 +63,9 @@ def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
     return jax.lax.map(function, jnp.arange(count))
 
 
-def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any) -> Any:
+def for_each(
+    chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any
+) -> Any:
     """Loop over the chosen rows, one round for each, so that the time is proportional to their number.
 
     Where no row is chosen, nothing is computed: without the condition, XLA would compute before the loop whatever is
@@ -75,7 +79,12 @@ def for_each(chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], star
 
     def loop() -> Any:
         order = jnp.argsort(-chosen.astype(int), stable=True)
-        return jax.lax.fori_loop(0, jnp.sum(chosen), lambda place, found: function(order[place], found), start)
+        return jax.lax.fori_loop(
+            0,
+            jnp.sum(chosen),
+            lambda place, found: function(order[place], found),
+            start,
+        )
 
     return jax.lax.cond(chosen.any(), loop, lambda: start)
 
@@ -110,7 +119,9 @@ def naming_writes(user: str) -> Iterator[None]:
         if "read-only" not in str(error):
             raise
         remedy = "copy an array before you change it, such as state = state.copy()"
-        raise ValueError(f"{user} writes into an array that it was given; {remedy}") from error
+        raise ValueError(
+            f"{user} writes into an array that it was given; {remedy}"
+        ) from error
 
 
 class Published(dict[str, Any]):
@@ -121,7 +132,9 @@ class Published(dict[str, Any]):
     """
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise TypeError(f"these numbers belong to ms_highway: {dict(self)!r}; change a copy, such as dict(weights)")
+        raise TypeError(
+            f"these numbers belong to ms_highway: {dict(self)!r}; change a copy, such as dict(weights)"
+        )
 
     __setitem__ = __delitem__ = __ior__ = _refuse
     clear = pop = popitem = setdefault = update = _refuse
@@ -153,7 +166,9 @@ def pytree(kind: type[Kind]) -> type[Kind]:
 
 def plain(structure: Kind) -> Kind:
     """Return a structure with numbers in place of its arrays, checked."""
-    content = msgspec.to_builtins(structure, enc_hook=lambda array: np.asarray(array, dtype=float).tolist())
+    content = msgspec.to_builtins(
+        structure, enc_hook=lambda array: np.asarray(array, dtype=float).tolist()
+    )
     return msgspec.convert(content, type(structure))
 
 
@@ -167,10 +182,16 @@ def read(content: Any, kind: type[Kind]) -> Kind:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
         problem, _, path = str(error).partition(" - at `$")
-        keys, found = _followed(content, path.rstrip("`"), lambda changed: _problem(changed, kind) == str(error))
+        keys, found = _followed(
+            content,
+            path.rstrip("`"),
+            lambda changed: _problem(changed, kind) == str(error),
+        )
         shown = shortened(found)
         hidden = problem.startswith("Object") or len(shown) > LONGEST
-        place = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
+        place = "".join(
+            f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys
+        ).lstrip(".")
         where = f"{place}: " if hidden else f"{place or 'it'} is {shown}: "
         raise ValueError(f"{where if place or not hidden else ''}{problem}") from error
 
@@ -184,7 +205,9 @@ def _problem(content: Any, kind: type) -> str:
     return ""
 
 
-def _followed(content: Any, path: str, is_wrong: Callable[[Any], bool]) -> tuple[list[str | int], Any]:
+def _followed(
+    content: Any, path: str, is_wrong: Callable[[Any], bool]
+) -> tuple[list[str | int], Any]:
     """Follow a path of msgspec, in which ``[...]`` stands for any key of a mapping, to the value that is wrong.
 
     Args:
@@ -201,12 +224,17 @@ def _followed(content: Any, path: str, is_wrong: Callable[[Any], bool]) -> tuple
     name, number = step.groups()
     key: str | int = name or int(number or 0)
     if not name and not number:  # the same is wrong if the mapping has no other key
-        key = next((each for each in content if is_wrong({each: content[each]})), next(iter(content)))
+        key = next(
+            (each for each in content if is_wrong({each: content[each]})),
+            next(iter(content)),
+        )
 
     def with_part(part: Any) -> Any:
         if isinstance(content, dict):
             return {**content, key: part}
         return [*content[: int(key)], part, *content[int(key) + 1 :]]
 
-    keys, found = _followed(content[key], path[step.end() :], lambda part: is_wrong(with_part(part)))
+    keys, found = _followed(
+        content[key], path[step.end() :], lambda part: is_wrong(with_part(part))
+    )
     return [key, *keys], found

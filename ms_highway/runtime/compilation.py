@@ -35,8 +35,14 @@ def quick_options() -> dict[str, bool]:
 class Compiled:
     """A function that is compiled at its first call with each structure of arguments, see `jit_quickly`."""
 
-    def __init__(self, function: Callable[..., Any], options: Mapping[str, Hashable]) -> None:
-        self._function, self._options, self._compiled = function, options, dict[str, jax.stages.Wrapped]()
+    def __init__(
+        self, function: Callable[..., Any], options: Mapping[str, Hashable]
+    ) -> None:
+        self._function, self._options, self._compiled = (
+            function,
+            options,
+            dict[str, jax.stages.Wrapped](),
+        )
         update_wrapper(self, function)
 
     def of(self, *arguments: Any) -> jax.stages.Wrapped:
@@ -44,8 +50,12 @@ class Compiled:
         refuse_after_fork()
         structure = str(jax.tree.structure(arguments))
         if structure not in self._compiled:
-            named = wraps(self._function)(lambda *arguments: self._function(*arguments))  # JAX caches by function
-            self._compiled[structure] = jax.jit(named, compiler_options={**quick_options(), **self._options})
+            named = wraps(self._function)(
+                lambda *arguments: self._function(*arguments)
+            )  # JAX caches by function
+            self._compiled[structure] = jax.jit(
+                named, compiler_options={**quick_options(), **self._options}
+            )
         return self._compiled[structure]
 
     def __call__(self, *arguments: Any) -> Any:
@@ -106,13 +116,19 @@ def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
 
     def compute(first: int) -> Any:
         places = range(first, first + size)
-        return function(jax.tree.map(lambda array: np.take(array, places, axis=0, mode="clip"), items))
+        return function(
+            jax.tree.map(
+                lambda array: np.take(array, places, axis=0, mode="clip"), items
+            )
+        )
 
     results = map(compute, range(0, number, size))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *results)
 
 
-_warm: set[Hashable] = set()  # compiled functions that have run, with the shapes of their arguments
+_warm: set[Hashable] = (
+    set()
+)  # compiled functions that have run, with the shapes of their arguments
 
 
 def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
@@ -165,11 +181,15 @@ def use_devices(count: int | None = None) -> Devices:
             jax.config.update("jax_num_cpu_devices", min(count or most, most))
     devices = jax.local_devices()
     if count is not None and not 0 < count <= len(devices):
-        raise ValueError(f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}")
+        raise ValueError(
+            f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}"
+        )
     return devices[:count]
 
 
-def share_among(devices: Devices, function: Callable[[Any], Any], items: Any, chunk: int) -> Any:
+def share_among(
+    devices: Devices, function: Callable[[Any], Any], items: Any, chunk: int
+) -> Any:
     """Compute a function of many items, chunk by chunk; a device takes the next chunk as soon as it is free.
 
     Every device runs the same program, compiled for a single device, whatever the number of devices and items: XLA
@@ -200,5 +220,7 @@ def share_among(devices: Devices, function: Callable[[Any], Any], items: Any, ch
 
     with ThreadPoolExecutor(len(devices)) as threads:
         computed = threads.map(compute, range(0, count, chunk))
-        results = list(computed)  # wait here: Python 3.11 forgets a thread if it is interrupted as it waits for its end
+        results = list(
+            computed
+        )  # wait here: Python 3.11 forgets a thread if it is interrupted as it waits for its end
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *results)

@@ -13,7 +13,13 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
-from ms_highway.runtime.sources import Sources, digest, digest_of, imported_sources, is_own
+from ms_highway.runtime.sources import (
+    Sources,
+    digest,
+    digest_of,
+    imported_sources,
+    is_own,
+)
 
 DEFINITION = "the definition of {}"
 """Name of the source of what a user has added, by the name under which it was added."""
@@ -43,7 +49,9 @@ def note_definition(name: str, added: Any) -> None:
         held += [added.args, added.keywords]
         added = added.func
     defined = added if hasattr(added, "__qualname__") else type(added)
-    held.append(added if isinstance(added, FunctionType) else getattr(added, "__dict__", None))
+    held.append(
+        added if isinstance(added, FunctionType) else getattr(added, "__dict__", None)
+    )
 
     module = sys.modules.get(defined.__module__)
     file = Path(getattr(module, "__file__", None) or "")
@@ -69,7 +77,9 @@ def _content(value: Any, depth: int = 0) -> bytes:
     if hasattr(value, "__array__"):
         import numpy as np  # help of commands needs none
 
-        with suppress(TypeError, ValueError, RuntimeError):  # as of JAX's keys, and tensors
+        with suppress(
+            TypeError, ValueError, RuntimeError
+        ):  # as of JAX's keys, and tensors
             array = np.asarray(value)
             numbers = array.tobytes() if array.size < MAX_SIZE else b""
             return f"{array.dtype}{array.shape}".encode() + numbers
@@ -82,7 +92,9 @@ def _code(defined: Any, depth: int) -> bytes:
         text = getsource(defined).encode()
     except (OSError, TypeError):  # as of functions that were typed into a prompt
         code = getattr(defined, "__code__", None)
-        text = getattr(code, "co_code", b"") + _content(getattr(code, "co_consts", ()), depth + 1)
+        text = getattr(code, "co_code", b"") + _content(
+            getattr(code, "co_consts", ()), depth + 1
+        )
     if isinstance(defined, type):
         return text
 
@@ -90,7 +102,9 @@ def _code(defined: Any, depth: int) -> bytes:
     used: list[Any] = [defined.__defaults__, defined.__kwdefaults__]
     if defined.__module__ == "__main__":
         names = defined.__code__.co_names
-        used += [defined.__globals__[name] for name in names if name in defined.__globals__]
+        used += [
+            defined.__globals__[name] for name in names if name in defined.__globals__
+        ]
     for cell in defined.__closure__ or ():
         with suppress(ValueError):  # it is empty
             used.append(cell.cell_contents)
@@ -100,7 +114,11 @@ def _code(defined: Any, depth: int) -> bytes:
 def definition_sources(text: str) -> Sources:
     """Return the digests of what the user has added by names that a text has as words."""
     words = {*re.findall(r"[\w-]+", text), *re.findall(r"\w+", text)}
-    return {DEFINITION.format(name): content for name, content in _definitions.items() if name in words}
+    return {
+        DEFINITION.format(name): content
+        for name, content in _definitions.items()
+        if name in words
+    }
 
 
 def source_now(name: str) -> str | None:
@@ -115,7 +133,9 @@ def source_now(name: str) -> str | None:
     Raises:
         ValueError: if it is none of the first two, and no file that can be read.
     """
-    definitions = {DEFINITION.format(added): content for added, content in _definitions.items()}
+    definitions = {
+        DEFINITION.format(added): content for added, content in _definitions.items()
+    }
     known = definitions | imported_sources()
     if name in known or name.startswith(DEFINITION.format("")):
         return known.get(name)

@@ -14,4 +14,6 @@ def needing(extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise ImportError(f"{error}; it comes with an extra: pip install 'ms-highway[{extra}]'") from error
+        raise ImportError(
+            f"{error}; it comes with an extra: pip install 'ms-highway[{extra}]'"
+        ) from error

@@ -65,7 +65,9 @@ def replacing(path: Path) -> Iterator[Path]:
     with naming(path), temporary(part_of(path)) as part:
         yield part
         with part.open("rb+") as file:
-            os.fsync(file.fileno())  # or else the final file may be empty after a power failure
+            os.fsync(
+                file.fileno()
+            )  # or else the final file may be empty after a power failure
         part.replace(path)
 
 
@@ -78,13 +80,17 @@ def check_writable(path: Path, directory: bool = False) -> None:
     with naming(path):
         _check_kind(path, directory)
         places = (path, *path.parents) if directory else path.parents
-        with temporary(part_of(path, next(place for place in places if place.exists()))) as part:
+        with temporary(
+            part_of(path, next(place for place in places if place.exists()))
+        ) as part:
             part.touch()
 
 
 def _check_kind(path: Path, directory: bool = False) -> None:
     if path.exists() and not (path.is_dir() if directory else path.is_file()):
-        raise OSError("it is no directory" if directory else "it is a directory or a device")
+        raise OSError(
+            "it is no directory" if directory else "it is a directory or a device"
+        )
 
 
 def part_of(path: Path, place: Path | None = None) -> Path:
@@ -137,7 +143,9 @@ def held(directory: Path) -> Iterator[None]:
             lock.acquire()
         except Timeout as error:
             remedy = "wait for its end, or choose another"
-            raise ValueError(f"another command is writing to {directory}; {remedy}") from error
+            raise ValueError(
+                f"another command is writing to {directory}; {remedy}"
+            ) from error
         except (NotImplementedError, OSError):  # on some shared disks
             pass
         with temporary(directory / LOCK):  # removed while it is held
@@ -183,7 +191,9 @@ def naming(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise OSError(f"{path} cannot be written: {reason}; make that possible, or choose another place") from error
+        raise OSError(
+            f"{path} cannot be written: {reason}; make that possible, or choose another place"
+        ) from error
 
 
 @contextmanager
@@ -201,7 +211,9 @@ def reading(path: Path, remedy: str, kind: str = "") -> Iterator[None]:
     try:
         yield
     except DAMAGES as error:
-        raise ValueError(f"{path} cannot be read{kind} ({str(error).strip()}); {remedy}") from error
+        raise ValueError(
+            f"{path} cannot be read{kind} ({str(error).strip()}); {remedy}"
+        ) from error
 
 
 def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:

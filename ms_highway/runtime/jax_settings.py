@@ -56,7 +56,9 @@ def _add_flag(option: str, flag: str) -> None:
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
 
 
-_double = ContextVar("double", default=False)  # whether a block asks for double precision
+_double = ContextVar(
+    "double", default=False
+)  # whether a block asks for double precision
 
 
 def single_precision() -> AbstractContextManager[Any]:
@@ -86,15 +88,24 @@ def check_platforms() -> None:
     if platforms and platforms != "cpu":
         try:
             jax.devices()
-        except (AssertionError, RuntimeError) as error:  # an assertion if the plugin is not installed
+        except (
+            AssertionError,
+            RuntimeError,
+        ) as error:  # an assertion if the plugin is not installed
             why = f" ({error})" if str(error) else ""
             remedy = "unset it, or install JAX for these devices"
-            raise ValueError(f"JAX_PLATFORMS is {platforms!r}, of which JAX finds no device{why}; {remedy}") from error
+            raise ValueError(
+                f"JAX_PLATFORMS is {platforms!r}, of which JAX finds no device{why}; {remedy}"
+            ) from error
 
 
 def cores() -> int:
     """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
 
 
 def keep_compilations(directory: Path | str | None = None) -> Path:
@@ -110,22 +121,34 @@ def keep_compilations(directory: Path | str | None = None) -> Path:
     Raises:
         OSError: if the directory cannot be made, or others can write to it; then nothing is kept or used.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME", ""))  # by the standard, ignored if it is relative
-    usual = (home if home.is_absolute() else Path.home() / ".cache") / "ms_highway" / "compiled"
+    home = Path(
+        os.environ.get("XDG_CACHE_HOME", "")
+    )  # by the standard, ignored if it is relative
+    usual = (
+        (home if home.is_absolute() else Path.home() / ".cache")
+        / "ms_highway"
+        / "compiled"
+    )
     directory = Path(directory or os.environ.get("JAX_COMPILATION_CACHE_DIR") or usual)
     jax.config.update("jax_compilation_cache_dir", None)
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     status = directory.stat()
-    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & WRITABLE_BY_OTHERS):
+    if hasattr(os, "getuid") and (
+        status.st_uid != os.getuid() or status.st_mode & WRITABLE_BY_OTHERS
+    ):
         why = f"others may write to {directory}, and their machine code would run"
-        raise PermissionError(f"{why}; choose a directory of your own, or change that: chmod go-w {directory}")
+        raise PermissionError(
+            f"{why}; choose a directory of your own, or change that: chmod go-w {directory}"
+        )
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     compilation_cache.reset_cache()  # or else JAX keeps using an earlier directory
     return directory
 
 
-def own_process(configure: Callable[[], None], modules: Sequence[str] = ()) -> ProcessPoolExecutor:
+def own_process(
+    configure: Callable[[], None], modules: Sequence[str] = ()
+) -> ProcessPoolExecutor:
     """Start a process that uses this one's compilation cache, and ends when this one ends for any reason.
 
     Args:
@@ -133,7 +156,9 @@ def own_process(configure: Callable[[], None], modules: Sequence[str] = ()) -> P
         modules: to import in it, for scenarios and models that they add.
     """
     cache = jax.config.values["jax_compilation_cache_dir"]
-    return ProcessPoolExecutor(1, get_context("spawn"), _prepare, (configure, cache, modules))
+    return ProcessPoolExecutor(
+        1, get_context("spawn"), _prepare, (configure, cache, modules)
+    )
 
 
 def low_latency_on_core(number: int) -> None:
@@ -148,7 +173,9 @@ def low_latency_on_core(number: int) -> None:
     low_latency()
 
 
-def _prepare(configure: Callable[[], None], cache: str | None, modules: Sequence[str]) -> None:
+def _prepare(
+    configure: Callable[[], None], cache: str | None, modules: Sequence[str]
+) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
     warnings.simplefilter("ignore")  # and has warned of the configuration

@@ -20,7 +20,9 @@ Number = Annotated[
         description=f"it must be a number of at most {LARGEST:.2g}",
     ),
 ]
-Positive = Annotated[float, Meta(gt=0, le=LARGEST, description="it must be a positive number")]
+Positive = Annotated[
+    float, Meta(gt=0, le=LARGEST, description="it must be a positive number")
+]
 NotNegative = Annotated[
     float,
     Meta(ge=0, le=LARGEST, description=f"it must be a number from 0 to {LARGEST:.2g}"),

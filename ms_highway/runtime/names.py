@@ -38,7 +38,11 @@ _ADDED: dict[str, Callable[[], Iterable[str]]] = {}
 
 def versioned(scenario: str) -> str:
     """Return the last part of a scenario's id: ``merger-v0`` for ``merger``."""
-    return scenario if VERSIONED.fullmatch(scenario) else f"{scenario.replace('_', '-')}-v0"
+    return (
+        scenario
+        if VERSIONED.fullmatch(scenario)
+        else f"{scenario.replace('_', '-')}-v0"
+    )
 
 
 def keep_apart(what: str, names: Callable[[], Iterable[str]]) -> None:
@@ -61,14 +65,20 @@ def check_own_name(what: str, name: object, lower: bool = True) -> None:
     check_name(what, name, chain(*PACKAGE_NAMES.values(), *others), lower)
 
 
-def check_name(what: str, name: object, taken: Iterable[str], lower: bool = True) -> None:
+def check_name(
+    what: str, name: object, taken: Iterable[str], lower: bool = True
+) -> None:
     """Refuse a name that is taken, or that is not one word, in lower case if wanted.
 
     Raises:
         ValueError: for such a name.
     """
     taken = dict.fromkeys(taken)
-    word = isinstance(name, str) and name.isidentifier() and (name.islower() or not lower)
+    word = (
+        isinstance(name, str) and name.isidentifier() and (name.islower() or not lower)
+    )
     if not word or name in taken:
-        remedy = f"choose one word{' in lower case' * lower} other than {', '.join(taken)}"
+        remedy = (
+            f"choose one word{' in lower case' * lower} other than {', '.join(taken)}"
+        )
         raise ValueError(f"{what} cannot be called {name!r}; {remedy}")

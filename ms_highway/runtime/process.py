@@ -22,15 +22,22 @@ INTERRUPTED = 128 + signal.SIGINT
 """Exit status of an interrupted command, by the convention of shells."""
 
 RESUMES = ("compare", "sweep", "frontier", "record")
-STOPPED = "ms-highway: stopped" + ("; started again in the same way, it resumes" if {*RESUMES} & {*sys.argv} else "")
+STOPPED = "ms-highway: stopped" + (
+    "; started again in the same way, it resumes" if {*RESUMES} & {*sys.argv} else ""
+)
 """Last line of an interrupted command."""
 
 
 def watch() -> None:
     """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
-    if not is_command() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+    if (
+        not is_command()
+        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    ):
         return
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # also in threads and processes that start later
+    signal.pthread_sigmask(
+        signal.SIG_BLOCK, {signal.SIGINT}
+    )  # also in threads and processes that start later
     from threading import Thread
 
     import ms_highway.runtime.files  # noqa: F401  # for `_end`, which would wait for imports of the main thread
@@ -86,7 +93,9 @@ def refuse_after_fork() -> None:
     """
     if _forked:
         remedy = "start it with context='forkserver' or 'spawn', or before JAX begins in the process that starts it"
-        raise RuntimeError(f"JAX cannot compute in a process forked from one in which it had begun; {remedy}")
+        raise RuntimeError(
+            f"JAX cannot compute in a process forked from one in which it had begun; {remedy}"
+        )
 
 
 Progress: TypeAlias = Callable[[str], object]

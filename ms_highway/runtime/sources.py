@@ -25,22 +25,34 @@ CODE = (".py", ".pyc", ".pyd", ".so")
 
 PACKAGE = Path(__file__).parents[1]
 
-STANDARD = {Path(sysconfig.get_path(place)).resolve() for place in ("stdlib", "platstdlib")}
+STANDARD = {
+    Path(sysconfig.get_path(place)).resolve() for place in ("stdlib", "platstdlib")
+}
 """Directories of Python's own modules."""
 
 INSTALLED = {"site-packages", "dist-packages"}
 """Names of directories of installed packages, also of other environments that this one builds on."""
 
-_notes: dict[str, Sources] = {}  # what each module has brought that `import_modules` imported
+_notes: dict[
+    str, Sources
+] = {}  # what each module has brought that `import_modules` imported
 _named: tuple[str, ...] = ()  # the modules of the last `import_modules`
 _places: set[Path] = set()  # directories in which, or below, files count that are read
 _code: set[str] = set()  # files of the user's modules, as frames of Python name them
 _loaded: set[str] = set()  # names of all modules whose files are known
-_opened: set[Path] = set()  # files that have been opened for reading and are not known yet
-_written: set[Path] = set()  # files that have been opened for writing, such as those of a cache
+_opened: set[Path] = (
+    set()
+)  # files that have been opened for reading and are not known yet
+_written: set[Path] = (
+    set()
+)  # files that have been opened for writing, such as those of a cache
 _late: Sources = {}  # see `late_sources`
-_imports = False  # whether `import_modules` imports now; it is the user's code that reads then
-_listens = False  # whether `_note_opened` is a hook of this process; hooks stay for ever
+_imports = (
+    False  # whether `import_modules` imports now; it is the user's code that reads then
+)
+_listens = (
+    False  # whether `_note_opened` is a hook of this process; hooks stay for ever
+)
 
 
 def import_modules(names: Sequence[str]) -> None:
@@ -67,7 +79,9 @@ def import_modules(names: Sequence[str]) -> None:
             importlib.import_module(name)
         except Exception as error:
             remedy = "give the name of a module that can be imported, such as brief for brief.py here"
-            raise ImportError(f"--import {name}: {type(error).__name__}: {error}; {remedy}") from error
+            raise ImportError(
+                f"--import {name}: {type(error).__name__}: {error}; {remedy}"
+            ) from error
         finally:
             _imports = False
         new = _new_sources()
@@ -87,7 +101,11 @@ def imported_sources() -> Sources:
     and files that were read meanwhile in the current directory, beside these modules and their packages, or below,
     except hidden ones. This package is left out.
     """
-    return {name: content for module in _named for name, content in _notes.get(module, {}).items()}
+    return {
+        name: content
+        for module in _named
+        for name, content in _notes.get(module, {}).items()
+    }
 
 
 def late_sources() -> Sources:
@@ -123,8 +141,16 @@ def _new_sources() -> Sources:
     opened = {*_opened}
     _opened.difference_update(opened)
     for path in sorted(opened - _written):
-        near = [place for place in _places if path.is_relative_to(place) and place != Path(path.anchor)]
-        hidden = any(part.startswith(".") for place in near for part in path.relative_to(place).parts)
+        near = [
+            place
+            for place in _places
+            if path.is_relative_to(place) and place != Path(path.anchor)
+        ]
+        hidden = any(
+            part.startswith(".")
+            for place in near
+            for part in path.relative_to(place).parts
+        )
         if near and not hidden and path.is_file() and is_own(path):
             found[os.path.relpath(path)] = digest(path)
     return found
@@ -133,8 +159,14 @@ def _new_sources() -> Sources:
 def _file_of(name: str) -> Path | None:
     """Return the file of a loaded module; None for one of a package, or without a file."""
     file = Path(getattr(sys.modules[name], "__file__", None) or "")
-    exists = file.is_file()  # packages such as PyTorch make modules that only claim a file
-    return file if exists and name.partition(".")[0] != "ms_highway" and is_own(file) else None
+    exists = (
+        file.is_file()
+    )  # packages such as PyTorch make modules that only claim a file
+    return (
+        file
+        if exists and name.partition(".")[0] != "ms_highway" and is_own(file)
+        else None
+    )
 
 
 def digest_of(content: bytes) -> str:
@@ -154,12 +186,17 @@ def digest(file: Path) -> str:
         return digest_of(file.read_bytes())
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ValueError(f"{file} cannot be read ({reason}); name another file") from error
+        raise ValueError(
+            f"{file} cannot be read ({reason}); name another file"
+        ) from error
 
 
 def package_digest() -> str:
     """Return the digest of all code and data of this package."""
-    directories = (PACKAGE, PACKAGE / "envs")  # a link in a checkout, which rglob does not follow
+    directories = (
+        PACKAGE,
+        PACKAGE / "envs",
+    )  # a link in a checkout, which rglob does not follow
     files = {file for directory in directories for file in directory.rglob("*")}
     whole = sha256()
     for file in sorted(files):

@@ -3,7 +3,12 @@
 Imports `ms_highway.loop` and the packages below it.
 """
 
-from ms_highway.vehicle.bicycle import BicycleVehicle, RoutedVehicle, ScriptedVehicle, states_of
+from ms_highway.vehicle.bicycle import (
+    BicycleVehicle,
+    RoutedVehicle,
+    ScriptedVehicle,
+    states_of,
+)
 from ms_highway.vehicle.commuter import CommuterVehicle, FollowingVehicle
 from ms_highway.vehicle.planning import HumanVehicle, PlanningVehicle, RobotVehicle
 

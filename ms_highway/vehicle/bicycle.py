@@ -18,7 +18,9 @@ from ms_highway.runtime.arrays import Car, Control, State
 
 def states_of(cars: Iterable[RoadObject]) -> State:
     """Return ``(x, y, heading, speed)`` of highway-env vehicles [cars, 4]."""
-    return np.array([(*car.position, car.heading, car.speed) for car in cars], dtype=float)
+    return np.array(
+        [(*car.position, car.heading, car.speed) for car in cars], dtype=float
+    )
 
 
 class OfferedSpeeds:
@@ -59,7 +61,13 @@ class BicycleVehicle(Vehicle):
     crashed: bool
     impact: Control | None
 
-    def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
+    def __init__(
+        self,
+        road: Road | None,
+        position: Sequence[float],
+        heading: float = 0,
+        speed: float = 0,
+    ) -> None:
         super().__init__(road, position, heading, speed)
         self.dynamics = PAPER_DYNAMICS
         self.control = np.zeros(2)
@@ -93,7 +101,10 @@ class BicycleVehicle(Vehicle):
         curvature = omega
         if self.dynamics.steering != "curvature":
             curvature = omega / self.speed if self.speed else 0.0
-        self.action = {"steering": atan(curvature * self.LENGTH), "acceleration": acceleration}
+        self.action = {
+            "steering": atan(curvature * self.LENGTH),
+            "acceleration": acceleration,
+        }
 
     def randomize_behavior(self) -> None:
         """Do nothing: highway-env randomises its drivers here, but this car has no random behaviour."""
@@ -104,7 +115,9 @@ class BicycleVehicle(Vehicle):
         if self.crashed:
             self.execute(np.array([0.0, -self.speed]))
         elif self.grip is not None:
-            self.execute(within_grip(dynamics, self.grip, np.asarray(self.speed), self.control))
+            self.execute(
+                within_grip(dynamics, self.grip, np.asarray(self.speed), self.control)
+            )
         x, y, heading, speed = step(dynamics, self.state, self.control)
         self.position = np.array([x, y])
         self.heading, self.speed = float(heading), float(speed)
@@ -114,7 +127,9 @@ class BicycleVehicle(Vehicle):
             self.impact = None
         self.on_state_update()
 
-    def _is_colliding(self, other: RoadObject, dt: float) -> tuple[bool, bool, Control | None]:
+    def _is_colliding(
+        self, other: RoadObject, dt: float
+    ) -> tuple[bool, bool, Control | None]:
         """Return whether the bodies overlap, whether they will within ``dt``, and the push apart; see `RoadObject`.
 
         If one of them is not solid, only the present overlap counts, and nothing is pushed.

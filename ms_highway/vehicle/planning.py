@@ -25,10 +25,16 @@ def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[f
     pose = vehicle.position, vehicle.heading
 
     # The vehicle is on the nearest of the lanes that it follows.
-    first = int(np.argmin([network.get_lane(index).distance_with_heading(*pose) for index in lanes]))
+    first = int(
+        np.argmin(
+            [network.get_lane(index).distance_with_heading(*pose) for index in lanes]
+        )
+    )
     place, _ = network.get_lane(lanes[first]).local_coordinates(vehicle.position)
     ahead = [
-        network.position_heading_along_route(lanes[first:], place + vehicle.speed * time, 0, vehicle.lane_index)
+        network.position_heading_along_route(
+            lanes[first:], place + vehicle.speed * time, 0, vehicle.lane_index
+        )
         for time in times
     ]
     return [position for position, _ in ahead], [heading for _, heading in ahead]
@@ -51,7 +57,13 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         target_lane_index: the present lane.
     """
 
-    def __init__(self, road: Road | None, position: Sequence[float], heading: float = 0, speed: float = 0) -> None:
+    def __init__(
+        self,
+        road: Road | None,
+        position: Sequence[float],
+        heading: float = 0,
+        speed: float = 0,
+    ) -> None:
         super().__init__(road, position, heading, speed)
         self.route: Route | None = None
         self.target_speed = None
@@ -62,7 +74,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     @classmethod
     def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
         """Make a car of this class from another vehicle, with the same route, but without its target speed."""
-        car = cls(vehicle.road, vehicle.position, vehicle.heading, vehicle.speed, **options)
+        car = cls(
+            vehicle.road, vehicle.position, vehicle.heading, vehicle.speed, **options
+        )
         car.route = getattr(vehicle, "route", None)
         return car
 
@@ -77,7 +91,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     def target_speed(self, speed: float | None) -> None:
         self._target_speed = speed
 
-    def drive_with(self, controller: Controller | None, companions: Sequence[Vehicle] = ()) -> None:
+    def drive_with(
+        self, controller: Controller | None, companions: Sequence[Vehicle] = ()
+    ) -> None:
         """Let a controller drive, in its game with these other cars, the partner first, and within its grip."""
         self.controller = controller
         self.companions = list(companions)
@@ -98,7 +114,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """
         if isinstance(action, str):
             if action != "IDLE":
-                raise ValueError(f"a car that plans cannot be told to go {action!r}; its only such action is 'IDLE'")
+                raise ValueError(
+                    f"a car that plans cannot be told to go {action!r}; its only such action is 'IDLE'"
+                )
         elif action or self.controller is None:
             BicycleVehicle.act(self, action)
         else:

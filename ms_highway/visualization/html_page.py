@@ -19,7 +19,12 @@ from ms_highway.visualization.tables import cells, latex
 UNSEEN = ("asked", "lengths")  # settings that say nothing about how results were made
 
 
-def page(results: Results, videos: bool = True, progress: Progress = silent, own: bool = False) -> str:
+def page(
+    results: Results,
+    videos: bool = True,
+    progress: Progress = silent,
+    own: bool = False,
+) -> str:
     """Return the page of a comparison, as HTML: a section for each scenario, and the settings of the results.
 
     Args:
@@ -36,7 +41,10 @@ def page(results: Results, videos: bool = True, progress: Progress = silent, own
     for scenario in results.scenarios:
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
         contents = drawn(figures(results.records, summaries, scenario))
-        pictures = {name: (_data("image/png", content), CAPTIONS[name]) for name, content in contents.items()}
+        pictures = {
+            name: (_data("image/png", content), CAPTIONS[name])
+            for name, content in contents.items()
+        }
         sections.append(
             {
                 "title": title(scenario),
@@ -46,15 +54,26 @@ def page(results: Results, videos: bool = True, progress: Progress = silent, own
                 "film": _film(results, scenario, own) if videos else None,
             }
         )
-    used = [name for name in models_of(summaries, "share") if summaries[f"share_{name}"].any()]
+    used = [
+        name
+        for name in models_of(summaries, "share")
+        if summaries[f"share_{name}"].any()
+    ]
     environment = Environment(
-        loader=PackageLoader("ms_highway", "data"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=PackageLoader("ms_highway", "data"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
     )
     environment.filters["text"] = _text
     return environment.get_template("report.html.jinja").render(
         sections=sections,
         models={name: model_meaning(name) or "a model that was added" for name in used},
-        settings={name: value for name, value in results.settings.items() if name not in UNSEEN and value != {}},
+        settings={
+            name: value
+            for name, value in results.settings.items()
+            if name not in UNSEEN and value != {}
+        },
         runs=results.runs,
         missing=results.missing,
     )
@@ -63,10 +82,14 @@ def page(results: Results, videos: bool = True, progress: Progress = silent, own
 def results_table(results: Results, scenario: str) -> pd.DataFrame:
     """Return the texts of `cells`, with columns for the paper's figures if they may be compared."""
     texts = cells(results.summaries, scenario)
-    published = [results.published(scenario, controller) for controller in texts["controller"]]
+    published = [
+        results.published(scenario, controller) for controller in texts["controller"]
+    ]
     if any(published):
         texts["published"] = [f"{one[0]:.2f}" if one else "" for one in published]
-        texts["published ms"] = [f"{1e3 * one[1]:.0f}" if one else "" for one in published]
+        texts["published ms"] = [
+            f"{1e3 * one[1]:.0f}" if one else "" for one in published
+        ]
     return texts
 
 
@@ -76,7 +99,9 @@ def latex_tables(results: Results) -> str:
     for scenario in results.scenarios:
         rows = results.summaries.query("scenario == @scenario")
         caption = f"{title(scenario)}: means per step, with 90 % intervals over episodes; {episode_count(rows)}."
-        tables.append(latex(results_table(results, scenario), caption, f"tab:{scenario}"))
+        tables.append(
+            latex(results_table(results, scenario), caption, f"tab:{scenario}")
+        )
     return "\n".join(tables)
 
 
@@ -95,7 +120,9 @@ def _film(results: Results, scenario: str, own: bool) -> dict | None:
     height, width, _ = pictures[0].shape
     places = " above, ".join(controllers) + " below" * (len(controllers) > 1)
     return {
-        "source": _data("video/mp4", video.encoded(pictures, ".mp4", films[0].frames_per_second)),
+        "source": _data(
+            "video/mp4", video.encoded(pictures, ".mp4", films[0].frames_per_second)
+        ),
         "width": width,
         "height": height,
         "caption": f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes "

@@ -35,9 +35,15 @@ NEAR = 0.05  # of the right share, in calibrations
 LIKELY = 0.05  # probability from which on a mode is drawn
 
 PANELS = {
-    "errors": {"fde": "mean error at the horizon [m]", "miss": f"share of drivers off by more than {MISS:g} m"},
+    "errors": {
+        "fde": "mean error at the horizon [m]",
+        "miss": f"share of drivers off by more than {MISS:g} m",
+    },
     "likelihood": {"log_p": "mean log density of the recorded position [1/m²]"},
-    "calibration": {f"inside {level}": f"share of drivers in the region of {level} %" for level in LEVELS},
+    "calibration": {
+        f"inside {level}": f"share of drivers in the region of {level} %"
+        for level in LEVELS
+    },
 }
 """Metrics in each figure of an evaluation, and their labels."""
 
@@ -86,13 +92,21 @@ def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
         for predictor, title in PREDICTORS.items():
             color, marker = STYLES[predictor]
             values = evaluation.predictors[predictor][kind]
-            axes.plot(list(map(int, values)), list(values.values()), marker=marker, color=color, label=title)
+            axes.plot(
+                list(map(int, values)),
+                list(values.values()),
+                marker=marker,
+                color=color,
+                label=title,
+            )
         axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
         axes.grid(axis="y")
         if kind.startswith("inside"):
             share = int(kind.split()[1]) / 100
             axes.axhline(share, color=RECORDED, linewidth=1, linestyle="--")
-            axes.axhspan(share - NEAR, min(share + NEAR, 1.0), color="#f1f2f4", zorder=0)
+            axes.axhspan(
+                share - NEAR, min(share + NEAR, 1.0), color="#f1f2f4", zorder=0
+            )
         if kind not in ("fde", "log_p"):
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     legend(figure, *panels[0].get_legend_handles_labels())
@@ -101,7 +115,9 @@ def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
         kept = evaluation.predictors["constant_velocity"]["fde"]
         left.set_ylim(0, 1.15 * max(kept.values()))  # without IDM's
         right.set_ylim(bottom=0)
-        figure.suptitle(f"{evaluation.windows} predictions of {evaluation.tracks} drivers")
+        figure.suptitle(
+            f"{evaluation.windows} predictions of {evaluation.tracks} drivers"
+        )
     return figure
 
 
@@ -120,9 +136,15 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     whole = np.isfinite(states).all(axis=(1, 3)) & snapshots.predicted
     most = int(whole.sum(axis=1).argmax())
     if not whole[most].any():
-        raise ValueError("no driver was recorded for 8 s on end; there are no paths to be drawn")
+        raise ValueError(
+            "no driver was recorded for 8 s on end; there are no paths to be drawn"
+        )
     one = replace(snapshots, predicted=whole).of(np.arange(len(snapshots)) == most)
-    start, lanes, width = one.drivers(one.now)[:, None, :2], np.unique(one.lanes), float(one.lane_width[0])
+    start, lanes, width = (
+        one.drivers(one.now)[:, None, :2],
+        np.unique(one.lanes),
+        float(one.lane_width[0]),
+    )
     figure = Figure(figsize=(11, 6))
     axes, paths = figure.subplots(), {"recorded": one.recorded}
     for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
@@ -130,21 +152,36 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     for name in DRAWN:
         modes = predict_with(name, one, drivers).modes
         paths[name] = expected_path(modes)
-        for chance, way in zip(*map(np.concatenate, modes), strict=True) if name == "model" else ():
+        for chance, way in (
+            zip(*map(np.concatenate, modes), strict=True) if name == "model" else ()
+        ):
             if chance >= LIKELY:
-                axes.plot(*way.T, color=STYLES[name][0], linewidth=1 + 5 * chance, alpha=0.25)
+                axes.plot(
+                    *way.T, color=STYLES[name][0], linewidth=1 + 5 * chance, alpha=0.25
+                )
     for name, path in paths.items():
         color, marker = STYLES[name]
         whole_paths = np.concatenate([start, path], axis=1).T
-        lines = axes.plot(*whole_paths, color=color, marker=marker, markevery=10, linewidth=1.3, markersize=4)
+        lines = axes.plot(
+            *whole_paths,
+            color=color,
+            marker=marker,
+            markevery=10,
+            linewidth=1.3,
+            markersize=4,
+        )
         lines[0].set_label(PREDICTORS.get(name, name))
-    axes.set(xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1))
+    axes.set(
+        xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1)
+    )
     axes.invert_yaxis()  # the driver's left is up
     legend(figure, *axes.get_legend_handles_labels())
     return figure
 
 
-def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = None) -> list[pd.DataFrame]:
+def learned_tables(
+    learned: LearnedReward, true: Mapping[str, float] | None = None
+) -> list[pd.DataFrame]:
     """Tabulate a learned reward, and learned drivers if there are any, with 90 % intervals.
 
     The last columns are mean sums of the features over a segment: of drivers, and expected under the reward.
@@ -159,9 +196,14 @@ def learned_tables(learned: LearnedReward, true: Mapping[str, float] | None = No
     rows = []
     for name, value in values.items():
         row = {"weight": name, "value": value, "true": true.get(name)}
-        row |= {"drivers": counts["human"].get(name), "expected": counts["model"].get(name)}
+        row |= {
+            "drivers": counts["human"].get(name),
+            "expected": counts["model"].get(name),
+        }
         if name in learned.weights:
-            row["interval"] = _ends(learned.interval(name)) if name in learned.learned else "given"
+            row["interval"] = (
+                _ends(learned.interval(name)) if name in learned.learned else "given"
+            )
         rows.append(row)
     found = [grid(f"learned from {learned.windows} segments", texts(LEARNED, rows))]
     return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
@@ -177,15 +219,30 @@ def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
     numbers = {
         **drivers.weights,
         "typical headway": prior.median[1],
-        **dict(zip(("desired speeds", "headways", "patiences"), prior.deviations, strict=True)),
+        **dict(
+            zip(
+                ("desired speeds", "headways", "patiences"),
+                prior.deviations,
+                strict=True,
+            )
+        ),
         "noise": prior.noise,
-        **{f"{name} while changing lanes": value for name, value in drivers.changing.items()},
+        **{
+            f"{name} while changing lanes": value
+            for name, value in drivers.changing.items()
+        },
     }
     rows = []
     for name, value in numbers.items():
         spread = drivers.deviations.get(name, np.nan)
-        ends = _ends(log_normal_interval(value, spread)) if np.isfinite(spread) else "given"
-        rows.append({"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends})
+        ends = (
+            _ends(log_normal_interval(value, spread))
+            if np.isfinite(spread)
+            else "given"
+        )
+        rows.append(
+            {"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends}
+        )
     return grid("learned seconds ahead; factors while changing lanes", rows)
 
 
@@ -193,15 +250,29 @@ def evaluation_tables(evaluation: Evaluation) -> list[pd.DataFrame]:
     """Tabulate an evaluation: all metrics by horizon, then mean errors and log densities by driving regime."""
     rows = []
     for horizon, (name, label) in product(map(str, HORIZONS), PREDICTORS.items()):
-        found = {kind: values[horizon] for kind, values in evaluation.predictors[name].items() if horizon in values}
+        found = {
+            kind: values[horizon]
+            for kind, values in evaluation.predictors[name].items()
+            if horizon in values
+        }
         if found:
             rows.append({"label": label, "horizon": horizon, **found})
-    tables = [grid(f"{evaluation.windows} predictions of {evaluation.tracks} drivers", texts(METRICS, rows), 2)]
+    tables = [
+        grid(
+            f"{evaluation.windows} predictions of {evaluation.tracks} drivers",
+            texts(METRICS, rows),
+            2,
+        )
+    ]
     regimes = (("distance", "mean error, m"), ("log_p", "mean log density"))
     for (kind, what), horizon in product(regimes, ("3", "5")):
         rows = []
         for regime, row in evaluation.situations[kind].items():
             errors = {name: row[name].get(horizon) for name in PREDICTORS}
-            rows.append({"regime": regime, "windows": row["windows"][horizon], **errors})
-        tables += [grid(f"{what}, after {horizon} s", texts(REGIMES, rows))] if rows else []
+            rows.append(
+                {"regime": regime, "windows": row["windows"][horizon], **errors}
+            )
+        tables += (
+            [grid(f"{what}, after {horizon} s", texts(REGIMES, rows))] if rows else []
+        )
     return tables

@@ -26,14 +26,22 @@ SHADES = {
 """Shades of a colour for the controllers of each type, besides fixed models."""
 
 OTHER_SHADES = ("#12908e", "#62bcb9", "#0b6462", "#a9dad8")
-VARIANTS = (1.0, 0.55, 1.4, 0.3)  # of a model's colour: above 1 darker, below 1 mixed with white
+VARIANTS = (
+    1.0,
+    0.55,
+    1.4,
+    0.3,
+)  # of a model's colour: above 1 darker, below 1 mixed with white
 
 LINES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 DPI = 160
 LABEL_LENGTH = 28  # characters, to which names are shortened in figures
-LETTER, HANDLE = 0.085, 0.6  # in, width of a letter and of a line with its spaces in legends
+LETTER, HANDLE = (
+    0.085,
+    0.6,
+)  # in, width of a letter and of a line with its spaces in legends
 
 OWN = {
     "axes.axisbelow": True,
@@ -91,13 +99,18 @@ def looks(controllers: Iterable[str]) -> dict[str, Look]:
         # The next line and marker that nobody of this colour has; of hundreds of controllers, some look alike
         pairs = len(LINES) * len(MARKERS)
         places = range(len(found), len(found) + pairs)
-        forms = [(color, LINES[place % len(LINES)], MARKERS[place % len(MARKERS)]) for place in places]
+        forms = [
+            (color, LINES[place % len(LINES)], MARKERS[place % len(MARKERS)])
+            for place in places
+        ]
         form = next((form for form in forms if form not in used), forms[0])
         used.add(form)
 
         label = short(name)
         labels[label] += 1
-        found[name] = Look(*form, f"{label} ({labels[label]})" if labels[label] > 1 else label)
+        found[name] = Look(
+            *form, f"{label} ({labels[label]})" if labels[label] > 1 else label
+        )
     return found
 
 
@@ -133,7 +146,12 @@ def legend(figure: Figure, handles: Iterable[Any], labels: Iterable[str]) -> Non
     texts = list(labels)
     width = HANDLE + LETTER * max(map(len, texts))
     columns = int(figure.get_figwidth() / width)
-    figure.legend(list(handles), texts, loc="outside lower center", ncols=min(max(columns, 1), len(texts)))
+    figure.legend(
+        list(handles),
+        texts,
+        loc="outside lower center",
+        ncols=min(max(columns, 1), len(texts)),
+    )
 
 
 def plain_ticks(value: float, _: int) -> str:
@@ -149,7 +167,9 @@ def content(figure: Figure, kind: str = "png") -> bytes:
     return written.getvalue()
 
 
-def drawn(figures: Mapping[str, Callable[[], Figure]], kind: str = "png") -> dict[str, bytes]:
+def drawn(
+    figures: Mapping[str, Callable[[], Figure]], kind: str = "png"
+) -> dict[str, bytes]:
     """Return the contents of the figures' files, by name; a figure that cannot be drawn is left out, with a warning."""
     found = {}
     for name, draw in figures.items():
@@ -157,5 +177,8 @@ def drawn(figures: Mapping[str, Callable[[], Figure]], kind: str = "png") -> dic
             found[name] = content(draw(), kind)
         except Exception as error:  # results are whole without it, whatever fails
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            warnings.warn(f"the figure {name} is left out, as it cannot be drawn ({reason})", stacklevel=2)
+            warnings.warn(
+                f"the figure {name} is left out, as it cannot be drawn ({reason})",
+                stacklevel=2,
+            )
     return found

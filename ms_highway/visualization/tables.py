@@ -93,9 +93,13 @@ def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
 
     def text(form: str, row: Mapping) -> str:
         names = [name for _, name, _, _ in Formatter().parse(form) if name]
-        return form.format(**row) if all(pd.notna(row.get(name)) for name in names) else ""
+        return (
+            form.format(**row) if all(pd.notna(row.get(name)) for name in names) else ""
+        )
 
-    table = pd.DataFrame([{heading: text(form, row) for heading, form in forms.items()} for row in rows])
+    table = pd.DataFrame(
+        [{heading: text(form, row) for heading, form in forms.items()} for row in rows]
+    )
     return table.loc[:, (table != "").any()]
 
 
@@ -120,9 +124,15 @@ def printed(table: pd.DataFrame, width: int | None) -> str:
     """
     shown = table
     if width is not None:
-        shown = table.rename(index=lambda name: name if len(name) <= NAME_WIDTH else f"{name[:15]}…{name[-16:]}")
+        shown = table.rename(
+            index=lambda name: (
+                name if len(name) <= NAME_WIDTH else f"{name[:15]}…{name[-16:]}"
+            )
+        )
     text = shown.to_string(line_width=width, sparsify=False)
-    return "\n".join([table.attrs["title"], *(line.rstrip() for line in text.splitlines()), ""])
+    return "\n".join(
+        [table.attrs["title"], *(line.rstrip() for line in text.splitlines()), ""]
+    )
 
 
 def latex(table: pd.DataFrame, caption: str, label: str) -> str:
@@ -143,7 +153,10 @@ def latex(table: pd.DataFrame, caption: str, label: str) -> str:
     def line(cells: Iterable[str]) -> str:
         return " & ".join(cells) + r" \\"
 
-    rows = [line([rf"\texttt{{{escaped(name)}}}", *map(cell, row)]) for name, *row in table.to_numpy()]
+    rows = [
+        line([rf"\texttt{{{escaped(name)}}}", *map(cell, row)])
+        for name, *row in table.to_numpy()
+    ]
     lines = [
         r"\begin{table}",
         r"\centering",
@@ -176,7 +189,11 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """
     rows = summaries.query("scenario == @scenario")
     models = models_of(summaries, "share")
-    models = [name for name in models if name in PAPER_MODELS or summaries[f"share_{name}"].any()]
+    models = [
+        name
+        for name in models
+        if name in PAPER_MODELS or summaries[f"share_{name}"].any()
+    ]
     shares = 100 * rows.reindex(columns=[f"share_{name}" for name in models])
     rows = rows.assign(
         reward_less_t=rows["reward"] - 1e-3 * rows["counted_ms"],
@@ -194,13 +211,17 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 def _with_shares(forms: Mapping[str, str], models: Iterable[str]) -> dict[str, str]:
     """Return the columns of a table, with the models in the heading of their shares."""
-    return {heading or f"{' / '.join(models)} %": form for heading, form in forms.items()}
+    return {
+        heading or f"{' / '.join(models)} %": form for heading, form in forms.items()
+    }
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Return the summary of one scenario, to be printed; the title names controllers whose T(M) is not known."""
     title = scenario
-    rows = summaries.query("scenario == @scenario and counted_ms.isna() and kind not in ['agent', 'driver']")
+    rows = summaries.query(
+        "scenario == @scenario and counted_ms.isna() and kind not in ['agent', 'driver']"
+    )
     if len(rows):
         remedy = "put its model on the ladder, or give its seconds by costs"
         title += f"\nT(M) is not known of {', '.join(rows['controller'])}; {remedy}"
@@ -215,9 +236,15 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
         scenario: its name.
     """
     tables = []
-    for price, rows in behind.query("scenario == @scenario").groupby("price", sort=False):
-        ranked = rows.assign(counted=(1e3 * rows["counted_seconds"]).map(two_digits)).sort_values("regret")
-        shown = ranked[~(ranked["kind"].isin(priced_types()) & ranked.duplicated("kind"))]
+    for price, rows in behind.query("scenario == @scenario").groupby(
+        "price", sort=False
+    ):
+        ranked = rows.assign(
+            counted=(1e3 * rows["counted_seconds"]).map(two_digits)
+        ).sort_values("regret")
+        shown = ranked[
+            ~(ranked["kind"].isin(priced_types()) & ranked.duplicated("kind"))
+        ]
         title = f"{scenario}, a second of planning costs {price:g}; of each kind with a lambda, the best"
         tables.append(grid(title, texts(REGRETS, shown.to_dict("records"))))
     return tables
@@ -234,9 +261,19 @@ def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
     for driver, one in drivers.items():
         succeeded = binomtest(round(one["success"] * one["episodes"]), one["episodes"])
         low, high = succeeded.proportion_ci(CONFIDENCE, "wilson")
-        shares = " / ".join(f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in MODELS) if one["rungs"] else None
+        shares = (
+            " / ".join(f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in MODELS)
+            if one["rungs"]
+            else None
+        )
         percent = {name: 100 * one[name] or None for name in ("off_road", "late")}
-        row = {**one, **percent, "driver": driver, "success": 100 * one["success"], "shares": shares}
+        row = {
+            **one,
+            **percent,
+            "driver": driver,
+            "success": 100 * one["success"],
+            "shares": shares,
+        }
         rows.append(row | {"low": 100 * low, "high": 100 * high})
     return grid(title, texts(_with_shares(DRIVERS, MODELS), rows))
 
@@ -246,11 +283,15 @@ def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
     forms, title = dict(SPEED), f"{scenario}: medians, on one core"
     for one in measured.values():
         if "batch" in one:
-            forms |= {f"batch {size}": f"{{batch {size}:,.0f}}" for size in one["batch"]} | {"MiB": "{mib:,.0f}"}
+            forms |= {
+                f"batch {size}": f"{{batch {size}:,.0f}}" for size in one["batch"]
+            } | {"MiB": "{mib:,.0f}"}
             title = f"{scenario}: medians, on one core; steps per second of batches on {one['devices']}"
     rows = []
     for name, one in measured.items():
         batches = {f"batch {size}": rate for size, rate in one.get("batch", {}).items()}
         memory = max(one.get("memory_mib", {}).values(), default=None)
-        rows.append({**one, **one["plan_us"], **batches, "controller": name, "mib": memory})
+        rows.append(
+            {**one, **one["plan_us"], **batches, "controller": name, "mib": memory}
+        )
     return grid(title, texts(forms, rows))

@@ -46,7 +46,9 @@ def film(scenario: str, controller: str, seed: int, **config: Any) -> Film:
     return film_together(scenario, [controller], seed, **config)[0]
 
 
-def film_together(scenario: str, controllers: Sequence[str], seed: int, **config: Any) -> list[Film]:
+def film_together(
+    scenario: str, controllers: Sequence[str], seed: int, **config: Any
+) -> list[Film]:
     """Film an episode of each controller from the same start, with one scale of planning time in all pictures.
 
     All films are as long as the longest one: after an episode, its last picture is repeated.
@@ -54,9 +56,12 @@ def film_together(scenario: str, controllers: Sequence[str], seed: int, **config
     Raises:
         ValueError: for an unknown scenario, controller or configuration.
     """
-    envs: list[Any] = [make_environment(scenario, name, render=True, **config) for name in controllers]
+    envs: list[Any] = [
+        make_environment(scenario, name, render=True, **config) for name in controllers
+    ]
     films = [
-        Film(controller, [], [], env.metadata["render_fps"]) for controller, env in zip(controllers, envs, strict=True)
+        Film(controller, [], [], env.metadata["render_fps"])
+        for controller, env in zip(controllers, envs, strict=True)
     ]
     for env in envs:
         env.unwrapped.viewer = env.unwrapped.viewer_type(env.unwrapped)
@@ -64,7 +69,9 @@ def film_together(scenario: str, controllers: Sequence[str], seed: int, **config
     for records in zip_longest(*(episode(env, seed) for env in envs)):
         for each, record in zip(films, records, strict=True):
             each.records.extend([record] if record else [])
-        longest = max(longest, *(record["planning_seconds"] for record in records if record))
+        longest = max(
+            longest, *(record["planning_seconds"] for record in records if record)
+        )
         for each, env in zip(films, envs, strict=True):
             env.unwrapped.viewer.longest = longest
             each.pictures.append(np.asarray(env.render()))
@@ -81,7 +88,9 @@ def check_format(path: Path) -> None:
         ImportError: for an .mp4 without the packages of the extra ``video``.
     """
     if path.suffix not in FORMATS:
-        raise ValueError(f"cannot tell the format of {path}; its name must end in {' or '.join(FORMATS)}")
+        raise ValueError(
+            f"cannot tell the format of {path}; its name must end in {' or '.join(FORMATS)}"
+        )
     if path.suffix == ".mp4":
         _imageio()
 
@@ -90,7 +99,10 @@ def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
     """Scale pictures to a width [px] in proportion; sides are even numbers, as mp4 requires."""
     height, drawn = pictures[0].shape[:2]
     size = 2 * round(width / 2), 2 * round(height * width / drawn / 2)
-    return [np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.HAMMING)) for picture in pictures]
+    return [
+        np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.HAMMING))
+        for picture in pictures
+    ]
 
 
 def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> None:
@@ -105,7 +117,9 @@ def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> 
         temporary.write_bytes(encoded(pictures, path.suffix, frames_per_second))
 
 
-def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) -> bytes:
+def encoded(
+    pictures: Sequence[Picture], suffix: str, frames_per_second: float
+) -> bytes:
     """Return the content of a video file, ``.mp4`` or ``.gif``.
 
     Raises:
@@ -114,7 +128,9 @@ def encoded(pictures: Sequence[Picture], suffix: str, frames_per_second: float) 
     if suffix == ".gif":
         return _gif(pictures, frames_per_second)
     options = {"plugin": "pyav", "fps": frames_per_second, "codec": "libx264"}
-    return _imageio().imwrite("<bytes>", np.stack(pictures), extension=".mp4", **options)
+    return _imageio().imwrite(
+        "<bytes>", np.stack(pictures), extension=".mp4", **options
+    )
 
 
 def _imageio() -> Any:
@@ -129,9 +145,20 @@ def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
     """Return a GIF with one palette and no dithering, so that still parts of the picture take no space."""
     some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]])
     palette = Image.fromarray(some).quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)
-    images = [Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
+    images = [
+        Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE)
+        for each in pictures
+    ]
     content, duration = io.BytesIO(), 1000 / frames_per_second  # ms
-    images[0].save(content, "GIF", save_all=True, append_images=images[1:], duration=duration, loop=0, optimize=True)
+    images[0].save(
+        content,
+        "GIF",
+        save_all=True,
+        append_images=images[1:],
+        duration=duration,
+        loop=0,
+        optimize=True,
+    )
     return content.getvalue()
 
 
@@ -148,7 +175,9 @@ def side_by_side(films: Sequence[Film]) -> list[Picture]:
     """
     longest = max(sum(map(_seconds, film.records)) for film in films)
     return [
-        np.concatenate([part for film in films for part in _titled(film, place, longest)])
+        np.concatenate(
+            [part for film in films for part in _titled(film, place, longest)]
+        )
         for place in range(len(films[0].pictures))
     ]
 
@@ -166,11 +195,23 @@ def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
     surface.fill(INK)
     for record in records:
         start, end = end, end + _seconds(record) / longest * width
-        bar = round(start), HEADING_HEIGHT - BAR_HEIGHT, round(end) - round(start), BAR_HEIGHT
+        bar = (
+            round(start),
+            HEADING_HEIGHT - BAR_HEIGHT,
+            round(end) - round(start),
+            BAR_HEIGHT,
+        )
         surface.fill(model_color(record["model"]), bar)
     name = words(film.controller, NAME_SIZE, PAPER)
     surface.blit(name, name.get_rect(midleft=(MARGIN, middle)))
-    reward, taken = np.mean([record["reward"] for record in records]), sum(map(_seconds, records))
-    numbers = words(f"reward per step {reward:+.2f}      computing {1e3 * taken:.1f} ms", NUMBERS_SIZE, PAPER)
+    reward, taken = (
+        np.mean([record["reward"] for record in records]),
+        sum(map(_seconds, records)),
+    )
+    numbers = words(
+        f"reward per step {reward:+.2f}      computing {1e3 * taken:.1f} ms",
+        NUMBERS_SIZE,
+        PAPER,
+    )
     surface.blit(numbers, numbers.get_rect(midright=(width - MARGIN, middle)))
     return pygame.surfarray.array3d(surface).swapaxes(0, 1), picture

@@ -29,14 +29,24 @@ def merges(game, state):
     """Steer to the target lane, whoever is there; return curvature [1/m] and acceleration before friction [m/s^2]."""
     _, y, heading, speed = state[0]
     wanted = np.clip(0.05 * (float(game.scene.target_lane) - y), -0.1, 0.1)
-    curvature = np.clip((wanted - heading) / (speed * float(game.world.time_step)), -0.015, 0.015)
+    curvature = np.clip(
+        (wanted - heading) / (speed * float(game.world.time_step)), -0.015, 0.015
+    )
     return keep_velocity(game.world, state[0]) + np.array([curvature, 0.0])
 
 
 ms_highway.add_driver("merges", merges)
-ms_highway.add_agent("coasts", lambda observation: [0.0, 0.0], {"action": {"type": "ContinuousAction"}})
+ms_highway.add_agent(
+    "coasts", lambda observation: [0.0, 0.0], {"action": {"type": "ContinuousAction"}}
+)
 
 if __name__ == "__main__":
-    comparison = Comparison({"merger-v1": ["merges", "coasts", "naive", "learned:1"]}, seeds=10)
+    comparison = Comparison(
+        {"merger-v1": ["merges", "coasts", "naive", "learned:1"]}, seeds=10
+    )
     print(*run(comparison, "results/own"))  # episodes that are done
-    print(summary(read(comparison, "results/own"))[["controller", "reward", "collision_episodes"]].round(2))
+    print(
+        summary(read(comparison, "results/own"))[
+            ["controller", "reward", "collision_episodes"]
+        ].round(2)
+    )

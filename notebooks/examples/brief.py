@@ -39,9 +39,18 @@ class BriefTheoryOfMind(TheoryOfMind):
 register(BriefTheoryOfMind(), before="tom")  # the next more expensive rung
 
 if __name__ == "__main__":
-    costs = {"naive": 0.09, "turn": 0.17, "brief": 0.4 * 0.37, "tom": 0.37}  # T(M) [s]; "measured" measures them
+    costs = {
+        "naive": 0.09,
+        "turn": 0.17,
+        "brief": 0.4 * 0.37,
+        "tom": 0.37,
+    }  # T(M) [s]; "measured" measures them
     controllers = ["brief", "tom", "switching:0.02"]
     config = {"costs": costs, "ladder": ["naive", "brief"]}
     comparison = Comparison({"merger": controllers}, seeds=5, config=config)
     print(*run(comparison, "results/brief"))  # episodes that are done
-    print(summary(read(comparison, "results/brief"))[["controller", "reward", "counted_ms", "share_brief"]].round(2))
+    print(
+        summary(read(comparison, "results/brief"))[
+            ["controller", "reward", "counted_ms", "share_brief"]
+        ].round(2)
+    )

@@ -15,7 +15,9 @@ env = gym.make("highway-v0", config={**config, "vehicles_count": 5, "duration": 
 env.reset(seed=0)
 done = False
 while not done:
-    *_, terminated, truncated, _ = env.step(1)  # the ego car, highway-env's own, keeps its lane
+    *_, terminated, truncated, _ = env.step(
+        1
+    )  # the ego car, highway-env's own, keeps its lane
     done = terminated or truncated
 for vehicle in env.unwrapped.road.vehicles:
     print(f"{type(vehicle).__name__:15} {vehicle.speed:.1f} m/s")

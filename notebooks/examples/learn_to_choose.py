@@ -47,7 +47,9 @@ class ManyEnvironments(VecEnv):
 
     def __init__(self, envs):
         self.envs = envs
-        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        super().__init__(
+            envs.num_envs, envs.single_observation_space, envs.single_action_space
+        )
 
     def reset(self):
         observations, _ = self.envs.reset(seed=0)
@@ -57,7 +59,9 @@ class ManyEnvironments(VecEnv):
         self.actions = actions
 
     def step_wait(self):
-        observations, rewards, terminated, truncated, info = self.envs.step(self.actions)
+        observations, rewards, terminated, truncated, info = self.envs.step(
+            self.actions
+        )
         ends = terminated | truncated
         infos = [{} for _ in ends]
         # After the last step of an episode nothing is paid, so the value of later steps is 0.
@@ -85,7 +89,9 @@ def make_environments(options, config, number):
     """Make environments in which an agent chooses models, and pays for them."""
     action = {"type": "HumanModelAction", "lambda": options.price}
     name = environment_id(options.scenario)
-    return gym.make_vec(name, number, config=config | {"action": action}, autoreset_mode="SameStep")
+    return gym.make_vec(
+        name, number, config=config | {"action": action}, autoreset_mode="SameStep"
+    )
 
 
 def learn(options, config):
@@ -95,7 +101,15 @@ def learn(options, config):
     # Rewards are divided by their deviation, so that values are about 1.
     many = VecNormalize(VecMonitor(ManyEnvironments(envs)), norm_obs=False)
     steps = envs.unwrapped.episode_steps
-    agent = PPO("MlpPolicy", many, seed=options.seed, n_steps=steps, device="cpu", verbose=1, **SETTINGS)
+    agent = PPO(
+        "MlpPolicy",
+        many,
+        seed=options.seed,
+        n_steps=steps,
+        device="cpu",
+        verbose=1,
+        **SETTINGS,
+    )
     agent.learn(options.steps)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     agent.save(options.out)
@@ -109,8 +123,14 @@ def drive(envs, choose, options):
     for _ in range(envs.unwrapped.episode_steps):
         observations, rewards, _, _, info = envs.step(choose(observations))
         paid = options.price * info["counted_seconds"]
-        row = {"reward": rewards + paid, "counted_seconds": info["counted_seconds"], "model": info["model"]}
-        steps.append(pd.DataFrame(row).assign(seed=options.first_seed + np.arange(envs.num_envs)))
+        row = {
+            "reward": rewards + paid,
+            "counted_seconds": info["counted_seconds"],
+            "model": info["model"],
+        }
+        steps.append(
+            pd.DataFrame(row).assign(seed=options.first_seed + np.arange(envs.num_envs))
+        )
     return pd.concat(steps)
 
 
@@ -119,22 +139,32 @@ def all_driven(options, config):
     envs = make_environments(options, config, options.episodes)
     envs.action_space.seed(options.first_seed)
     agent = PPO.load(options.out, device="cpu")
-    rungs = make_environment(options.scenario, "naive", **config).unwrapped.settings.models
+    rungs = make_environment(
+        options.scenario, "naive", **config
+    ).unwrapped.settings.models
     driven = {
-        "agent": drive(envs, lambda seen: agent.predict(seen, deterministic=True)[0], options),
+        "agent": drive(
+            envs, lambda seen: agent.predict(seen, deterministic=True)[0], options
+        ),
         "random": drive(envs, lambda _: envs.action_space.sample(), options),
     }
     for place, rung in enumerate(rungs):
         always = np.full(envs.action_space.shape, place)
         driven[rung.name] = drive(envs, lambda _, always=always: always, options)
     learned = f"learned:{options.price:g}"
-    asked = Comparison({options.scenario: [learned]}, options.episodes, options.first_seed, config)
+    asked = Comparison(
+        {options.scenario: [learned]}, options.episodes, options.first_seed, config
+    )
     return driven | {learned: simulated(asked)}
 
 
 def compared(driven, price):
     """Return a table: what every controller earns, and by how much the agent is ahead, over the same starts."""
-    models = list(dict.fromkeys(name for steps in driven.values() for name in steps["model"].unique()))
+    models = list(
+        dict.fromkeys(
+            name for steps in driven.values() for name in steps["model"].unique()
+        )
+    )
     models = [name for name in driven if name in models]  # cheapest first
     net = {}
     rows = []
@@ -143,32 +173,61 @@ def compared(driven, price):
         net[name] = means["reward"] - price * means["counted_seconds"]
         ahead = net["agent"] - net[name]
         low, high = interval(ahead)
-        shares = steps["model"].value_counts(normalize=True).reindex(models, fill_value=0.0)
+        shares = (
+            steps["model"].value_counts(normalize=True).reindex(models, fill_value=0.0)
+        )
         row = {"controller": name, "reward": f"{means['reward'].mean():.2f}"}
         row["less lambda T"] = f"{net[name].mean():.2f}"
-        row[f"{' / '.join(models)} %"] = " / ".join(f"{100 * share:.0f}" for share in shares)
-        row["agent ahead by"] = "" if name == "agent" else f"{ahead.mean():.2f} ({low:.2f}, {high:.2f})"
+        row[f"{' / '.join(models)} %"] = " / ".join(
+            f"{100 * share:.0f}" for share in shares
+        )
+        row["agent ahead by"] = (
+            "" if name == "agent" else f"{ahead.mean():.2f} ({low:.2f}, {high:.2f})"
+        )
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def main() -> None:
     """Train an agent, and compare it with other choices."""
-    parser = argparse.ArgumentParser(description="Learn which human model is worth its time.")
+    parser = argparse.ArgumentParser(
+        description="Learn which human model is worth its time."
+    )
     parser.add_argument("scenario", nargs="?", default="merger-v1")
-    parser.add_argument("--price", type=float, default=1.0, help="lambda, reward per second (default: 1)")
-    parser.add_argument("--steps", type=int, default=300_000, help="of learning (default: 300,000)")
-    parser.add_argument("--environments", type=int, default=64, help="to learn in at once (default: 64)")
-    parser.add_argument("--seed", type=int, default=0, help="of the training (default: 0)")
-    parser.add_argument("--episodes", type=int, default=100, help="to judge by (default: 100)")
-    parser.add_argument("--first-seed", type=int, default=5000, help="of these episodes (default: 5000)")
-    parser.add_argument("--out", type=Path, default=Path("results/ppo.zip"), help="file of the agent")
-    parser.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument(
+        "--price",
+        type=float,
+        default=1.0,
+        help="lambda, reward per second (default: 1)",
+    )
+    parser.add_argument(
+        "--steps", type=int, default=300_000, help="of learning (default: 300,000)"
+    )
+    parser.add_argument(
+        "--environments", type=int, default=64, help="to learn in at once (default: 64)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the training (default: 0)"
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=100, help="to judge by (default: 100)"
+    )
+    parser.add_argument(
+        "--first-seed", type=int, default=5000, help="of these episodes (default: 5000)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("results/ppo.zip"), help="file of the agent"
+    )
+    parser.add_argument(
+        "--set", dest="keys", action="append", default=[], metavar="KEY=VALUE"
+    )
     options = parser.parse_args()
     config = configuration(options)
     if options.steps:
         learn(options, config)
-    print(f"a second costs {options.price:g}; means per step of {options.episodes} episodes")
+    print(
+        f"a second costs {options.price:g}; means per step of {options.episodes} episodes"
+    )
     print(compared(all_driven(options, config), options.price).to_string(index=False))
 
 

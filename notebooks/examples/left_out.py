@@ -37,7 +37,12 @@ class WorksEnv(InteractionEnv):
         steps=40,
         ladder=("naive", "turn", "tom"),
         prices=(0.1, 0.02),
-        robot_weights={**COMMON_WEIGHTS, "target_lane": 500, "partner_target_lane": 250, "partner_merged": 5},
+        robot_weights={
+            **COMMON_WEIGHTS,
+            "target_lane": 500,
+            "partner_target_lane": 250,
+            "partner_merged": 5,
+        },
         human_weights={**COMMON_WEIGHTS, "target_lane": 120},
         cones=((20.0, 2 / 3), (67 / 3, 2 / 3), (74 / 3, 2 / 3), (27.0, 2 / 3)),
         merging_car=1,

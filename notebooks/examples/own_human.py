@@ -46,7 +46,11 @@ class ExpectsPoliteness(ms_highway.PredictedHuman):
 
         def one(state, _):
             control = polite(game, jnp.concatenate([state[1::-1], state[2:]]))
-            return step(game.dynamics, state, keep_velocity(game.dynamics, state).at[1].set(control)), control
+            return step(
+                game.dynamics,
+                state,
+                keep_velocity(game.dynamics, state).at[1].set(control),
+            ), control
 
         return jax.lax.scan(one, jnp.asarray(state), None, game.planner.horizon)[1]
 

@@ -15,7 +15,10 @@ import ms_highway
 
 LANES, SECONDS, FREQUENCY = (0.0, 4.0, 8.0), 3, 10
 
-env = gym.make("highway-v0", config={"lanes_count": 3, "vehicles_count": 15, "simulation_frequency": FREQUENCY})
+env = gym.make(
+    "highway-v0",
+    config={"lanes_count": 3, "vehicles_count": 15, "simulation_frequency": FREQUENCY},
+)
 env.reset(seed=0)
 road = env.unwrapped.road
 
@@ -27,20 +30,37 @@ def drive(seconds):
         if frame:
             road.act()
             road.step(1 / FREQUENCY)
-        states.append([(*car.position, car.heading, car.speed) for car in road.vehicles])
+        states.append(
+            [(*car.position, car.heading, car.speed) for car in road.vehicles]
+        )
     return np.array(states)
 
 
 past = drive(3)
-predictors = {"model": "learned drivers", "idm": "IDM", "constant_velocity": "constant velocity"}
-forecasts = {name: ms_highway.predict(past, LANES, 30.0, seconds=SECONDS, predictor=name) for name in predictors}
+predictors = {
+    "model": "learned drivers",
+    "idm": "IDM",
+    "constant_velocity": "constant velocity",
+}
+forecasts = {
+    name: ms_highway.predict(past, LANES, 30.0, seconds=SECONDS, predictor=name)
+    for name in predictors
+}
 after = drive(SECONDS)[-1, :, :2]
 for name, forecast in forecasts.items():
     off = np.linalg.norm(forecast.mean[:, -1] - after, axis=-1).mean()
-    along, across = np.sqrt(np.diagonal(forecast.covariance[:, -1], axis1=1, axis2=2)).mean(axis=0)
-    print(f"{predictors[name]:18} off by {off:4.1f} m after 3 s, expects {along:4.1f} m along, {across:.1f} m across")
+    along, across = np.sqrt(
+        np.diagonal(forecast.covariance[:, -1], axis1=1, axis2=2)
+    ).mean(axis=0)
+    print(
+        f"{predictors[name]:18} off by {off:4.1f} m after 3 s, expects {along:4.1f} m along, {across:.1f} m across"
+    )
 learned = forecasts["model"]
 car = int(learned.weights[:, 0].argmin())
 stays, left, right = learned.weights[car]
-print(f"car {car} keeps its lane by {stays:.0%}, changes to the left by {left:.0%}, to the right by {right:.0%}")
-print(f"where it would then be in {SECONDS} s: {learned.means[car, :, -1].round(1).tolist()}")
+print(
+    f"car {car} keeps its lane by {stays:.0%}, changes to the left by {left:.0%}, to the right by {right:.0%}"
+)
+print(
+    f"where it would then be in {SECONDS} s: {learned.means[car, :, -1].round(1).tolist()}"
+)

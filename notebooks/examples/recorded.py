@@ -16,8 +16,12 @@ ms_highway.low_latency()  # before anything is computed
 ms_highway.keep_compilations()  # for the next time
 
 config = {"recording": "us101", "traffic": "learned", "ego": "problem"}
-env = ms_highway.drive(gym.make("ms-highway/recorded-v0", render_mode="rgb_array", config=config))
-env = RecordVideo(env, "videos", name_prefix="recorded", fps=10)  # the road moves at 10 Hz
+env = ms_highway.drive(
+    gym.make("ms-highway/recorded-v0", render_mode="rgb_array", config=config)
+)
+env = RecordVideo(
+    env, "videos", name_prefix="recorded", fps=10
+)  # the road moves at 10 Hz
 
 env.reset(seed=0)
 done, largest = False, 0.0

@@ -39,13 +39,17 @@ class Near(ms_highway.Chooser, tag="near"):  # in short near:6
     distance: float  # m, within which humans are predicted by the top of the ladder, others by its first rung
 
     def choose(self, memory, gains, costs, evidence):
-        return jnp.where(distances(evidence) < self.distance, len(evidence.ladder) - 1, 0)
+        return jnp.where(
+            distances(evidence) < self.distance, len(evidence.ladder) - 1, 0
+        )
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Closeness(ms_highway.Estimator, tag="closeness"):  # in short closeness:2
-    reach: float = 10.0  # m, at which a better prediction gains 1 / e of what it gains at contact
+    reach: float = (
+        10.0  # m, at which a better prediction gains 1 / e of what it gains at contact
+    )
 
     def estimate(self, memory, evidence):
         above_first = jnp.arange(len(evidence.ladder))
@@ -58,10 +62,15 @@ ms_highway.add_rule(Near)
 ms_highway.add_rule(Closeness)
 if __name__ == "__main__":
     models = {"ladder": ["coasting", "tom"], "costs": {"coasting": 0.09, "tom": 0.37}}
-    for scenario, config in (("merger", models), ("dense_merge", models | {"humans": 2})):
+    for scenario, config in (
+        ("merger", models),
+        ("dense_merge", models | {"humans": 2}),
+    ):
         for rule in ("near:6", "closeness:2"):
             live = pd.DataFrame(episode(make_environment(scenario, rule, **config), 0))
             batch = simulated(Comparison({scenario: [rule]}, seeds=20, config=config))
             for steps in (live, batch):
                 used = (steps["model"] == "tom").mean()
-                print(f"{scenario}, {rule}: reward per step {steps['reward'].mean():.2f}, tom in {used:.0%}")
+                print(
+                    f"{scenario}, {rule}: reward per step {steps['reward'].mean():.2f}, tom in {used:.0%}"
+                )

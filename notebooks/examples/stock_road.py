@@ -16,7 +16,10 @@ import ms_highway
 ms_highway.low_latency()  # before anything is computed
 ms_highway.keep_compilations()  # for the next time
 
-config = {"vehicles_count": 15, "duration": 5}  # of highway-env; the robot's own settings come next
+config = {
+    "vehicles_count": 15,
+    "duration": 5,
+}  # of highway-env; the robot's own settings come next
 env = gym.make("highway-fast-v0", render_mode="rgb_array", config=config)
 env = ms_highway.drive(env, {"budget": 20, "desired_speed": 27.0, "acceleration": 4.0})
 env = RecordVideo(env, "videos", name_prefix="stock-road")
@@ -28,6 +31,11 @@ while not done:
     _, reward, terminated, truncated, info = env.step(None)  # the robot drives itself
     done = terminated or truncated
     road = info["road"]
-    cars = ", ".join(f"{count} {model}" for model, count in Counter(filter(None, road["models"])).items())
-    print(f"{info['speed']:.1f} m/s, at most {road['acceleration']:.1f} m/s^2, {road['source']}; {cars or 'nobody'}")
+    cars = ", ".join(
+        f"{count} {model}"
+        for model, count in Counter(filter(None, road["models"])).items()
+    )
+    print(
+        f"{info['speed']:.1f} m/s, at most {road['acceleration']:.1f} m/s^2, {road['source']}; {cars or 'nobody'}"
+    )
 env.close()

@@ -34,7 +34,10 @@ def layers(key, sizes):
     """Draw the weights and biases of a network."""
     keys = jax.random.split(key, len(sizes) - 1)
     shapes = list(zip(keys, sizes[:-1], sizes[1:], strict=True))
-    return [(jax.random.normal(key, (one, other)) / one**0.5, jnp.zeros(other)) for key, one, other in shapes]
+    return [
+        (jax.random.normal(key, (one, other)) / one**0.5, jnp.zeros(other))
+        for key, one, other in shapes
+    ]
 
 
 def network(parameters, inputs):
@@ -52,7 +55,9 @@ def logits_of(parameters, observations, heads):
 
 
 def log_probability(logits, actions):
-    return jnp.take_along_axis(logits, actions[..., None].astype(int), axis=-1)[..., 0].sum(axis=-1)
+    return jnp.take_along_axis(logits, actions[..., None].astype(int), axis=-1)[
+        ..., 0
+    ].sum(axis=-1)
 
 
 def advantages(rewards, values, last, ends):
@@ -65,7 +70,9 @@ def advantages(rewards, values, last, ends):
         advantage = delta + DISCOUNT * TRACE * (1 - end) * following
         return (advantage, value), advantage
 
-    return jax.lax.scan(back, (jnp.zeros_like(last), last), (rewards, values, ends), reverse=True)[1]
+    return jax.lax.scan(
+        back, (jnp.zeros_like(last), last), (rewards, values, ends), reverse=True
+    )[1]
 
 
 def loss(parameters, batch, heads):
@@ -74,27 +81,42 @@ def loss(parameters, batch, heads):
     logits = logits_of(parameters, observations, heads)
     ratio = jnp.exp(log_probability(logits, actions) - before)
     normal = (advantage - advantage.mean()) / (advantage.std() + 1e-6)
-    gain = jnp.minimum(ratio * normal, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * normal).mean()
+    gain = jnp.minimum(
+        ratio * normal, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * normal
+    ).mean()
     entropy = -(jnp.exp(logits) * logits).sum(axis=(-2, -1)).mean()
-    error = jnp.square(network(parameters["value"], observations)[..., 0] - returns).mean()
+    error = jnp.square(
+        network(parameters["value"], observations)[..., 0] - returns
+    ).mean()
     return error / 2 - gain - ENTROPY * entropy
 
 
 def train(env, updates, steps, optimiser, seed=0):
     """Return the parameters of a trained agent, and its shape; print how it learns."""
     space = env.single_action_space
-    heads = (1, int(space.n)) if isinstance(space, gym.spaces.Discrete) else (len(space.nvec), int(space.nvec[0]))
+    heads = (
+        (1, int(space.n))
+        if isinstance(space, gym.spaces.Discrete)
+        else (len(space.nvec), int(space.nvec[0]))
+    )
     inputs = int(np.prod(env.single_observation_space.shape))
     keys = jax.random.split(jax.random.key(seed), 3)
     sizes = [inputs, HIDDEN, HIDDEN]
-    parameters = {"policy": layers(keys[0], [*sizes, heads[0] * heads[1]]), "value": layers(keys[1], [*sizes, 1])}
+    parameters = {
+        "policy": layers(keys[0], [*sizes, heads[0] * heads[1]]),
+        "value": layers(keys[1], [*sizes, 1]),
+    }
     state, key = optimiser.init(parameters), keys[2]
 
     @jax.jit
     def choose(parameters, observations, key):
         logits = logits_of(parameters, observations, heads)
         actions = jax.random.categorical(key, logits)
-        return actions, log_probability(logits, actions), network(parameters["value"], observations)[..., 0]
+        return (
+            actions,
+            log_probability(logits, actions),
+            network(parameters["value"], observations)[..., 0],
+        )
 
     @jax.jit
     def learn(parameters, state, rollout, last, key):
@@ -110,8 +132,12 @@ def train(env, updates, steps, optimiser, seed=0):
             return (optax.apply_updates(carry[0], changes), state), None
 
         count = len(flat[0])
-        orders = jax.vmap(lambda key: jax.random.permutation(key, count))(jax.random.split(key, EPOCHS))
-        return jax.lax.scan(update, (parameters, state), orders.reshape(EPOCHS * BATCHES, -1))[0]
+        orders = jax.vmap(lambda key: jax.random.permutation(key, count))(
+            jax.random.split(key, EPOCHS)
+        )
+        return jax.lax.scan(
+            update, (parameters, state), orders.reshape(EPOCHS * BATCHES, -1)
+        )[0]
 
     observations, start = flatten(env.reset(seed=seed)[0]), perf_counter()
     for number in range(updates):
@@ -119,10 +145,24 @@ def train(env, updates, steps, optimiser, seed=0):
         for _ in range(steps):
             key, drawn = jax.random.split(key)
             actions, before, values = choose(parameters, observations, drawn)
-            seen, rewards, terminated, truncated, _ = env.step(np.asarray(actions).reshape(env.action_space.shape))
-            rollout.append((observations, actions, before, values, SCALE * rewards, terminated | truncated))
+            seen, rewards, terminated, truncated, _ = env.step(
+                np.asarray(actions).reshape(env.action_space.shape)
+            )
+            rollout.append(
+                (
+                    observations,
+                    actions,
+                    before,
+                    values,
+                    SCALE * rewards,
+                    terminated | truncated,
+                )
+            )
             observations = flatten(seen)
-        rollout = [np.stack([np.asarray(step[part]) for step in rollout]).astype(np.float32) for part in range(6)]
+        rollout = [
+            np.stack([np.asarray(step[part]) for step in rollout]).astype(np.float32)
+            for part in range(6)
+        ]
         key, drawn = jax.random.split(key)
         last = choose(parameters, observations, drawn)[2]
         parameters, state = learn(parameters, state, rollout, last, drawn)
@@ -150,15 +190,25 @@ if __name__ == "__main__":
     ms_highway.keep_compilations()  # before JAX computes anything
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("scenario", nargs="?", default="merger-v1")
-    parser.add_argument("--price", type=float, default=1.0, help="lambda, reward per second (default: 1)")
+    parser.add_argument(
+        "--price",
+        type=float,
+        default=1.0,
+        help="lambda, reward per second (default: 1)",
+    )
     parser.add_argument("--updates", type=int, default=30)
     parser.add_argument("--environments", type=int, default=64)
-    parser.add_argument("--set", dest="keys", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument(
+        "--set", dest="keys", action="append", default=[], metavar="KEY=VALUE"
+    )
     options = parser.parse_args()
     config = configuration(options)
     action = {"action": {"type": "HumanModelAction", "lambda": options.price}}
     env = gym.make_vec(
-        environment_id(options.scenario), options.environments, config=config | action, autoreset_mode="SameStep"
+        environment_id(options.scenario),
+        options.environments,
+        config=config | action,
+        autoreset_mode="SameStep",
     )
     steps = env.unwrapped.episode_steps
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(2e-3))
@@ -169,8 +219,13 @@ if __name__ == "__main__":
         return np.asarray(best).reshape(env.action_space.shape)
 
     seed = 10_000  # of starts from which the agent has not learned
-    earned = {"agent": judge(env, agent, seed), "random": judge(env, lambda _: env.action_space.sample(), seed)}
-    peers = Comparison({options.scenario: ["naive", "learned:1"]}, options.environments, seed, config)
+    earned = {
+        "agent": judge(env, agent, seed),
+        "random": judge(env, lambda _: env.action_space.sample(), seed),
+    }
+    peers = Comparison(
+        {options.scenario: ["naive", "learned:1"]}, options.environments, seed, config
+    )
     steps = simulated(peers)
     less = steps["reward"] - options.price * steps["counted_seconds"]
     earned |= less.groupby(steps["controller"]).mean().to_dict()

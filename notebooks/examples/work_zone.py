@@ -34,7 +34,9 @@ SCENE = Scene(  # what planners know of the road; metres, y to the right
     obstacle_size=np.array([2.0, 2.0]),
     target_lane=0.0,
 )
-GAME = driving_game(SCENE, 20.0, {**COMMON_WEIGHTS, "target_lane": 150})  # what robot and partner drive for
+GAME = driving_game(
+    SCENE, 20.0, {**COMMON_WEIGHTS, "target_lane": 150}
+)  # what robot and partner drive for
 LADDER = ladder(["naive", "turn", "tom"])
 COSTS = Costs.of(PUBLISHED_COSTS, 1)  # T(M) [s], with one human
 
@@ -44,7 +46,10 @@ class WorkZoneEnv(AbstractEnv):
 
     @classmethod
     def default_config(cls):
-        rates = {"simulation_frequency": 10, "policy_frequency": 10}  # plans are made of steps of 0.1 s
+        rates = {
+            "simulation_frequency": 10,
+            "policy_frequency": 10,
+        }  # plans are made of steps of 0.1 s
         return {**super().default_config(), **rates, "duration": 6, "lambda": 0.1}
 
     def define_spaces(self):
@@ -53,14 +58,24 @@ class WorkZoneEnv(AbstractEnv):
         self.action_space = self.action_type.space()
 
     def _reset(self):
-        self.road = Road(RoadNetwork.straight_road_network(2, length=1000, speed_limit=20), np_random=self.np_random)
-        self.road.objects = [Obstacle(self.road, position) for position in SCENE.obstacles]
+        self.road = Road(
+            RoadNetwork.straight_road_network(2, length=1000, speed_limit=20),
+            np_random=self.np_random,
+        )
+        self.road.objects = [
+            Obstacle(self.road, position) for position in SCENE.obstacles
+        ]
         robot = RobotVehicle(self.road, [100.0, 4.0], speed=20)
         starts = 96.0, 82.0, 112.0
-        humans = [CommuterVehicle(self.road, [x + self.np_random.normal(), 0.0], speed=20) for x in starts]
+        humans = [
+            CommuterVehicle(self.road, [x + self.np_random.normal(), 0.0], speed=20)
+            for x in starts
+        ]
         for human in humans:
             human.enable_lane_change = False  # into the lane that is closed
-        robot.drive_with(Driver(GAME, Switching(COSTS, self.config["lambda"], LADDER)), humans)  # partner first
+        robot.drive_with(
+            Driver(GAME, Switching(COSTS, self.config["lambda"], LADDER)), humans
+        )  # partner first
         self.road.vehicles, self.controlled_vehicles = [robot, *humans], [robot]
 
     def _reward(self, action):

@@ -30,7 +30,10 @@ class ZipperEnv(InteractionEnv):
         cones=((55 / 3, 1.0), (21.0, 1.0), (71 / 3, 1.0), (79 / 3, 1.0)),
         steps=40,
         ladder=("naive", "turn", "tom"),
-        prices=(0.1, 0.02),  # lambdas of the two switching controllers that are compared by default
+        prices=(
+            0.1,
+            0.02,
+        ),  # lambdas of the two switching controllers that are compared by default
         robot_weights={**COMMON_WEIGHTS, "target_lane": 150, "merged": 5},
         human_weights={**COMMON_WEIGHTS, "target_lane": 1000},
     )
@@ -41,4 +44,8 @@ add_scenario(ZipperEnv)
 if __name__ == "__main__":
     comparison = Comparison({"zipper": ["naive", "tom", "switching:0.02"]}, seeds=5)
     print(*run(comparison, "results/zipper"))  # episodes that are done
-    print(summary(read(comparison, "results/zipper"))[["controller", "reward", "counted_ms", "share_tom"]].round(2))
+    print(
+        summary(read(comparison, "results/zipper"))[
+            ["controller", "reward", "counted_ms", "share_tom"]
+        ].round(2)
+    )

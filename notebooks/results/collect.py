@@ -23,11 +23,28 @@ KEPT = Path(__file__).parent
 PAGES = KEPT.parents[1] / "README.md", KEPT / "README.md"
 LIMITS = ("limit_50", "limit_9", "limit_6")
 CROWDS = "dense_merge_v1", "crossing_crowd_v1"
-RUNS = ("physical", "compare", "released", "curve", "worth", *CROWDS, "frontier", *LIMITS)
+RUNS = (
+    "physical",
+    "compare",
+    "released",
+    "curve",
+    "worth",
+    *CROWDS,
+    "frontier",
+    *LIMITS,
+)
 """Directories in results/."""
 
-OUTCOME = "controller", "reward/step", "90 % interval", "collisions"  # cells of a run that stand beside others
-TABLES = "summary", "regrets"  # what some of them hold, and what is kept with a column ``run``
+OUTCOME = (
+    "controller",
+    "reward/step",
+    "90 % interval",
+    "collisions",
+)  # cells of a run that stand beside others
+TABLES = (
+    "summary",
+    "regrets",
+)  # what some of them hold, and what is kept with a column ``run``
 ROADS = "road", "road_commuters"
 """Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
 
@@ -41,13 +58,34 @@ PHYSICAL = {  # in the project's README
 }
 REWARD, COLLISIONS = "reward per step (90 % interval)", "episodes with a collision"
 SHOWN_COLUMNS = [REWARD, "plan ms", COLLISIONS]
-SEVERAL_COLUMNS = ["scenario", "controller", REWARD, COLLISIONS, "success", "counted ms"]
-WORTH = {scenario: ["naive", "tom", "tom@6+warm", "learned:10"] for scenario in ("merger", "give_way")}
-LIMITED = {"stay_back": ["turn"], "merger": ["tom"], "give_way": ["tom", "switching:0.01"]}
+SEVERAL_COLUMNS = [
+    "scenario",
+    "controller",
+    REWARD,
+    COLLISIONS,
+    "success",
+    "counted ms",
+]
+WORTH = {
+    scenario: ["naive", "tom", "tom@6+warm", "learned:10"]
+    for scenario in ("merger", "give_way")
+}
+LIMITED = {
+    "stay_back": ["turn"],
+    "merger": ["tom"],
+    "give_way": ["tom", "switching:0.01"],
+}
 
 OUTCOMES = "{success:.0%}, {collisions} ({at_fault}) of {episodes}, "
-ROAD_DRIVERS = {"priced": "priced", "idm": "idm", "agents/dqn-SCENE-0.zip": "DQN", "agents/ppo-SCENE-0.zip": "PPO"}
-RECORDED_DRIVERS = {name: name for name in ("priced", "fixed:naive", "fixed:tom", "idm", "human")}
+ROAD_DRIVERS = {
+    "priced": "priced",
+    "idm": "idm",
+    "agents/dqn-SCENE-0.zip": "DQN",
+    "agents/ppo-SCENE-0.zip": "PPO",
+}
+RECORDED_DRIVERS = {
+    name: name for name in ("priced", "fixed:naive", "fixed:tom", "idm", "human")
+}
 """Drivers of roads that the page shows, and the headings of their columns."""
 
 
@@ -57,14 +95,22 @@ def collect(results: Path) -> None:
         kept, parts = _texts(KEPT / f"{name}.csv"), []
         for run in RUNS:
             file = results / run / f"{name}.csv"
-            parts.append(_texts(file).assign(run=run) if file.is_file() else kept[kept["run"] == run])
+            parts.append(
+                _texts(file).assign(run=run)
+                if file.is_file()
+                else kept[kept["run"] == run]
+            )
         table = pd.concat(parts)
-        table[["run", *table.columns.drop("run")]].to_csv(KEPT / f"{name}.csv", index=False)
+        table[["run", *table.columns.drop("run")]].to_csv(
+            KEPT / f"{name}.csv", index=False
+        )
     settings = json.loads((KEPT / "settings.json").read_text())
     for run in RUNS:
         for name in ("settings", "provenance"):
             if (results / run / f"{name}.json").is_file():
-                settings.setdefault(run, {})[name] = json.loads((results / run / f"{name}.json").read_text())
+                settings.setdefault(run, {})[name] = json.loads(
+                    (results / run / f"{name}.json").read_text()
+                )
     ordered = {run: settings[run] for run in RUNS if run in settings}
     (KEPT / "settings.json").write_text(json.dumps(ordered, indent=1) + "\n")
     for name in ROADS:
@@ -73,49 +119,77 @@ def collect(results: Path) -> None:
             for scene, drivers in json.loads(part.read_text()).items():
                 roads.setdefault(scene, {}).update(drivers)
         if roads:
-            (KEPT / f"{name}.json").write_text(json.dumps(in_order(roads), indent=2) + "\n")
+            (KEPT / f"{name}.json").write_text(
+                json.dumps(in_order(roads), indent=2) + "\n"
+            )
     recorded = json.loads((KEPT / f"{RECORDED}.json").read_text())
     for file in sorted((results / RECORDED).glob("*.json")):
-        recorded.setdefault(file.stem, {}).update(json.loads(file.read_text())[RECORDED])  # keeps retired drivers
+        recorded.setdefault(file.stem, {}).update(
+            json.loads(file.read_text())[RECORDED]
+        )  # keeps retired drivers
     (KEPT / f"{RECORDED}.json").write_text(json.dumps(recorded, indent=2) + "\n")
 
 
 def comparison(run: str) -> Results:
     """A kept comparison, without its records."""
     made = json.loads((KEPT / "settings.json").read_text())[run]
-    return Results(pd.DataFrame(), kept_table("summary", run), made["settings"], made["provenance"])
+    return Results(
+        pd.DataFrame(), kept_table("summary", run), made["settings"], made["provenance"]
+    )
 
 
 def kept_table(name: str, run: str) -> pd.DataFrame:
     """A run's rows of a kept table."""
     table = pd.read_csv(KEPT / f"{name}.csv")
     own = table[table["run"] == run].drop(columns="run").reset_index(drop=True)
-    return own.drop(columns=[name for name in own if name.startswith("share_") and own[name].isna().all()])
+    return own.drop(
+        columns=[
+            name for name in own if name.startswith("share_") and own[name].isna().all()
+        ]
+    )
 
 
 def tables() -> dict[str, str]:
     """The tables of the pages in Markdown, by the name that stands in the comment above each."""
     physical = overview(physical="")
     limits = overview(
-        limit_50=", 0.2 and 50 control limit", limit_9=", 0.2 and 9 control limit", limit_6=", 0.1 and 6 control limit"
+        limit_50=", 0.2 and 50 control limit",
+        limit_9=", 0.2 and 9 control limit",
+        limit_6=", 0.1 and 6 control limit",
     )
     shown_tables = {
         "physical": rows_of(physical, PHYSICAL, SHOWN_COLUMNS),
-        "semantics": brief(overview(compare=", paper semantics", released=", released semantics")),
-        "worth": rows_of(overview(worth=""), WORTH, [REWARD, "reward less T", "plan ms"]),
-        "several": pd.concat([overview(**{run: ""})[SEVERAL_COLUMNS] for run in CROWDS]),
-        "limits": rows_of(limits, LIMITED, [name for name in limits if "collision" in name]),
+        "semantics": brief(
+            overview(compare=", paper semantics", released=", released semantics")
+        ),
+        "worth": rows_of(
+            overview(worth=""), WORTH, [REWARD, "reward less T", "plan ms"]
+        ),
+        "several": pd.concat(
+            [overview(**{run: ""})[SEVERAL_COLUMNS] for run in CROWDS]
+        ),
+        "limits": rows_of(
+            limits, LIMITED, [name for name in limits if "collision" in name]
+        ),
         "regrets": regret_cells(kept_table("regrets", "frontier")),
-        "road": outcomes(kept_roads(), OUTCOMES + "{reward_per_step:.3f}", ROAD_DRIVERS),
-        "recorded": outcomes(kept_figures(RECORDED), OUTCOMES + "{p50_ms:.0f} ms", RECORDED_DRIVERS),
+        "road": outcomes(
+            kept_roads(), OUTCOMES + "{reward_per_step:.3f}", ROAD_DRIVERS
+        ),
+        "recorded": outcomes(
+            kept_figures(RECORDED), OUTCOMES + "{p50_ms:.0f} ms", RECORDED_DRIVERS
+        ),
     }
     return {name: markdown(table) for name, table in shown_tables.items()}
 
 
-def rows_of(table: pd.DataFrame, shown: dict[str, list[str]], columns: list[str]) -> pd.DataFrame:
+def rows_of(
+    table: pd.DataFrame, shown: dict[str, list[str]], columns: list[str]
+) -> pd.DataFrame:
     """The rows of some scenarios and controllers, with some columns."""
     chosen = [(scenario, name) for scenario, names in shown.items() for name in names]
-    return table.set_index(["scenario", "controller"]).loc[chosen, columns].reset_index()
+    return (
+        table.set_index(["scenario", "controller"]).loc[chosen, columns].reset_index()
+    )
 
 
 def overview(**names: str) -> pd.DataFrame:
@@ -128,15 +202,28 @@ def overview(**names: str) -> pd.DataFrame:
         for texts in results_table(results, scenario).to_dict("records")
     }
     rows = []
-    for key in dict.fromkeys((scenario, controller) for _, scenario, controller in found):
+    for key in dict.fromkeys(
+        (scenario, controller) for _, scenario, controller in found
+    ):
         row = dict(zip(("scenario", "controller"), key, strict=True))
         own = [found.get((name, *key), {}) for name in several]
         for name, texts in zip(several, own, strict=True):
-            reward = f"{texts['reward/step']} ({texts['90 % interval']})" if texts else ""
+            reward = (
+                f"{texts['reward/step']} ({texts['90 % interval']})" if texts else ""
+            )
             row[f"reward per step (90 % interval){name}"] = reward
             row[f"episodes with a collision{name}"] = texts.get("collisions", "")
-        more = {heading: text for texts in reversed(own) for heading, text in texts.items() if "published" in heading}
-        row |= {heading: text for heading, text in (own[0] | more).items() if heading not in OUTCOME}
+        more = {
+            heading: text
+            for texts in reversed(own)
+            for heading, text in texts.items()
+            if "published" in heading
+        }
+        row |= {
+            heading: text
+            for heading, text in (own[0] | more).items()
+            if heading not in OUTCOME
+        }
         rows.append(row)
     return table_of(rows)
 
@@ -162,7 +249,11 @@ def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
             {"scenario": scenario, "price": f"{price:g}"}
             | {"best found": f"{own.loc[BEST_PER_START, 'meta_reward']:.2f}"}
             | {model: regret.get(model, "") for model in ("naive", "turn", "tom")}
-            | {"best order for all starts": regret[own.loc[own["kind"].isin(fixed_order_types()), "regret"].idxmin()]}
+            | {
+                "best order for all starts": regret[
+                    own.loc[own["kind"].isin(fixed_order_types()), "regret"].idxmin()
+                ]
+            }
             | {
                 f"{kind}, best lambda": f"{regret[best]} ({best.removeprefix(f'{kind}:')})"
                 for kind in ("switching", "horizon")
@@ -177,7 +268,9 @@ def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
     """Figures of roads in the command's own order of scenes and drivers, other drivers last."""
     order = {driver: place for place, driver in enumerate(DRIVERS)}
     return {
-        scene: dict(sorted(roads[scene].items(), key=lambda one: order.get(one[0], len(order))))
+        scene: dict(
+            sorted(roads[scene].items(), key=lambda one: order.get(one[0], len(order)))
+        )
         for scene in SCENES + OTHER_SCENES
         if scene in roads
     }
@@ -191,10 +284,14 @@ def kept_figures(name: str) -> dict[str, dict[str, dict]]:
 def kept_roads() -> dict[str, dict[str, dict]]:
     """Figures of stock scenes, and of those among commuters."""
     commuters = kept_figures("road_commuters")
-    return kept_figures("road") | {f"{scene} among commuters": drivers for scene, drivers in commuters.items()}
+    return kept_figures("road") | {
+        f"{scene} among commuters": drivers for scene, drivers in commuters.items()
+    }
 
 
-def outcomes(scenes: dict[str, dict[str, dict]], form: str, shown: dict[str, str]) -> pd.DataFrame:
+def outcomes(
+    scenes: dict[str, dict[str, dict]], form: str, shown: dict[str, str]
+) -> pd.DataFrame:
     """Texts, a row per scene, a column per driver."""
     return table_of(
         {"scene": scene.replace("_", ", ")}
@@ -216,7 +313,9 @@ def rewrite(page: Path, texts: dict[str, str]) -> None:
     """Put each table below the comment with its name."""
     for name, text in texts.items():
         old = re.compile(rf"(<!-- table: {name} -->\n)(?:\|.*\n)*")
-        page.write_text(old.sub(lambda match, text=text: f"{match[1]}{text}\n", page.read_text()))
+        page.write_text(
+            old.sub(lambda match, text=text: f"{match[1]}{text}\n", page.read_text())
+        )
 
 
 def _texts(file: Path) -> pd.DataFrame:

@@ -18,7 +18,15 @@ from ms_highway.benchmarks.road.export import WHEELBASE
 from ms_highway.benchmarks.road.measures import Watch, measured
 from ms_highway.benchmarks.road.peers import Peer, starts_of
 
-KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleration", "p50_ms", "p99_ms"}
+KEYS = {
+    "success",
+    "collisions",
+    "at_fault",
+    "reward_per_step",
+    "max_acceleration",
+    "p50_ms",
+    "p99_ms",
+}
 
 
 @pytest.mark.parametrize(
@@ -29,11 +37,17 @@ KEYS = {"success", "collisions", "at_fault", "reward_per_step", "max_acceleratio
         ("IDLE", [120.0, 4.0], 5.0, True),  # runs into the car ahead
     ],
 )
-def test_only_an_ego_that_keeps_its_lane_and_is_rear_ended_is_not_at_fault(action, place, speed, at_fault):
+def test_only_an_ego_that_keeps_its_lane_and_is_rear_ended_is_not_at_fault(
+    action, place, speed, at_fault
+):
     """An ego in the middle lane of an empty highway collides with another car."""
-    env = gym.make("highway-fast-v0", config={"vehicles_count": 0, "simulation_frequency": 15}).unwrapped
+    env = gym.make(
+        "highway-fast-v0", config={"vehicles_count": 0, "simulation_frequency": 15}
+    ).unwrapped
     env.reset(seed=0)
-    ego = MDPVehicle(env.road, [100.0, 4.0], 0.0, 20.0, target_speed=20.0, target_speeds=[0, 20, 35])
+    ego = MDPVehicle(
+        env.road, [100.0, 4.0], 0.0, 20.0, target_speed=20.0, target_speeds=[0, 20, 35]
+    )
     env.road.vehicles = [ego, Vehicle(env.road, place, 0.0, speed)]
     env.controlled_vehicles = [ego]
     watch = Watch(env)
@@ -44,11 +58,18 @@ def test_only_an_ego_that_keeps_its_lane_and_is_rear_ended_is_not_at_fault(actio
 
 def test_acceleration_and_jerk_on_a_circle_are_those_of_turning():
     angle, radius, speed = 0.5 * np.arange(50) / 15, 20.0, 10.0
-    states = np.stack([radius * np.sin(angle), -radius * np.cos(angle), angle, np.full(50, speed)], axis=-1)
+    states = np.stack(
+        [radius * np.sin(angle), -radius * np.cos(angle), angle, np.full(50, speed)],
+        axis=-1,
+    )
     motion = measured(states, 1 / 15)
     assert motion["max_acceleration"] == pytest.approx(speed**2 / radius, rel=1e-6)
-    assert motion["max_acceleration_of_centre"] == pytest.approx(speed**2 / radius, rel=1e-3)
-    assert np.sqrt(motion["squared_jerk"]) == pytest.approx(speed**3 / radius**2, rel=1e-3)
+    assert motion["max_acceleration_of_centre"] == pytest.approx(
+        speed**2 / radius, rel=1e-3
+    )
+    assert np.sqrt(motion["squared_jerk"]) == pytest.approx(
+        speed**3 / radius**2, rel=1e-3
+    )
 
 
 def test_idm_reaches_goals_without_a_crash():
@@ -66,12 +87,20 @@ def test_an_episode_that_ends_because_the_ego_leaves_the_road_is_no_success():
             return self.inner.action_space.high * [0]
 
     block = Block("racetrack-v1", "straight")
-    episode = run_episode(block, 0, Straight(gym.make("racetrack-v1", config={"other_vehicles": 0})))
-    assert (episode["crashed"], episode["off_road"], episode["success"]) == (False, True, False)
+    episode = run_episode(
+        block, 0, Straight(gym.make("racetrack-v1", config={"other_vehicles": 0}))
+    )
+    assert (episode["crashed"], episode["off_road"], episode["success"]) == (
+        False,
+        True,
+        False,
+    )
 
 
 @pytest.mark.slow
-def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path, capsys):
+def test_the_command_writes_figures_episodes_and_films_of_every_driver(
+    tmp_path, capsys
+):
     file, log = tmp_path / "road.json", tmp_path / "road.csv"
     command = f"bench road merge-v0 --drivers idm fixed:naive --seeds 2 --seed 5 --json {file} --log {log}"
     run(f"{command} --films {tmp_path}")
@@ -85,11 +114,17 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(tmp_path,
     assert (tmp_path / "merge-v0_idm_success_5.gif").is_file()
 
 
-def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_and_as_a_solution(tmp_path):
+def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_and_as_a_solution(
+    tmp_path,
+):
     """The solution is the drive of a kinematic single-track model. Another car's centre is not that of its states."""
-    shifted = recordings.RECTANGLE.replace("</rec", "<originXShift>-1.5</originXShift></rec")
+    shifted = recordings.RECTANGLE.replace(
+        "</rec", "<originXShift>-1.5</originXShift></rec"
+    )
     cars = recordings.car(100, 60, 0) + recordings.car(101, 40, 3.5, shape=shifted)
-    (tmp_path / "small.xml").write_text(recordings.scenario(cars=cars, problems=recordings.problem(right=0.3)))
+    (tmp_path / "small.xml").write_text(
+        recordings.scenario(cars=cars, problems=recordings.problem(right=0.3))
+    )
     (start,) = starts_of(tmp_path, "problem")
     episode = run_episode(Block(RECORDED, "idm", "idm", (start,), tmp_path), 0)
     file, last = tmp_path / "idm" / "idm" / start.name, episode["steps"]
@@ -97,28 +132,48 @@ def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_a
     assert list(problems.planning_problem_dict) == [7]
     assert len(scenario.lanelet_network.lanelets) == 4
     ahead = scenario.obstacle_by_id(100)
-    np.testing.assert_allclose(ahead.state_at_time(0).position, recordings.place(60, 0), atol=1e-6)
+    np.testing.assert_allclose(
+        ahead.state_at_time(0).position, recordings.place(60, 0), atol=1e-6
+    )
     assert ahead.state_at_time(last) is not None is ahead.state_at_time(last + 1)
-    (solution,) = CommonRoadSolutionReader.open(f"{file}.solution.xml").planning_problem_solutions
+    (solution,) = CommonRoadSolutionReader.open(
+        f"{file}.solution.xml"
+    ).planning_problem_solutions
     assert (solution.planning_problem_id, solution.vehicle_id) == (7, "KS2")
     states = solution.trajectory.state_list
     assert [state.time_step for state in states] == list(range(last + 1))
     np.testing.assert_allclose(states[0].position, recordings.place(20, 0.3), atol=1e-6)
-    assert np.hypot(*(states[-1].position - states[0].position)) == pytest.approx(episode["distance"], rel=0.02)
-    turned = [state.velocity / WHEELBASE * np.tan(state.steering_angle) for state in states[:-1]]
-    np.testing.assert_allclose(np.diff([state.orientation for state in states]), 0.1 * np.array(turned), atol=1e-6)
+    assert np.hypot(*(states[-1].position - states[0].position)) == pytest.approx(
+        episode["distance"], rel=0.02
+    )
+    turned = [
+        state.velocity / WHEELBASE * np.tan(state.steering_angle)
+        for state in states[:-1]
+    ]
+    np.testing.assert_allclose(
+        np.diff([state.orientation for state in states]),
+        0.1 * np.array(turned),
+        atol=1e-6,
+    )
     assert max(map(abs, turned)) > 1e-3
 
 
-def test_drives_of_recordings_whose_ids_are_paths_or_the_same_are_exported_into_the_directory(tmp_path):
+def test_drives_of_recordings_whose_ids_are_paths_or_the_same_are_exported_into_the_directory(
+    tmp_path,
+):
     data = tmp_path / "data"
     exports = tmp_path / "a" / "b" / "exports"
     data.mkdir()
     text = recordings.scenario(problems=recordings.problem(goal=22.0, times=(0, 20)))
     for name in ("one", "two"):
-        (data / f"{name}.xml").write_text(text.replace("USA_Test-1_1_T-1", "../../../../x"))
+        (data / f"{name}.xml").write_text(
+            text.replace("USA_Test-1_1_T-1", "../../../../x")
+        )
     starts = tuple(starts_of(data, "problem"))
-    assert [start.name for start in starts] == ["../../../../x_one.xml", "../../../../x_two.xml"]
+    assert [start.name for start in starts] == [
+        "../../../../x_one.xml",
+        "../../../../x_two.xml",
+    ]
     for seed in range(2):
         with pytest.warns(UserWarning, match="Not a valid scenario ID"):
             run_episode(Block(RECORDED, "idm", "replay", starts, exports), seed)
@@ -130,7 +185,12 @@ def test_drives_of_recordings_whose_ids_are_paths_or_the_same_are_exported_into_
 @pytest.mark.slow
 def test_the_command_says_whose_place_the_ego_takes(tmp_path, capsys):
     cars = recordings.car(100, 20, 0) + recordings.car(101, 40, 3.5)
-    text = recordings.scenario(cars=cars, problems=recordings.problem(goal=22.0, times=(0, 20)))
+    text = recordings.scenario(
+        cars=cars, problems=recordings.problem(goal=22.0, times=(0, 20))
+    )
     (tmp_path / "small.xml").write_text(text)
     run(f"bench road recorded --data {tmp_path} --drivers idm --traffic replay")
-    assert "the ego takes the place of the recorded vehicle 100 in USA_Test-1_1_T-1" in capsys.readouterr().err
+    assert (
+        "the ego takes the place of the recorded vehicle 100 in USA_Test-1_1_T-1"
+        in capsys.readouterr().err
+    )

@@ -5,15 +5,30 @@ import json
 import pytest
 from commands import run
 
-KEYS = {"plan_us", "decision_us", "step_us", "environment", "batch", "memory_mib", "first_seconds", "devices"}
+KEYS = {
+    "plan_us",
+    "decision_us",
+    "step_us",
+    "environment",
+    "batch",
+    "memory_mib",
+    "first_seconds",
+    "devices",
+}
 
 
 @pytest.mark.slow
-def test_the_command_times_every_rung_and_switching_live_and_in_batches(tmp_path, capsys):
-    run(f"bench merger --set ladder=naive, --batches 1 20 --json {tmp_path / 'bench.json'}")
+def test_the_command_times_every_rung_and_switching_live_and_in_batches(
+    tmp_path, capsys
+):
+    run(
+        f"bench merger --set ladder=naive, --batches 1 20 --json {tmp_path / 'bench.json'}"
+    )
     measured = json.loads((tmp_path / "bench.json").read_text())["merger"]
     assert list(measured) == ["naive", "switching:0.6", "switching:0.1"]
-    assert measured["naive"]["decision_us"] == 0 < measured["switching:0.1"]["decision_us"]
+    assert (
+        measured["naive"]["decision_us"] == 0 < measured["switching:0.1"]["decision_us"]
+    )
     for one in measured.values():
         assert set(one) == KEYS
         assert 0 < one["plan_us"]["p50"] <= one["plan_us"]["p99"] < 1e6

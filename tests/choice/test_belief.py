@@ -20,7 +20,9 @@ def test_a_human_who_brakes_as_a_model_predicts_is_believed_to_follow_it_and_no_
 
 
 @pytest.mark.parametrize("steps", [1, 5])
-def test_humans_without_an_observed_control_change_their_model_at_the_same_rate_for_all_lengths_of_steps(steps):
+def test_humans_without_an_observed_control_change_their_model_at_the_same_rate_for_all_lengths_of_steps(
+    steps,
+):
     belief = CERTAIN
     for _ in range(steps):
         belief = updated_belief(belief, PREDICTED, np.full(2, np.nan), 0.5 / steps)

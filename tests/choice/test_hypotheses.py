@@ -41,7 +41,9 @@ def test_idm_brakes_for_the_robot_once_it_is_in_its_lane(merger):
 
 
 def test_theory_of_mind_answers_the_robots_plan_and_turn_does_not(merger):
-    (straight,), (cuts_in,) = (predicted(*merger, plan) for plan in (STRAIGHT, CUTTING_IN))
+    (straight,), (cuts_in,) = (
+        predicted(*merger, plan) for plan in (STRAIGHT, CUTTING_IN)
+    )
     np.testing.assert_array_equal(straight[:TOM], cuts_in[:TOM])
     assert cuts_in[TOM, 1] < straight[TOM, 1] - 1.0
 
@@ -49,4 +51,6 @@ def test_theory_of_mind_answers_the_robots_plan_and_turn_does_not(merger):
 def test_long_steps_do_not_overshoot(played):
     game, state = played("merger", planning=PlanningSettings(horizon=10, time_step=0.2))
     (controls,) = predicted(game, state, np.tile(STRAIGHT[:1], (10, 1)))
-    assert abs(controls[:, 1] - controls[NAIVE, 1]).max() < 5.0  # m/s^2; limits are reached by steps that overshoot
+    assert (
+        abs(controls[:, 1] - controls[NAIVE, 1]).max() < 5.0
+    )  # m/s^2; limits are reached by steps that overshoot

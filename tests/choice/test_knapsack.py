@@ -18,7 +18,11 @@ def instance(random, humans, rungs):
     costs = random.integers(0, 9, rungs) / 8
     costs[random.random(rungs) < 0.1] = random.choice([np.inf, np.nan])
     costs[0] = 0.0
-    return values.astype(np.float32), costs.astype(np.float32), np.float32(random.integers(-1, 4 * humans) / 8)
+    return (
+        values.astype(np.float32),
+        costs.astype(np.float32),
+        np.float32(random.integers(-1, 4 * humans) / 8),
+    )
 
 
 @pytest.mark.parametrize(("humans", "rungs"), [(4, 3), (3, 4)])
@@ -27,7 +31,13 @@ def test_the_choice_has_the_highest_value_and_the_lowest_cost_for_it(humans, run
     assignments = list(product(range(rungs), repeat=humans))
     for _ in range(200):
         values, costs, capacity = instance(random, humans, rungs)
-        worth = {each: (values[np.arange(humans), each].sum(), -costs[[*each]].sum()) for each in assignments}
-        best = max((pair for pair in worth.values() if -pair[1] <= capacity), default=(-np.inf, 0))
+        worth = {
+            each: (values[np.arange(humans), each].sum(), -costs[[*each]].sum())
+            for each in assignments
+        }
+        best = max(
+            (pair for pair in worth.values() if -pair[1] <= capacity),
+            default=(-np.inf, 0),
+        )
         found = tuple(np.asarray(solve(values, costs, capacity)).tolist())
         assert worth[found] == best if best[0] > -np.inf else not any(found)

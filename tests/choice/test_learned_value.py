@@ -26,25 +26,39 @@ def test_a_description_depends_neither_on_units_nor_places_nor_numbers_of_humans
     everyone = np.arange(8)
     start, _ = draw_episode(scenario, np.random.default_rng(1), small.humans)
     start[:, 2] += 0.02
-    metres, far = start * [PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT], np.array([50.0, 0, 0, 0])
+    metres, far = (
+        start * [PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT],
+        np.array([50.0, 0, 0, 0]),
+    )
     described = describe_quickly(game, metres, everyone)
     assert described.shape == (8, len(description_names()))
-    np.testing.assert_allclose(describe_quickly(small, start, everyone), described, rtol=1e-3, atol=2e-3)
-    moved = replace(game, scene=replace(game.scene, obstacles=game.scene.obstacles + far[:2]))
+    np.testing.assert_allclose(
+        describe_quickly(small, start, everyone), described, rtol=1e-3, atol=2e-3
+    )
+    moved = replace(
+        game, scene=replace(game.scene, obstacles=game.scene.obstacles + far[:2])
+    )
     further = describe_quickly(moved, metres + far, everyone)
-    np.testing.assert_allclose(further, described, rtol=1e-2, atol=2e-2)  # float32 loses digits further out
+    np.testing.assert_allclose(
+        further, described, rtol=1e-2, atol=2e-2
+    )  # float32 loses digits further out
     turned = describe_quickly(game, metres[[0, *range(8, 0, -1)]], everyone[::-1])
     np.testing.assert_allclose(turned, described, rtol=1e-4, atol=1e-4)
     whole_turns = np.zeros_like(metres)
     whole_turns[:, 2] = 2 * np.pi * np.arange(-4, 5)
     turned = describe_quickly(game, metres + whole_turns, everyone)
-    np.testing.assert_allclose(turned, described, rtol=1e-3, atol=1e-2)  # single precision loses digits
+    np.testing.assert_allclose(
+        turned, described, rtol=1e-3, atol=1e-2
+    )  # single precision loses digits
 
 
 def test_the_model_with_the_highest_gain_plans_and_theory_of_mind_is_used_at_the_start_only():
     models = []
     for info in drive(make("merger", "learned:1")).infos:
-        worth = {name: gain - 1.0 * PUBLISHED_COSTS[name] for name, gain in info["gains"].items()}
+        worth = {
+            name: gain - 1.0 * PUBLISHED_COSTS[name]
+            for name, gain in info["gains"].items()
+        }
         models.append(info["model"])
         assert max(worth, key=worth.get) == models[-1]
     assert (models[0], models[-1]) == ("tom", "naive")  # Algorithm 1 starts with naive
@@ -66,21 +80,38 @@ def test_a_file_is_read_as_it_was_written(file):
 @pytest.mark.parametrize(
     ("name", "change", "problem"),
     [
-        ("about", lambda about: np.array(json.dumps(json.loads(str(about)) | {"version": 99})), "version 99"),
         (
             "about",
-            lambda about: np.array(json.dumps(json.loads(str(about)) | {"provenance": {"scenarios": None}})),
+            lambda about: np.array(
+                json.dumps(json.loads(str(about)) | {"version": 99})
+            ),
+            "version 99",
+        ),
+        (
+            "about",
+            lambda about: np.array(
+                json.dumps(json.loads(str(about)) | {"provenance": {"scenarios": None}})
+            ),
             "scenarios is None: Expected `array`",
         ),
-        ("weights_2", lambda weights: weights * 1e9, "weights of the networks are beyond 1000"),
+        (
+            "weights_2",
+            lambda weights: weights * 1e9,
+            "weights of the networks are beyond 1000",
+        ),
         ("biases_1", lambda biases: biases[:1], "shapes"),
     ],
 )
-def test_a_damaged_file_is_refused_with_the_damage_and_the_command_that_writes_another(file, name, change, problem):
+def test_a_damaged_file_is_refused_with_the_damage_and_the_command_that_writes_another(
+    file, name, change, problem
+):
     with np.load(file) as archive:
         arrays = dict(archive)
     np.savez(file, **arrays | {name: change(arrays[name])})
-    with pytest.raises(ValueError, match=rf"values\.npz cannot be read.*{problem}.*`ms-highway values learn` --out"):
+    with pytest.raises(
+        ValueError,
+        match=rf"values\.npz cannot be read.*{problem}.*`ms-highway values learn` --out",
+    ):
         load_values(file)
 
 
@@ -88,4 +119,7 @@ def test_shipped_values_among_several_humans_are_those_that_know_the_ladder():
     settings = ENVIRONMENTS["dense-merge-v1"]().settings
     start = settings.start(1, np.random.default_rng())
     for names in (("naive", "tom"), ("naive", "turn", "tom")):
-        assert settings.controller.learned(start._replace(ladder=ladder(names))).ladder == names
+        assert (
+            settings.controller.learned(start._replace(ladder=ladder(names))).ladder
+            == names
+        )

@@ -38,7 +38,9 @@ def decided(rule, played, memory, reward=1.5, unit=PAPER_UNIT):
 
 
 @pytest.mark.parametrize("kind", [Switching, WholeHorizon])
-def test_the_top_is_chosen_up_to_the_price_at_which_its_time_costs_as_much_as_it_gains_per_step(played, kind):
+def test_the_top_is_chosen_up_to_the_price_at_which_its_time_costs_as_much_as_it_gains_per_step(
+    played, kind
+):
     gain = decided(made(0.0, kind), played, on(0), reward=-9.0).gains[0, 2]
     break_even = gain / (0.37 - 0.09)
     assert gain > 0
@@ -55,7 +57,9 @@ def test_gains_are_over_the_first_rung_whichever_rung_is_in_use(played):
     down = decided(made(1e6), played, up.memory._replace(step=np.int32(2)))
     assert down.memory.rungs == 1
     assert down.gains[0, 2] == up.gains[0, 2]
-    last = decided(made(0.0), played, down.memory._replace(step=np.int32(6)), reward=100.0)
+    last = decided(
+        made(0.0), played, down.memory._replace(step=np.int32(6)), reward=100.0
+    )
     assert np.isfinite(last.gains[0]).all()
     assert last.gains[0, 0] == 0
     assert last.memory.gain == last.gains[0, 1]
@@ -63,15 +67,22 @@ def test_gains_are_over_the_first_rung_whichever_rung_is_in_use(played):
 
 def test_gains_do_not_depend_on_the_unit_of_length(played):
     for rung in range(3):
-        metres, units = (decided(made(0.1), played, on(rung), unit=unit).gains for unit in (PAPER_UNIT, 1.0))
+        metres, units = (
+            decided(made(0.1), played, on(rung), unit=unit).gains
+            for unit in (PAPER_UNIT, 1.0)
+        )
         assert np.isfinite(metres).any()
         np.testing.assert_allclose(metres, units, rtol=1e-2, atol=1e-3)
 
 
-def test_the_top_rung_checks_only_the_rung_below_after_each_cooldown_and_switches_to_it_for_a_gain(played):
+def test_the_top_rung_checks_only_the_rung_below_after_each_cooldown_and_switches_to_it_for_a_gain(
+    played,
+):
     memory, checked = on(2), []
     for _ in range(8):
-        decision = decided(made(0.0), played, memory, reward=100.0)  # more than any alternative earns
+        decision = decided(
+            made(0.0), played, memory, reward=100.0
+        )  # more than any alternative earns
         checked.append(np.flatnonzero(decision.gains[0] != NOT_ESTIMATED).tolist())
         memory = decision.memory._replace(step=np.asarray(decision.memory.step) + 1)
         assert memory.rungs == 2
@@ -90,11 +101,21 @@ def test_the_expansion_has_the_derivatives_of_both_rewards_over_the_whole_plan(p
     @jit_quickly
     def derivatives(both):
         slopes, bends = jax.jacobian(rewards)(both), jax.hessian(rewards)(both)
-        human_bend = bends[1, 10:, 10:] - jnp.diag(jnp.tile(jnp.asarray(game.humans.comfort), 5))
-        return slopes[0], bends[0], response(game.influence, human_bend, bends[1, 10:, :10])
+        human_bend = bends[1, 10:, 10:] - jnp.diag(
+            jnp.tile(jnp.asarray(game.humans.comfort), 5)
+        )
+        return (
+            slopes[0],
+            bends[0],
+            response(game.influence, human_bend, bends[1, 10:, :10]),
+        )
 
     slopes, bends, influence = map(np.asarray, derivatives(PLAN.ravel()))
     found = jit_quickly(expand)(game, state, ROBOT.ravel(), HUMAN.ravel())
     for one, expected in ((found.hessian, bends), (found.gradient, slopes)):
-        np.testing.assert_allclose(one, expected, rtol=1e-3, atol=1e-4 * abs(expected).max())
-    np.testing.assert_allclose(found.influence, influence, rtol=1e-2, atol=1e-3 * abs(influence).max())
+        np.testing.assert_allclose(
+            one, expected, rtol=1e-3, atol=1e-4 * abs(expected).max()
+        )
+    np.testing.assert_allclose(
+        found.influence, influence, rtol=1e-2, atol=1e-3 * abs(influence).max()
+    )

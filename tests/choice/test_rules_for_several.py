@@ -30,7 +30,16 @@ NAIVE, TURN, TOM = range(3)
 COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]), ("naive", "turn", "tom"))
 
 # in the robot's lane: 15 m ahead and as fast, far ahead, 40 m ahead and slower; in the next one: 20 m behind; far aside
-STATE = np.float32([[0, 0, 0, 20], [15, 0, 0, 20], [90, 0, 0, 20], [40, 0, 0, 2], [-20, 3.3, 0, 22], [12, 13.3, 0, 5]])
+STATE = np.float32(
+    [
+        [0, 0, 0, 20],
+        [15, 0, 0, 20],
+        [90, 0, 0, 20],
+        [40, 0, 0, 2],
+        [-20, 3.3, 0, 22],
+        [12, 13.3, 0, 5],
+    ]
+)
 NEAREST_FOUR = np.array([1, 0, 1, 1, 1])
 
 SHIPPED = load_values("shipped")
@@ -41,13 +50,17 @@ decide_quickly = jit_quickly(decide)
 def game(played):
     """A robot among five humans."""
     game, _ = played("merger")
-    return replace(game, humans=replace(game.humans, weights=np.tile(game.humans.weights, (5, 1))))
+    return replace(
+        game, humans=replace(game.humans, weights=np.tile(game.humans.weights, (5, 1)))
+    )
 
 
 def decided(rule, game, error=0.0, before=0):
     """Return the decision after plans with these rungs, with an error added to the state."""
     memory, outcome, *_ = begin(rule, game, STATE + error)
-    return decide_quickly(rule, game, memory._replace(rungs=np.int32(memory.rungs + before)), outcome)
+    return decide_quickly(
+        rule, game, memory._replace(rungs=np.int32(memory.rungs + before)), outcome
+    )
 
 
 def chosen(rule, game):
@@ -58,12 +71,18 @@ def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately
     """JAX takes such dataclasses for equal: `jax.jit` alone takes one in eight of these for an earlier one."""
     number = jit_quickly(lambda rule: rule.count * type(rule).number)
     for copy in range(40):
-        kind = dataclass(frozen=True)(type(f"Rule{copy}", (), {"__annotations__": {"count": int}, "number": copy}))
+        kind = dataclass(frozen=True)(
+            type(f"Rule{copy}", (), {"__annotations__": {"count": int}, "number": copy})
+        )
         assert number(jax.tree_util.register_dataclass(kind)(1)) == copy
 
 
 def test_theory_of_mind_predicts_the_nearest_humans(game):
-    for count, rungs in ((0, [NAIVE] * 5), (2, [TOM, NAIVE, NAIVE, NAIVE, TOM]), (9, [TOM] * 5)):
+    for count, rungs in (
+        (0, [NAIVE] * 5),
+        (2, [TOM, NAIVE, NAIVE, NAIVE, TOM]),
+        (9, [TOM] * 5),
+    ):
         assert chosen(Rule(LADDER, COSTS, Nearest(count)), game) == rungs
 
 
@@ -80,14 +99,21 @@ class KnownGains(Estimator):
 
 def test_a_budget_is_spent_where_it_gains_most(game):
     none = NOT_ESTIMATED
-    gains = KnownGains(np.float32([[0, 1, 3], [0, 0, -1], [none, 2, 2.5], [0, none, 9], [0, -1, none]]))
+    gains = KnownGains(
+        np.float32([[0, 1, 3], [0, 0, -1], [none, 2, 2.5], [0, none, 9], [0, -1, none]])
+    )
     for milliseconds, deciding, rungs in (
         (1000.0, 0.0, [TOM, NAIVE, TOM, TOM, NAIVE]),
         (56.1, 0.0, [TOM, NAIVE, TURN, TOM, NAIVE]),  # 8 + 2 + 8 ms fit into 28 - 10 ms
         (56.1, 0.001, [TURN, NAIVE, TURN, TOM, NAIVE]),
         (1.0, 0.0, [NAIVE] * 5),  # not even these fit
     ):
-        assert chosen(Rule(LADDER, COSTS, Budget(milliseconds, 0.5, deciding), gains), game) == rungs
+        assert (
+            chosen(
+                Rule(LADDER, COSTS, Budget(milliseconds, 0.5, deciding), gains), game
+            )
+            == rungs
+        )
 
 
 def over_naive(gains, price=0.0, doubt=0.0):
@@ -96,7 +122,9 @@ def over_naive(gains, price=0.0, doubt=0.0):
     expected = np.zeros_like(biases)
     expected[:, :2] = gains
     expected[:, 1] += doubt * np.resize([1, -1], len(biases))
-    return with_networks(SHIPPED.rule(LADDER, COSTS, price), network=(*hidden, (0 * weights, expected)))
+    return with_networks(
+        SHIPPED.rule(LADDER, COSTS, price), network=(*hidden, (0 * weights, expected))
+    )
 
 
 def with_networks(rule, **changes):
@@ -110,7 +138,9 @@ def test_a_budget_without_expected_gains_is_spent_on_the_nearest_humans(game):
     assert chosen(rule, game) == [TOM, NAIVE, NAIVE, NAIVE, TOM]  # 2 x 8 ms fit
 
 
-def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_and_gains_stay_the_same(game):
+def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_and_gains_stay_the_same(
+    game,
+):
     gains = np.where(NEAREST_FOUR[:, None], [0.0, 0.5, 1.0], NOT_ESTIMATED)
     for price, rung in ((0.0, TOM), (100.0, TURN), (1000.0, NAIVE)):
         before = [TURN, TOM, NAIVE, TOM, NAIVE]
@@ -124,23 +154,37 @@ def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highes
     place = np.zeros((1, len(SHIPPED.centre), 1), np.float32)
     place[0, -1] = 0.01  # of the share of humans who are nearer, so that tanh is linear
     for gain, rungs in ((0.4, TURN * NEAREST_FOUR), (0.2, [TOM, *[NAIVE] * 4])):
-        gains = np.float32([[[0.0, -800.0, 0.0, 0.0]]]), np.float32([[gain, 1.0, 0.0, 0.0]])
+        gains = (
+            np.float32([[[0.0, -800.0, 0.0, 0.0]]]),
+            np.float32([[gain, 1.0, 0.0, 0.0]]),
+        )
         network = (place, np.zeros((1, 1), np.float32)), gains
         whole = {"centre": 0 * SHIPPED.centre, "spread": 1 + 0 * SHIPPED.centre}
-        assert chosen(with_networks(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole), game) == [*rungs]
+        assert chosen(
+            with_networks(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole),
+            game,
+        ) == [*rungs]
 
 
 def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
     certain, doubtful = over_naive((0.0, 0.1)), over_naive((0.0, 0.1), doubt=1.0)
     assert chosen(certain, game) == [*TOM * NEAREST_FOUR]
-    for decision, failed in ((decided(doubtful, game), False), (decided(certain, game, error=np.nan), True)):
+    for decision, failed in (
+        (decided(doubtful, game), False),
+        (decided(certain, game, error=np.nan), True),
+    ):
         assert decision.failed == failed
         assert decision.memory.rungs.tolist() == [NAIVE] * 5
 
 
-def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder_and_one_rung_leaves_nothing_to_choose(game):
+def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder_and_one_rung_leaves_nothing_to_choose(
+    game,
+):
     rules = (
-        SHIPPED.rule(LADDER[:size], replace(COSTS.select(COSTS.names[:size]), base=0.0), 10.0) for size in (3, 2, 1)
+        SHIPPED.rule(
+            LADDER[:size], replace(COSTS.select(COSTS.names[:size]), base=0.0), 10.0
+        )
+        for size in (3, 2, 1)
     )
     whole, part, nothing = (decided(rule, game) for rule in rules)
     np.testing.assert_allclose(whole.gains[:, :2], part.gains, rtol=1e-4)
@@ -171,7 +215,9 @@ class Estimates(Estimator):
 
     def estimate(self, memory, evidence):
         gains = jnp.asarray(self.gains) if isinstance(self.gains, tuple) else self.gains
-        failed = jnp.asarray(self.failed) if isinstance(self.failed, tuple) else self.failed
+        failed = (
+            jnp.asarray(self.failed) if isinstance(self.failed, tuple) else self.failed
+        )
         return gains if gains is None else Estimate(gains, failed)
 
 
@@ -183,16 +229,56 @@ WRONG = [
     (Returns(None), None, f"the rule Returns returned None; {NAMED_RUNGS}"),
     (Returns("naive"), None, f"the rule Returns returned 'naive'; {NAMED_RUNGS}"),
     (Returns(2**40), None, f"the rule Returns returned 1099511627776; {NAMED_RUNGS}"),
-    (Returns((0.0, 1.0, 2.0)), None, f"the rule Returns returned (the rungs|float32) .*; {NAMED_RUNGS}"),
-    (Nearest(1), Estimates(None), r"the estimator Estimates returned None; return an Estimate\(gains, failed\)"),
-    (Nearest(1), Estimates("abc"), f"the estimator Estimates returned the gains 'abc'; {NAMED_GAINS}"),
-    (Nearest(1), Estimates(1j), f"the estimator Estimates returned the gains 1j; {NAMED_GAINS}"),
-    (Nearest(1), Estimates(1.0), rf"the estimator Estimates returned gains of shape \(\); {NAMED_GAINS}"),
-    (Nearest(1), Estimates(KNOWN, None), f"the estimator Estimates returned failed=None; {FLAG}"),
-    (Nearest(1), Estimates(KNOWN, 0), f"the estimator Estimates returned failed=0; {FLAG}"),
-    (Nearest(1), Estimates(KNOWN, (False,) * 3), f"the estimator Estimates returned failed=.*; {FLAG}"),
-    (Nearest(1), Estimates(((0.0, np.inf, 1.0),) * 3), "the estimator Estimates returned gains that are NaN or inf"),
-    (Nearest(1), Estimates(((0.0, np.nan, 1.0),) * 3), "the estimator Estimates returned gains that are NaN or inf"),
+    (
+        Returns((0.0, 1.0, 2.0)),
+        None,
+        f"the rule Returns returned (the rungs|float32) .*; {NAMED_RUNGS}",
+    ),
+    (
+        Nearest(1),
+        Estimates(None),
+        r"the estimator Estimates returned None; return an Estimate\(gains, failed\)",
+    ),
+    (
+        Nearest(1),
+        Estimates("abc"),
+        f"the estimator Estimates returned the gains 'abc'; {NAMED_GAINS}",
+    ),
+    (
+        Nearest(1),
+        Estimates(1j),
+        f"the estimator Estimates returned the gains 1j; {NAMED_GAINS}",
+    ),
+    (
+        Nearest(1),
+        Estimates(1.0),
+        rf"the estimator Estimates returned gains of shape \(\); {NAMED_GAINS}",
+    ),
+    (
+        Nearest(1),
+        Estimates(KNOWN, None),
+        f"the estimator Estimates returned failed=None; {FLAG}",
+    ),
+    (
+        Nearest(1),
+        Estimates(KNOWN, 0),
+        f"the estimator Estimates returned failed=0; {FLAG}",
+    ),
+    (
+        Nearest(1),
+        Estimates(KNOWN, (False,) * 3),
+        f"the estimator Estimates returned failed=.*; {FLAG}",
+    ),
+    (
+        Nearest(1),
+        Estimates(((0.0, np.inf, 1.0),) * 3),
+        "the estimator Estimates returned gains that are NaN or inf",
+    ),
+    (
+        Nearest(1),
+        Estimates(((0.0, np.nan, 1.0),) * 3),
+        "the estimator Estimates returned gains that are NaN or inf",
+    ),
 ]
 
 
@@ -219,7 +305,10 @@ def test_a_list_of_names_is_no_choice():
             return ["naive"]
 
     rule = Rule(LADDER, COSTS, Names())
-    with pytest.raises(ValueError, match=r"the rule Names returned \['naive'\]; return one whole number"):
+    with pytest.raises(
+        ValueError,
+        match=r"the rule Names returned \['naive'\]; return one whole number",
+    ):
         decide_on(rule, first_memory(rule, 1), None)
 
 

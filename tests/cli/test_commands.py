@@ -19,40 +19,82 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("sweep merger --devices 1000 --out out", "1000 devices are wanted; this process has"),
-        ("irl evaluate --theta demonstrations --data .", "--theta demonstrations has no drivers"),
+        (
+            "sweep merger --devices 1000 --out out",
+            "1000 devices are wanted; this process has",
+        ),
+        (
+            "irl evaluate --theta demonstrations --data .",
+            "--theta demonstrations has no drivers",
+        ),
         ("values learn merger --set ladder=best --out values.npz", "leave +warm out"),
-        ("bench road merge --drivers oracle", "unknown driver 'oracle'; the drivers are idm, commuter, human"),
-        ("bench road merge --drivers agents/mine.zip", "there is no agent agents/mine.zip; notebooks/examples/train"),
-        ("sweep merger --set ladder=naive,tom@8 --controllers naive learned:1 --out sweep", "without 'tom@8'"),
-        ("--import no_such_module compare", "--import no_such_module: ModuleNotFoundError: No module named"),
+        (
+            "bench road merge --drivers oracle",
+            "unknown driver 'oracle'; the drivers are idm, commuter, human",
+        ),
+        (
+            "bench road merge --drivers agents/mine.zip",
+            "there is no agent agents/mine.zip; notebooks/examples/train",
+        ),
+        (
+            "sweep merger --set ladder=naive,tom@8 --controllers naive learned:1 --out sweep",
+            "without 'tom@8'",
+        ),
+        (
+            "--import no_such_module compare",
+            "--import no_such_module: ModuleNotFoundError: No module named",
+        ),
         ("compare merger --out caf\udce9", "invalid path value: 'caf\\udce9'"),
-        ("report elsewhere", "elsewhere holds no results of a comparison; name a directory that `ms-highway compare`"),
+        (
+            "report elsewhere",
+            "elsewhere holds no results of a comparison; name a directory that `ms-highway compare`",
+        ),
         ("video merger --out film.avi", "no name that ends in .mp4, .gif"),
         ("sweep merger --out sweep --devices 1 --scheduler tcp://a:1", "leave one out"),
         ("validate nowhere", "no reference episodes (*.npz) in nowhere"),
-        ("compare --no-such-option", "unrecognized arguments: --no-such-option; see the --help of the command"),
-        ("sweep merger --out out --seeds 0", "argument --seeds: '0' is no whole number from 1 to 1,000,000"),
-        ("frontier --lambdas 3:1:1", "argument --lambdas: lambdas are '3:1:1'; give a number like 0.1, or LOW:HIGH"),
-        ("compare --out /proc/x/y", "/proc/x/y cannot be written: No such file or directory; "),
-        ("compare --out /proc/version", "/proc/version cannot be written: it is no directory; "),
+        (
+            "compare --no-such-option",
+            "unrecognized arguments: --no-such-option; see the --help of the command",
+        ),
+        (
+            "sweep merger --out out --seeds 0",
+            "argument --seeds: '0' is no whole number from 1 to 1,000,000",
+        ),
+        (
+            "frontier --lambdas 3:1:1",
+            "argument --lambdas: lambdas are '3:1:1'; give a number like 0.1, or LOW:HIGH",
+        ),
+        (
+            "compare --out /proc/x/y",
+            "/proc/x/y cannot be written: No such file or directory; ",
+        ),
+        (
+            "compare --out /proc/version",
+            "/proc/version cannot be written: it is no directory; ",
+        ),
         ("bench --json .", ". cannot be written: it is a directory or a device; "),
     ],
 )
-def test_a_wrong_command_is_refused_in_one_line_and_writes_nothing(command, message, refused):
+def test_a_wrong_command_is_refused_in_one_line_and_writes_nothing(
+    command, message, refused
+):
     line = refused(command)
     assert line.startswith("ms-highway: ")
     assert message in line
 
 
 @pytest.mark.slow
-def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(tmp_path, monkeypatch):
+def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(Path(__file__).parents[2])
     monkeypatch.setattr(sys, "path", list(sys.path))
     models = "--set costs=coasting=0.09,tom=0.37 --set ladder=coasting,tom"
     asked = f"merger {models} --controllers coasting near:6 closeness:2"
     try:
-        run(f"--import notebooks.examples.rule sweep {asked} --seeds 2 --out {tmp_path}")
+        run(
+            f"--import notebooks.examples.rule sweep {asked} --seeds 2 --out {tmp_path}"
+        )
     finally:
         del MODELS["coasting"], CONTROLLERS["near"], CONTROLLERS["closeness"]
     summary = pd.read_csv(tmp_path / "summary.csv").set_index("controller")
@@ -61,7 +103,9 @@ def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(tmp_path
         assert 0 < summary["share_tom"][name] < 1
 
 
-def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(tmp_path, capsys):
+def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(
+    tmp_path, capsys
+):
     (tmp_path / "other").touch()
     with warnings.catch_warnings():
         warnings.simplefilter("default")
@@ -87,5 +131,7 @@ def test_tables_and_refusals_print_in_ascii_and_a_row_is_a_line_where_the_output
 @pytest.mark.slow
 def test_a_missing_platform_is_refused_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
-    (line,) = python(*f"-m ms_highway {NAIVE} {tmp_path}".split(), status=2).stderr.splitlines()
+    (line,) = python(
+        *f"-m ms_highway {NAIVE} {tmp_path}".split(), status=2
+    ).stderr.splitlines()
     assert "JAX_PLATFORMS is 'cuda'" in line

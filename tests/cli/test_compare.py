@@ -78,7 +78,11 @@ def test_compare_writes_a_row_per_step_a_summary_figures_and_what_made_them(comp
     means = records.groupby("controller")["reward"].mean()
     assert summary["reward"].to_dict() == pytest.approx(means.to_dict())
     assert summary.loc["naive", "share_naive"] == 1
-    assert summary.loc["naive", "decision_ms"] == 0 < summary.loc["switching:0.4", "decision_ms"]
+    assert (
+        summary.loc["naive", "decision_ms"]
+        == 0
+        < summary.loc["switching:0.4", "decision_ms"]
+    )
     runs = json.loads((compared / "provenance.json").read_text())
     assert ["--seeds 1" in run["command"] for run in runs] == [True, False]
     run(f"{COMPARE} {compared}")  # computes nothing
@@ -88,18 +92,32 @@ def test_compare_writes_a_row_per_step_a_summary_figures_and_what_made_them(comp
 def test_compare_tells_every_minute_how_many_episodes_are_done_where_no_terminal_shows_it(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(console, "PROGRESS_SECONDS", 0.001)  # instead of a minute, which an episode does not take
+    monkeypatch.setattr(
+        console, "PROGRESS_SECONDS", 0.001
+    )  # instead of a minute, which an episode does not take
     run(f"{COMPARE} {tmp_path}")
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("episodes: ")]
+    told = [
+        line
+        for line in capsys.readouterr().err.splitlines()
+        if line.startswith("episodes: ")
+    ]
     assert told[0] == "episodes: 0 of 4"
-    assert re.fullmatch(r"episodes: 1 of 4, \d+ s left", next(line for line in told if "1 of 4" in line))
+    assert re.fullmatch(
+        r"episodes: 1 of 4, \d+ s left", next(line for line in told if "1 of 4" in line)
+    )
     assert told[-1] == "episodes: 4 of 4, 0 s left"
 
 
 @pytest.mark.slow
-def test_a_killed_comparison_on_two_cores_resumes_to_the_results_of_one_process(tmp_path):
+def test_a_killed_comparison_on_two_cores_resumes_to_the_results_of_one_process(
+    tmp_path,
+):
     """No episode is lost or repeated, and no process is left behind."""
-    asked, alone, killed = Comparison({"merger": ["naive", "turn"]}, 40), tmp_path / "1", tmp_path / "2"
+    asked, alone, killed = (
+        Comparison({"merger": ["naive", "turn"]}, 40),
+        tmp_path / "1",
+        tmp_path / "2",
+    )
     assert list(run_comparison(asked, alone)) == list(range(81))
     words = f"compare merger --controllers naive turn --seeds 40 --out {killed}"
     process = subprocess.Popen([sys.executable, "-m", "ms_highway", *words.split()])
@@ -125,7 +143,9 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
     steps.write_text("".join([head, *lines[:35]]))
     parts.mkdir()
     (parts / "3.csv").write_text("".join([head, *lines[-35:]]))
-    (parts / f".part.{'0' * 16}.1.csv").write_text(head + lines[40][:20])  # left by a killed process
+    (parts / f".part.{'0' * 16}.1.csv").write_text(
+        head + lines[40][:20]
+    )  # left by a killed process
     run(f"{COMPARE} {begun}")
     pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
     before = steps.read_text()
@@ -143,13 +163,21 @@ def test_episodes_that_are_not_whole_are_computed_again(compared, begun, capsys)
     steps = begun / "steps.csv"
     wanted = untimed(compared)
     head, *lines = steps.read_text().splitlines(keepends=True)
-    cut = [lines[:-30], [*lines[:-1], lines[-1][:-4]], lines[:80] + lines[81:], [*lines, lines[-1]]]
+    cut = [
+        lines[:-30],
+        [*lines[:-1], lines[-1][:-4]],
+        lines[:80] + lines[81:],
+        [*lines, lines[-1]],
+    ]
     for rest in cut:
         steps.write_text("".join([head, *rest]))
         run(f"report {begun} --no-videos")
         assert "lacks 1 episodes" in capsys.readouterr().err
         run(f"{COMPARE} {begun}")
-        assert "steps.csv: episodes that are not whole are computed again: 1" in capsys.readouterr().err
+        assert (
+            "steps.csv: episodes that are not whole are computed again: 1"
+            in capsys.readouterr().err
+        )
         pd.testing.assert_frame_equal(untimed(begun), wanted)
 
 
@@ -181,7 +209,9 @@ class Traps:
         return open, (self.file, "w")
 
 
-def test_a_command_whose_reader_has_left_writes_its_results_without_complaint(begun, monkeypatch, capsys):
+def test_a_command_whose_reader_has_left_writes_its_results_without_complaint(
+    begun, monkeypatch, capsys
+):
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "w") as closed, contextlib.suppress(SystemExit):
@@ -203,22 +233,37 @@ def test_compare_keeps_measured_costs_with_the_results(tmp_path):
 
 def test_compare_warns_if_it_resumes_with_other_versions(compared, begun, capsys):
     made = json.loads((compared / "provenance.json").read_text())[0]
-    older = [made | {"versions": made["versions"] | {"jax": "0.1"}, "xla_flags": "--other"}]
+    older = [
+        made | {"versions": made["versions"] | {"jax": "0.1"}, "xla_flags": "--other"}
+    ]
     (begun / "provenance.json").write_text(json.dumps(older))
     run(f"compare stay_back --seeds 1 --out {begun} --controllers turn")
     said = capsys.readouterr().err
-    assert f"continues with jax {made['versions']['jax']} instead of 0.1, XLA_FLAGS" in said
+    assert (
+        f"continues with jax {made['versions']['jax']} instead of 0.1, XLA_FLAGS"
+        in said
+    )
     assert "instead of --other; results may not agree" in said
 
 
 @pytest.mark.parametrize(
     ("pattern", "replacement", "message"),
     [
-        ("(stay_back,naive,0,0,naive),[^,]*", r"\1,1e400", "reward of naive with seed 0 is inf; it must be"),
-        ("stay_back,naive,0,0,", "stay_back,na\xefve,0,0,", "steps.csv cannot be read ('utf-8' codec can't decode"),
+        (
+            "(stay_back,naive,0,0,naive),[^,]*",
+            r"\1,1e400",
+            "reward of naive with seed 0 is inf; it must be",
+        ),
+        (
+            "stay_back,naive,0,0,",
+            "stay_back,na\xefve,0,0,",
+            "steps.csv cannot be read ('utf-8' codec can't decode",
+        ),
     ],
 )
-def test_compare_refuses_damaged_records_and_leaves_them_unchanged(pattern, replacement, message, begun, refused):
+def test_compare_refuses_damaged_records_and_leaves_them_unchanged(
+    pattern, replacement, message, begun, refused
+):
     steps = begun / "steps.csv"
     spoilt = re.sub(pattern, replacement, steps.read_text())
     steps.write_text(spoilt, encoding="latin-1")
@@ -229,7 +274,9 @@ def test_compare_refuses_damaged_records_and_leaves_them_unchanged(pattern, repl
 def test_compare_changes_no_settings_if_its_run_cannot_be_recorded(begun, refused):
     (begun / "provenance.json").write_text("{}")
     before = (begun / "settings.json").read_text()
-    assert "provenance.json cannot be read as a list of runs" in refused("compare stay_back --controllers turn --out .")
+    assert "provenance.json cannot be read as a list of runs" in refused(
+        "compare stay_back --controllers turn --out ."
+    )
     assert (begun / "settings.json").read_text() == before
 
 
@@ -279,7 +326,10 @@ def texts_of(html):
 
 def elements(html, tag):
     """The attributes of all elements with a tag."""
-    return [dict(re.findall(r'([\w-]+)="([^"]*)"', found)) for found in re.findall(f"<{tag} [^>]*>", html)]
+    return [
+        dict(re.findall(r'([\w-]+)="([^"]*)"', found))
+        for found in re.findall(f"<{tag} [^>]*>", html)
+    ]
 
 
 def content_of(element):
@@ -287,7 +337,9 @@ def content_of(element):
     return b64decode(element["src"].partition(";base64,")[2])
 
 
-def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_file(compared):
+def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_file(
+    compared,
+):
     run(f"report {compared}")
     html = (compared / "report.html").read_text()
     texts = texts_of(html)
@@ -297,11 +349,18 @@ def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_
     for name, reward in rewards.items():
         assert re.search(rf">{name}</t[hd]>\s*<td>{reward:.2f}</td>", html)
     images, (film,) = elements(html, "img"), elements(html, "video")
-    assert [image["alt"].split(".")[0] for image in images] == [f"Stay Back, {name}" for name in FIGURES]
+    assert [image["alt"].split(".")[0] for image in images] == [
+        f"Stay Back, {name}" for name in FIGURES
+    ]
     for image in images:
         assert imageio.imread(content_of(image)).std() > 10
     assert "naive above, switching:0.4 below" in film["aria-label"]
-    assert imageio.imread(content_of(film), plugin="pyav", extension=".mp4").shape == (35, 816, 960, 3)
+    assert imageio.imread(content_of(film), plugin="pyav", extension=".mp4").shape == (
+        35,
+        816,
+        960,
+        3,
+    )
     assert f"ms-highway {COMPARE} {compared}" in said
     assert f"jax {version('jax')}" in said
     assert {"human reward", "learned"} <= set(texts)
@@ -311,11 +370,17 @@ def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_
         assert place.startswith(("data:", "#"))
 
 
-def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(compared, begun, capsys):
+def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(
+    compared, begun, capsys
+):
     steps, out = begun / "steps.csv", begun / "pages" / "small.html"
-    pd.read_csv(steps).query("controller == 'naive' and seed == 0").to_csv(steps, index=False)
+    pd.read_csv(steps).query("controller == 'naive' and seed == 0").to_csv(
+        steps, index=False
+    )
     made = json.loads((compared / "provenance.json").read_text())[0]
-    (begun / "provenance.json").write_text(json.dumps([made | {"command": "<script>alert(1)</script>"}]))
+    (begun / "provenance.json").write_text(
+        json.dumps([made | {"command": "<script>alert(1)</script>"}])
+    )
     run(f"report {begun} --no-videos --out {out}")
     assert "lacks 3 episodes; start the same" in capsys.readouterr().err
     html = out.read_text()
@@ -331,43 +396,78 @@ def test_figures_do_not_fail_because_of_a_name_or_of_the_users_matplotlibrc(begu
     file.parent.mkdir()
     shutil.copy(VALUES, file)
     odd = f"learned:1:{file}"
-    for name, written in {"steps.csv": odd, "settings.json": json.dumps(odd)[1:-1]}.items():
+    for name, written in {
+        "steps.csv": odd,
+        "settings.json": json.dumps(odd)[1:-1],
+    }.items():
         text = (begun / name).read_text()
         (begun / name).write_text(text.replace("switching:0.4", written))
-    with rc_context({"text.usetex": True, "axes.formatter.use_mathtext": True, "font.family": "no such font"}):
+    with rc_context(
+        {
+            "text.usetex": True,
+            "axes.formatter.use_mathtext": True,
+            "font.family": "no such font",
+        }
+    ):
         run(f"report {begun} --no-videos")
     images = elements((begun / "report.html").read_text(), "img")
-    assert [image["alt"].split(".")[0] for image in images] == [f"Stay Back, {name}" for name in FIGURES]
+    assert [image["alt"].split(".")[0] for image in images] == [
+        f"Stay Back, {name}" for name in FIGURES
+    ]
     run(f"report {begun} --out {begun / 'tables.tex'}")
     tex = (begun / "tables.tex").read_text()
-    assert r"/\$a\_b\textasciicircum{}\{c\%d\textbackslash{}e\$\#\textasciitilde{}\&/values\_\$.npz} & " in tex
+    assert (
+        r"/\$a\_b\textasciicircum{}\{c\%d\textbackslash{}e\$\#\textasciitilde{}\&/values\_\$.npz} & "
+        in tex
+    )
     rows = [line for line in tex.splitlines() if line.endswith(r" \\")]
     assert len(rows) == 3
     assert len({row.replace(r"\&", "").count("&") for row in rows}) == 1
     assert r"90 \% interval" in rows[0]
 
 
-def test_a_figure_that_cannot_be_made_is_one_warning_and_the_results_are_whole(compared, begun, capsys):
+def test_a_figure_that_cannot_be_made_is_one_warning_and_the_results_are_whole(
+    compared, begun, capsys
+):
     (begun / "stay_back_reward.png").mkdir()
     run(f"{COMPARE} {begun}")
-    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("ms-highway:"))
+    (line,) = (
+        line
+        for line in capsys.readouterr().err.splitlines()
+        if line.startswith("ms-highway:")
+    )
     assert "stay_back_reward.png cannot be written" in line
     assert {path.stem for path in begun.glob("stay_back_*.png") if path.is_file()} == {
         f"stay_back_{name}" for name in FIGURES if name != "reward"
     }
-    assert pd.read_csv(begun / "summary.csv").equals(pd.read_csv(compared / "summary.csv"))
+    assert pd.read_csv(begun / "summary.csv").equals(
+        pd.read_csv(compared / "summary.csv")
+    )
     broken = {"broken": lambda: Figure().subplots().plot([1, 2], [1]), "empty": Figure}
-    with pytest.warns(UserWarning, match="the figure broken is left out, as it cannot be drawn .ValueError"):
+    with pytest.warns(
+        UserWarning,
+        match="the figure broken is left out, as it cannot be drawn .ValueError",
+    ):
         assert [*drawn(broken)] == ["empty"]
 
 
 def test_no_two_controllers_look_alike_or_have_the_same_label_and_legends_fit(tmp_path):
-    files = [tmp_path / folder / "values_of_computation.npz" for folder in ("first", "second")]
+    files = [
+        tmp_path / folder / "values_of_computation.npz"
+        for folder in ("first", "second")
+    ]
     for file in files:
         file.parent.mkdir()
         shutil.copy(VALUES, file)
     switching = [f"switching:{price}" for price in range(9)]
-    several = ["budget:10", "budget:20", "nearest:1", "nearest:2", "horizon:1", "random:naive=0.5,tom=0.5"]
+    several = [
+        "budget:10",
+        "budget:20",
+        "nearest:1",
+        "nearest:2",
+        "horizon:1",
+        "random:naive=0.5,tom=0.5",
+    ]
     names = [
         "naive",
         "turn",
@@ -384,9 +484,17 @@ def test_no_two_controllers_look_alike_or_have_the_same_label_and_legends_fit(tm
         assert len({parts(look) for look in found.values()}) == len(names)
     assert looks(names[:8]) == {name: found[name] for name in names[:8]}
     steps = pd.DataFrame(
-        [("merger", name, seed, step, 1.0 * seed) for name in names[-8:] for seed in (0, 1) for step in (0, 1)]
+        [
+            ("merger", name, seed, step, 1.0 * seed)
+            for name in names[-8:]
+            for seed in (0, 1)
+            for step in (0, 1)
+        ]
     )
-    figure = rewards(steps.set_axis(["scenario", "controller", "seed", "step", "reward"], axis=1), "merger")
+    figure = rewards(
+        steps.set_axis(["scenario", "controller", "seed", "step", "reward"], axis=1),
+        "merger",
+    )
     content(figure)
     (legend,) = figure.legends
     assert figure.bbox.x0 <= legend.get_window_extent().x0
@@ -396,10 +504,20 @@ def test_no_two_controllers_look_alike_or_have_the_same_label_and_legends_fit(tm
 
 def test_curves_and_frontiers_are_written_in_every_format_and_are_not_empty():
     kept = pd.read_csv(KEPT / "summary.csv")
-    drawn = curve(kept[kept["run"] == "curve"], "merger"), frontier(pd.read_csv(KEPT / "regrets.csv"), "merger", 30)
+    drawn = (
+        curve(kept[kept["run"] == "curve"], "merger"),
+        frontier(pd.read_csv(KEPT / "regrets.csv"), "merger", 30),
+    )
     for figure in drawn:
         png, pdf, svg = (content(figure, kind) for kind in FORMATS)
         assert imageio.imread(io.BytesIO(png)).std() > 10
         assert len(pdf) > 8000
         assert not re.search(rb"/Type3\b", pdf)  # fonts that publishers refuse
-        assert len(list(ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}path"))) > 20
+        assert (
+            len(
+                list(
+                    ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}path")
+                )
+            )
+            > 20
+        )

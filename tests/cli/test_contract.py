@@ -52,7 +52,9 @@ def test_help_of_every_command_prints_where_the_output_is_ascii(ascii_only):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monkeypatch, capsys):
+def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(
+    name, monkeypatch, capsys
+):
     texts = set()
     for width in (60, 80, 100):
         monkeypatch.setenv("COLUMNS", str(width))
@@ -63,18 +65,31 @@ def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(name, monke
         assert max(map(len, told.splitlines())) <= width
         texts.add(re.sub(r"\s", "", told))
     assert len(texts) == 1
-    lines = [line.split()[1:] for line in examples.replace("\\\n", "").splitlines() if line.startswith("  ms-highway")]
+    lines = [
+        line.split()[1:]
+        for line in examples.replace("\\\n", "").splitlines()
+        if line.startswith("  ms-highway")
+    ]
     assert lines
     monkeypatch.chdir("/tmp")
     assert name in {parse(words).command.name for words in lines}
 
 
 def test_help_texts_name_what_the_package_has():
-    named = {environment.scenario.name: environment.__name__ for environment in ENVIRONMENTS.values()}
+    named = {
+        environment.scenario.name: environment.__name__
+        for environment in ENVIRONMENTS.values()
+    }
     assert named == SCENARIO_CLASSES
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
-    assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(PAPER_MODELS)
-    known = {key for environment in ENVIRONMENTS.values() for key in environment.default_config()}
+    assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(
+        PAPER_MODELS
+    )
+    known = {
+        key
+        for environment in ENVIRONMENTS.values()
+        for key in environment.default_config()
+    }
     keys = set(re.findall(r"\b([a-z]+(?:_[a-z]+)?)=[^=,\s]", options.KEYS))
     assert {"semantics", "horizon", "step_size", "costs", "way_out"} <= keys
     assert keys <= known | {"naive", "a", "b", "turn", "tom"}

@@ -35,7 +35,9 @@ def test_a_belief_in_a_human_that_yields_changes_nothing_but_info(trusted):
 
 
 def test_with_a_belief_the_robot_does_not_merge_in_front_of_a_human_that_never_yields():
-    _, states, _, infos = drive(make("merger", "learned:1+belief", yielding="never"), SEED)
+    _, states, _, infos = drive(
+        make("merger", "learned:1+belief", yielding="never"), SEED
+    )
     assert infos[5]["belief"][0, NAIVE] > 0.95
     assert {info["model"] for info in infos[5:]} == {"naive"}
     assert not any(info["collision"] for info in infos)

@@ -21,12 +21,32 @@ from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.rule import first_memory
 from ms_highway.cli.main import parse
 from ms_highway.cli.options import configuration
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, MergerV1Env, add_scenario, environment_id, registry
+from ms_highway.envs import (
+    ENVIRONMENTS,
+    SCENARIOS,
+    MergerEnv,
+    MergerV1Env,
+    add_scenario,
+    environment_id,
+    registry,
+)
 from ms_highway.envs.agents import AGENTS, AddedAgent
-from ms_highway.envs.controllers import KEYBOARD, DrivenByAgent, DrivenByFunction, Fixed, RandomModels, Schedule
+from ms_highway.envs.controllers import (
+    KEYBOARD,
+    DrivenByAgent,
+    DrivenByFunction,
+    Fixed,
+    RandomModels,
+    Schedule,
+)
 from ms_highway.envs.registry import add_rule, controller_config, controller_settings
 from ms_highway.envs.settings import YIELDING
-from ms_highway.envs.simulation import FunctionalEnv, draw_start, shared_loop, stack_episodes
+from ms_highway.envs.simulation import (
+    FunctionalEnv,
+    draw_start,
+    shared_loop,
+    stack_episodes,
+)
 from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment
@@ -41,25 +61,64 @@ PAIR, SEVERAL = "merger", "dense_merge"
 NAIVE = {"type": "fixed", "model": "naive"}
 WRONG = [
     ([], "the configuration is []; it must be a dictionary"),
-    ({"semantic": "paper"}, "unknown key 'semantic' in config; did you mean 'semantics'"),
-    ({"solver": None}, "config['solver'] is None; choose one of 'gradient', 'convex_newton'"),
+    (
+        {"semantic": "paper"},
+        "unknown key 'semantic' in config; did you mean 'semantics'",
+    ),
+    (
+        {"solver": None},
+        "config['solver'] is None; choose one of 'gradient', 'convex_newton'",
+    ),
     ({"humans": 2.5}, "config['humans'] is 2.5; it must be a whole number"),
     ({"humans": 21}, "config['humans'] is 21; merger has one human; leave it out"),
-    ({"controller": 3}, "config['controller'] is 3; its 'type' must be one of switching, horizon"),
-    ({"controller": "nobody+belief"}, "unknown controller 'nobody+belief'; name a model"),
-    ({"controller": "switching:0.1\n"}, "['lambda'] is '0.1\\n'; it must be a number from 0"),
+    (
+        {"controller": 3},
+        "config['controller'] is 3; its 'type' must be one of switching, horizon",
+    ),
+    (
+        {"controller": "nobody+belief"},
+        "unknown controller 'nobody+belief'; name a model",
+    ),
+    (
+        {"controller": "switching:0.1\n"},
+        "['lambda'] is '0.1\\n'; it must be a number from 0",
+    ),
     ({"controller": "schedule:tom=999999999,naive"}, "names 'tom=999999999'"),
-    ({"controller": "schedule:tom/naive=2,tom"}, "names 'tom/naive'; models per human are gone since 3.0.0; name one"),
-    ({"controller": "period:tom=1,naive=3"}, "period is gone since 3.0.0: write the steps as schedule:"),
-    ({"controller": {"type": "period", "models": ["tom"]}}, "period is gone since 3.0.0: write the steps"),
-    ({"controller": "budget:20:one_step"}, "one_step is gone since 3.0.0: leave it out, to have the gains of learned"),
+    (
+        {"controller": "schedule:tom/naive=2,tom"},
+        "names 'tom/naive'; models per human are gone since 3.0.0; name one",
+    ),
+    (
+        {"controller": "period:tom=1,naive=3"},
+        "period is gone since 3.0.0: write the steps as schedule:",
+    ),
+    (
+        {"controller": {"type": "period", "models": ["tom"]}},
+        "period is gone since 3.0.0: write the steps",
+    ),
+    (
+        {"controller": "budget:20:one_step"},
+        "one_step is gone since 3.0.0: leave it out, to have the gains of learned",
+    ),
     ({"controller": "learned:1:period"}, "period cannot be read as learned values"),
     ({"controller": "learned:1:one_step"}, "one_step cannot be read as learned values"),
     ({"controller": "one_step"}, "unknown controller 'one_step'; name a model"),
-    ({"beliefs": "true"}, "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several"),
-    ({"controller": "random:tom"}, "['shares'] is {'tom': ''}; give the share of each model"),
-    ({"controller": "AGENT.zip+belief"}, "'AGENT.zip' predicts no human; leave the belief out"),
-    ({"controller": {"type": "random", "shares": {"tom": 0.3, "naive": 0.6}}}, "['shares'] sum to 0.9; change one"),
+    (
+        {"beliefs": "true"},
+        "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several",
+    ),
+    (
+        {"controller": "random:tom"},
+        "['shares'] is {'tom': ''}; give the share of each model",
+    ),
+    (
+        {"controller": "AGENT.zip+belief"},
+        "'AGENT.zip' predicts no human; leave the belief out",
+    ),
+    (
+        {"controller": {"type": "random", "shares": {"tom": 0.3, "naive": 0.6}}},
+        "['shares'] sum to 0.9; change one",
+    ),
     ({"ladder": ["tom", "naive"]}, "cheapest first"),
     ({"costs": {"naive": 0.1}}, "without seconds for tom, turn; say 'measured'"),
     ({"policy_frequency": 5}, "must be 10"),
@@ -69,11 +128,20 @@ WRONG = [
         "config['action']['acceleration_range'] is [5, -5]; give the lowest value first",
     ),
     (
-        {"observation": {"type": "TupleObservation", "observation_configs": [{"type": "CarState"}]}},
+        {
+            "observation": {
+                "type": "TupleObservation",
+                "observation_configs": [{"type": "CarState"}],
+            }
+        },
         "config['observation']['observation_configs'][0] is {'type': 'CarState'}; its 'type' must be one of CarStates",
     ),
     (
-        {"ladder": ["tom@4", "tom"], "costs": "shipped", "controller": "nearest:1+belief"},
+        {
+            "ladder": ["tom@4", "tom"],
+            "costs": "shipped",
+            "controller": "nearest:1+belief",
+        },
         "the ladder begins with tom@4, which counts on a response",
     ),
     (
@@ -93,9 +161,16 @@ def test_a_wrong_configuration_is_refused_with_key_value_and_remedy(config, mess
 def test_nested_configurations_merge_and_a_new_type_replaces():
     env = gym.make(environment_id(PAIR), config={"controller": {"lambda": 3}}).unwrapped
     assert env.config["controller"] == {"type": "learned", "lambda": 3}
-    env.configure({"controller": NAIVE | {"belief": True}, "human_reward": {"speed": 2.0, "off_road": -100.0}})
+    env.configure(
+        {
+            "controller": NAIVE | {"belief": True},
+            "human_reward": {"speed": 2.0, "off_road": -100.0},
+        }
+    )
     assert env.config["controller"] == NAIVE | {"belief": True}
-    env.reset(options={"config": {"controller": "naive", "human_reward": {"speed": 3.0}}})
+    env.reset(
+        options={"config": {"controller": "naive", "human_reward": {"speed": 3.0}}}
+    )
     assert env.config["controller"] == NAIVE  # a short name stands for the whole
     assert env.config["human_reward"] == {"speed": 3.0}
 
@@ -110,7 +185,11 @@ def test_all_changes_during_an_episode_act_from_the_next_reset_on():
     assert env.config == before
 
     driven = [env.step(0) for _ in range(3)]
-    assert [(info["model"], ends) for *_, ends, info in driven] == [("naive", False), ("naive", False), ("naive", True)]
+    assert [(info["model"], ends) for *_, ends, info in driven] == [
+        ("naive", False),
+        ("naive", False),
+        ("naive", True),
+    ]
     with pytest.raises(ValueError, match="'duration'"):
         env.reset(options={"config": {"duration": -1}})
     assert [info["model"] for info in drive(env).infos] == ["turn", "turn"]
@@ -121,13 +200,23 @@ def test_spaces_follow_a_configuration_at_once_when_no_episode_runs():
     env = make(PAIR, duration=0.1)
     inner = env.unwrapped
     models = {"type": "HumanModelAction", "lambda": 0.1}
-    for action, actions in ((models, 3), ({"type": "Autopilot"}, 1)):  # before the first episode, and after its end
+    for action, actions in (
+        (models, 3),
+        ({"type": "Autopilot"}, 1),
+    ):  # before the first episode, and after its end
         with pytest.raises(ValueError, match="must be enabled"):
             inner.configure({"action": PARALYSED})
-        inner.configure({"action": action, "observation": {"type": "Kinematics", "vehicles_count": 1 + actions}})
+        inner.configure(
+            {
+                "action": action,
+                "observation": {"type": "Kinematics", "vehicles_count": 1 + actions},
+            }
+        )
         assert env.action_space == gym.spaces.Discrete(actions)
         assert env.observation_space.shape == (1 + actions, 5)
-        with pytest.raises(gym.error.ResetNeeded, match="the configuration has changed"):
+        with pytest.raises(
+            gym.error.ResetNeeded, match="the configuration has changed"
+        ):
             inner.step(0)
         observation, _ = env.reset(seed=0)
         assert observation in env.observation_space
@@ -137,8 +226,17 @@ def test_spaces_follow_a_configuration_at_once_when_no_episode_runs():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"config": {"action": {"type": "ContinuousAction"}}, "initial_states": [[0]]}, "needs an array"),
-        ({"config": {"action": PARALYSED}}, "must be enabled"),  # highway-env's own words
+        (
+            {
+                "config": {"action": {"type": "ContinuousAction"}},
+                "initial_states": [[0]],
+            },
+            "needs an array",
+        ),
+        (
+            {"config": {"action": PARALYSED}},
+            "must be enabled",
+        ),  # highway-env's own words
     ],
 )
 def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(options, message):
@@ -159,8 +257,14 @@ def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(options, message):
         ("tom@8+warm+belief", {"type": "fixed", "model": "tom@8+warm", "belief": True}),
         ("learned:1:", {"type": "learned", "lambda": 1.0}),
         ("budget:20", {"type": "budget", "milliseconds": 20.0}),
-        ("schedule:tom=2,naive", {"type": "schedule", "models": ["tom", "tom", "naive"]}),
-        ("random:naive=0.7,tom=0.3", {"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}),
+        (
+            "schedule:tom=2,naive",
+            {"type": "schedule", "models": ["tom", "tom", "naive"]},
+        ),
+        (
+            "random:naive=0.7,tom=0.3",
+            {"type": "random", "shares": {"naive": 0.7, "tom": 0.3}},
+        ),
     ],
 )
 def test_a_short_name_stands_for_a_configuration(text, config):
@@ -177,14 +281,28 @@ class ZipperEnv(MergerEnv):
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore:the values of computation")
 def test_a_specification_in_json_makes_the_same_environment(monkeypatch):
-    for known, name in ((ENVIRONMENTS, "zipper"), (SCENARIOS, "zipper"), (gym.registry, "ms-highway/zipper-v0")):
+    for known, name in (
+        (ENVIRONMENTS, "zipper"),
+        (SCENARIOS, "zipper"),
+        (gym.registry, "ms-highway/zipper-v0"),
+    ):
         monkeypatch.setitem(known, name, None)
-    pictures = {"type": "GrayscaleObservation", "observation_shape": [64, 32], "weights": [0.3, 0.6, 0.1]}
+    pictures = {
+        "type": "GrayscaleObservation",
+        "observation_shape": [64, 32],
+        "weights": [0.3, 0.6, 0.1],
+    }
     numbers = {"control_limit": np.array([0.2, 9.0]), "grip": np.float32(8)}
     for env in (
-        gym.make(add_scenario(ZipperEnv), config={"observation": pictures | {"stack_size": 2}, **numbers}),
+        gym.make(
+            add_scenario(ZipperEnv),
+            config={"observation": pictures | {"stack_size": 2}, **numbers},
+        ),
         gym.make("ms-highway/recorded-v0", config={"recording": Path("us101")}),
-        ms_highway.drive(gym.make("merge-v0"), {"driver": "priced", "ladder": np.array(["naive", "idm"])}),
+        ms_highway.drive(
+            gym.make("merge-v0"),
+            {"driver": "priced", "ladder": np.array(["naive", "idm"])},
+        ),
     ):
         again = gym.make(EnvSpec.from_json(env.spec.to_json()))
         assert type(again.unwrapped) is type(env.unwrapped)
@@ -195,10 +313,14 @@ def test_a_specification_in_json_makes_the_same_environment(monkeypatch):
 def test_planners_are_told_all_actions_of_a_discrete_space():
     choosing = make(SEVERAL, action={"type": "HumanModelAction", "lambda": 1}).unwrapped
     assert choosing.get_available_actions() == list(product(range(3), repeat=2))
-    driving = make(PAIR, action={"type": "DiscreteAction", "actions_per_axis": 2}).unwrapped
+    driving = make(
+        PAIR, action={"type": "DiscreteAction", "actions_per_axis": 2}
+    ).unwrapped
     assert driving.get_available_actions() == range(4)
     for env in (choosing, driving):
-        assert all(env.action_space.contains(action) for action in env.get_available_actions())
+        assert all(
+            env.action_space.contains(action) for action in env.get_available_actions()
+        )
 
 
 @jax.tree_util.register_dataclass
@@ -246,7 +368,9 @@ class Gains(ms_highway.Estimator, tag="gains"):
     rungs: int = field(default=2, metadata={"static": True})
 
     def estimate(self, memory, evidence):
-        return ms_highway.Estimate(jnp.full((len(memory.rungs), self.rungs), self.number), False)
+        return ms_highway.Estimate(
+            jnp.full((len(memory.rungs), self.rungs), self.number), False
+        )
 
 
 @jax.tree_util.register_dataclass
@@ -268,12 +392,23 @@ def rules(monkeypatch):
 def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_rule_has_one():
     for rule in (Plain, Dear, Dear, Cheapest):  # a rule may replace itself
         add_rule(rule)
-    assert drive(make(SEVERAL, "plain"), steps=1).infos[0]["models"] == ("naive", "naive")
+    assert drive(make(SEVERAL, "plain"), steps=1).infos[0]["models"] == (
+        "naive",
+        "naive",
+    )
     assert controller_config("plain+belief") == {"type": "plain", "belief": True}
     assert controller_config("dear:0.3") == {"type": "dear", "lambda": 0.3}
-    assert registry.priced_types() == ["switching", "horizon", "learned", "dear", "cheapest"]
+    assert registry.priced_types() == [
+        "switching",
+        "horizon",
+        "learned",
+        "dear",
+        "cheapest",
+    ]
     for price, model in ((0.3, "turn"), (0.7, "naive")):
-        assert drive(make(PAIR, f"cheapest:{price}"), steps=1).infos[0]["models"] == (model,)
+        assert drive(make(PAIR, f"cheapest:{price}"), steps=1).infos[0]["models"] == (
+            model,
+        )
     for wrong in ("plain:1", "dear", "dear:x"):
         with pytest.raises(ValueError, match=f"controller '{wrong}': "):
             controller_config(wrong)
@@ -281,19 +416,33 @@ def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_r
 
 def test_a_class_that_makes_no_rule_is_refused_with_what_to_derive_it_from():
     remedy = "; derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define"
-    for kind in (ms_highway.ControllerSettings, ms_highway.Chooser, ms_highway.Estimator, ZipperEnv):
+    for kind in (
+        ms_highway.ControllerSettings,
+        ms_highway.Chooser,
+        ms_highway.Estimator,
+        ZipperEnv,
+    ):
         with pytest.raises(ValueError, match=f"{kind.__name__} makes no rule{remedy}"):
             add_rule(kind)
-    for base, options in ((ms_highway.Rule, {}), (ms_highway.ControllerSettings, {"frozen": True, "tag": "old"})):
-        with pytest.raises(ValueError, match=f"the rule Old derives from {base.__name__}{remedy}"):
+    for base, options in (
+        (ms_highway.Rule, {}),
+        (ms_highway.ControllerSettings, {"frozen": True, "tag": "old"}),
+    ):
+        with pytest.raises(
+            ValueError, match=f"the rule Old derives from {base.__name__}{remedy}"
+        ):
             type("Old", (base,), {}, **options)
-    with pytest.raises(ValueError, match=r"Plain is no estimator; derive it from ms_highway\.Estimator"):
+    with pytest.raises(
+        ValueError, match=r"Plain is no estimator; derive it from ms_highway\.Estimator"
+    ):
         add_rule(Plain, Plain)
 
 
 def with_fields(base, *names, **options):
     """Return a class of a rule's part with these fields, which are numbers."""
-    return make_dataclass("Own", [(name, float) for name in names], bases=(base,), frozen=True, **options)
+    return make_dataclass(
+        "Own", [(name, float) for name in names], bases=(base,), frozen=True, **options
+    )
 
 
 def test_fields_with_the_key_of_another_one_are_refused():
@@ -303,17 +452,29 @@ def test_fields_with_the_key_of_another_one_are_refused():
             (with_fields(Plain, "reach"), with_fields(Gains, "reach", kw_only=True)),
             "Own and Own have a field 'reach' each",
         ),
-        ((with_fields(Gains, "price", kw_only=True),), "Own has the field 'price', which is the chooser's lambda"),
+        (
+            (with_fields(Gains, "price", kw_only=True),),
+            "Own has the field 'price', which is the chooser's lambda",
+        ),
         (
             (Plain, with_fields(Gains, "price", kw_only=True)),
             "Own has the field 'price', which is the chooser's lambda",
         ),
-        ((with_fields(Plain, "price"),), r"'price', which is lambda; derive it from ms_highway\.Priced, or rename"),
+        (
+            (with_fields(Plain, "price"),),
+            r"'price', which is lambda; derive it from ms_highway\.Priced, or rename",
+        ),
         *(
-            ((with_fields(Plain, key),), f"Own has the field '{key}', a key of all controllers")
+            (
+                (with_fields(Plain, key),),
+                f"Own has the field '{key}', a key of all controllers",
+            )
             for key in ("type", "belief")
         ),
-        *(((with_fields(Gains, key, kw_only=True),), f"Own has the field '{key}'") for key in ("type", "belief")),
+        *(
+            ((with_fields(Gains, key, kw_only=True),), f"Own has the field '{key}'")
+            for key in ("type", "belief")
+        ),
     ]
     before = dict(registry.CONTROLLERS)
     for parts, message in wrong:
@@ -322,10 +483,15 @@ def test_fields_with_the_key_of_another_one_are_refused():
     assert before == registry.CONTROLLERS
 
 
-@pytest.mark.parametrize("base", [Fixed, Schedule, RandomModels, DrivenByFunction, DrivenByAgent])
+@pytest.mark.parametrize(
+    "base", [Fixed, Schedule, RandomModels, DrivenByFunction, DrivenByAgent]
+)
 def test_what_takes_no_choices_is_no_base_of_a_rule(base):
     own = type("Own", (base,), {"choose": Plain.choose}, tag="own")
-    with pytest.raises(ValueError, match=r"Own makes no rule; derive it from ms_highway\.Chooser and define"):
+    with pytest.raises(
+        ValueError,
+        match=r"Own makes no rule; derive it from ms_highway\.Chooser and define",
+    ):
         add_rule(own)
 
 
@@ -349,22 +515,48 @@ class Bribes(ms_highway.PredictedHuman):
 
 
 @pytest.mark.usefixtures("rules")
-def test_neither_rules_nor_models_nor_callers_can_change_what_the_package_computes_with(monkeypatch):
+def test_neither_rules_nor_models_nor_callers_can_change_what_the_package_computes_with(
+    monkeypatch,
+):
     add_rule(Overwrites)
     monkeypatch.setitem(MODELS, "bribes", Bribes())
-    with pytest.raises(ValueError, match="the rule Overwrites writes into an array that it was given; copy"):
+    with pytest.raises(
+        ValueError,
+        match="the rule Overwrites writes into an array that it was given; copy",
+    ):
         drive(make("merger-v1", "overwrites"))
-    with pytest.raises(ValueError, match="the human model 'bribes' writes into an array that it was given; copy"):
-        drive(make("merger-v1", "bribes", costs={"bribes": 0.1, "naive": 0.1, "turn": 0.2, "tom": 0.3}))
+    with pytest.raises(
+        ValueError,
+        match="the human model 'bribes' writes into an array that it was given; copy",
+    ):
+        drive(
+            make(
+                "merger-v1",
+                "bribes",
+                costs={"bribes": 0.1, "naive": 0.1, "turn": 0.2, "tom": 0.3},
+            )
+        )
     env = make("merger-v1").unwrapped
     env.reset(seed=0)
-    for array in (env.game.robot.weights, env.game.scene.lanes, env.weights, load_values("shipped").centre):
+    for array in (
+        env.game.robot.weights,
+        env.game.scene.lanes,
+        env.weights,
+        load_values("shipped").centre,
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[:] = 0.0
     scenario = ms_highway.SCENARIOS["merger"]
     learned = shipped("demonstrations").weights
-    for weights in (ms_highway.COMMON_WEIGHTS, ms_highway.PUBLISHED_COSTS, scenario.robot_weights, learned):
-        with pytest.raises(TypeError, match=r"these numbers belong to ms_highway: .*; change a copy"):
+    for weights in (
+        ms_highway.COMMON_WEIGHTS,
+        ms_highway.PUBLISHED_COSTS,
+        scenario.robot_weights,
+        learned,
+    ):
+        with pytest.raises(
+            TypeError, match=r"these numbers belong to ms_highway: .*; change a copy"
+        ):
             weights["speed"] = 0.0
         copied = deepcopy(weights)
         copied["speed"] = 0.0
@@ -386,14 +578,24 @@ RUNGS = "return one whole number for each human, 1 in all: 0 for naive, 1 for tu
 
 
 @pytest.mark.usefixtures("rules")
-@pytest.mark.parametrize("loop", ["live", "live, not compiled", "batch", "vector", "functional"])
+@pytest.mark.parametrize(
+    "loop", ["live", "live, not compiled", "batch", "vector", "functional"]
+)
 def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
     for rule in (Says, SaysAtOnce, Gains):
         add_rule(rule)
 
-    def episode(number, kind="says_at_once" if loop == "live, not compiled" else "says", **numbers):
+    def episode(
+        number,
+        kind="says_at_once" if loop == "live, not compiled" else "says",
+        **numbers,
+    ):
         controller = {"type": kind, "number": number, **numbers}
-        config = {"controller": controller, "ladder": ["naive", "turn"], "duration": 0.2}
+        config = {
+            "controller": controller,
+            "ladder": ["naive", "turn"],
+            "duration": 0.2,
+        }
         if loop == "vector":
             envs = gym.make_vec(environment_id("merger-v1"), num_envs=2, config=config)
             envs.reset(seed=0)
@@ -407,23 +609,45 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
         if loop == "batch":
             env = MergerV1Env(config)
             start = env.settings.start(2, np.random.default_rng())
-            playing = replace(shared_loop(env, [env.settings.controller]), rule=env.settings.controller.rule(start))
-            drawn = draw_start(env, playing, env.settings.controller, np.random.default_rng(0))
+            playing = replace(
+                shared_loop(env, [env.settings.controller]),
+                rule=env.settings.controller.rule(start),
+            )
+            drawn = draw_start(
+                env, playing, env.settings.controller, np.random.default_rng(0)
+            )
             return simulate(playing, stack_episodes([drawn]))
-        return drive(gym.make(environment_id("merger-v1"), config=config)).infos[0]["model"]
+        return drive(gym.make(environment_id("merger-v1"), config=config)).infos[0][
+            "model"
+        ]
 
     episode(1.0)
     for number in (-1.0, 7.0):
-        with pytest.raises(ValueError, match=rf"the rule Says\w* returned the rungs \[{number:.0f}\]; {RUNGS}"):
+        with pytest.raises(
+            ValueError,
+            match=rf"the rule Says\w* returned the rungs \[{number:.0f}\]; {RUNGS}",
+        ):
             episode(number)
-    with pytest.raises(ValueError, match=rf"the rule Says\w* returned (the rungs \[nan\]|float32 .*); {RUNGS}"):
+    with pytest.raises(
+        ValueError,
+        match=rf"the rule Says\w* returned (the rungs \[nan\]|float32 .*); {RUNGS}",
+    ):
         episode(np.nan, dtype="float32")
-    with pytest.raises(ValueError, match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}"):
+    with pytest.raises(
+        ValueError,
+        match=rf"the rule Says\w* returned .*(\(5,\)|\[1, 1, 1, 1, 1\]); {RUNGS}",
+    ):
         episode(1.0, humans=5)
     episode(1.0, "gains", **{"lambda": 0.0})
-    with pytest.raises(ValueError, match="the estimator Gains returned gains that are NaN or infinite; return -inf"):
+    with pytest.raises(
+        ValueError,
+        match="the estimator Gains returned gains that are NaN or infinite; return -inf",
+    ):
         episode(np.nan, "gains", **{"lambda": 0.0})
-    with pytest.raises(ValueError, match=r"the estimator Gains returned gains of shape \(1, 3\); return one for each"):
+    with pytest.raises(
+        ValueError,
+        match=r"the estimator Gains returned gains of shape \(1, 3\); return one for each",
+    ):
         episode(1.0, "gains", rungs=3, **{"lambda": 0.0})
 
 
@@ -436,17 +660,24 @@ class Unknown(ms_highway.Chooser, tag="unknown"):
 
 
 @pytest.mark.usefixtures("rules")
-def test_a_rule_whose_fields_jax_does_not_know_is_refused_with_the_line_that_is_missing(monkeypatch):
+def test_a_rule_whose_fields_jax_does_not_know_is_refused_with_the_line_that_is_missing(
+    monkeypatch,
+):
     add_rule(Unknown)
     config = {"controller": "unknown"}
     makes = [
         lambda: gym.make(environment_id("merger-v1"), config=config).reset(seed=0),
         lambda: gym.make_vec(environment_id("merger-v1"), num_envs=2, config=config),
         lambda: FunctionalEnv("merger-v1", config),
-        lambda: make_batch(Comparison({"merger-v1": ["unknown"]}, seeds=1), "merger-v1"),
+        lambda: make_batch(
+            Comparison({"merger-v1": ["unknown"]}, seeds=1), "merger-v1"
+        ),
     ]
     missing = r"the rule Unknown, .*; write @jax\.tree_util\.register_dataclass above"
-    for computes in (True, False):  # what computes nothing is compiled in simulations only
+    for computes in (
+        True,
+        False,
+    ):  # what computes nothing is compiled in simulations only
         monkeypatch.setattr(Unknown, "computes", computes)
         for make_it in makes[not computes :]:
             with pytest.raises(ValueError, match=missing):
@@ -474,7 +705,9 @@ class Coasts(ms_highway.PredictedHuman):
 
 
 KINDS = {
-    "a human model": lambda name: ms_highway.register(type("Model", (Coasts,), {"name": name})()),
+    "a human model": lambda name: ms_highway.register(
+        type("Model", (Coasts,), {"name": name})()
+    ),
     "a rule": lambda name: add_rule(type("Rule", (Plain,), {}, tag=name)),
     "a human driver": lambda name: ms_highway.add_driver(name, keep_velocity),
     "an agent": lambda name: ms_highway.add_agent(name, np.zeros_like),
@@ -500,23 +733,43 @@ def test_a_name_means_one_thing_whatever_was_added_first(first, second):
     if first == second:  # which is replaced
         KINDS[second]("mine")
         return
-    with pytest.raises(ValueError, match=f"{second} cannot be called 'mine'; choose one word.* other than .*mine"):
+    with pytest.raises(
+        ValueError,
+        match=f"{second} cannot be called 'mine'; choose one word.* other than .*mine",
+    ):
         KINDS[second]("mine")
 
 
 @pytest.mark.usefixtures("names")
 @pytest.mark.parametrize("what", KINDS)
 def test_what_is_added_needs_a_name_of_one_word_that_the_package_does_not_use(what):
-    taken = [*chain(*PACKAGE_NAMES.values()), "two words", *(["Upper"] if what != "a human model" else [])]
-    assert {*registry.CONTROLLERS, *MODELS, *HUMAN_DRIVERS, *AGENTS, BEST, KEYBOARD, *YIELDING} <= {*taken}
+    taken = [
+        *chain(*PACKAGE_NAMES.values()),
+        "two words",
+        *(["Upper"] if what != "a human model" else []),
+    ]
+    assert {
+        *registry.CONTROLLERS,
+        *MODELS,
+        *HUMAN_DRIVERS,
+        *AGENTS,
+        BEST,
+        KEYBOARD,
+        *YIELDING,
+    } <= {*taken}
     for name in taken:
-        with pytest.raises(ValueError, match=f"{what} cannot be called '{name}'; choose one word"):
+        with pytest.raises(
+            ValueError, match=f"{what} cannot be called '{name}'; choose one word"
+        ):
             KINDS[what](name)
 
 
 def test_a_scenario_needs_a_name_of_one_word_that_the_package_does_not_use():
     for name in ("merger", "two words", "Upper"):
-        with pytest.raises(ValueError, match=f"a scenario cannot be called '{name}'; choose one word in lower case"):
+        with pytest.raises(
+            ValueError,
+            match=f"a scenario cannot be called '{name}'; choose one word in lower case",
+        ):
             add_own_scenario(name)
 
 
@@ -525,7 +778,14 @@ def test_controllers_that_run_code_of_others_are_told_from_the_packages():
     KINDS["a human model"]("mine")
     KINDS["a rule"]("plain")
     KINDS["a human driver"]("coasting")
-    ours = ["tom@8+warm", "learned:1", "naive+belief", "schedule:tom=6,naive", "budget:20", "never"]
+    ours = [
+        "tom@8+warm",
+        "learned:1",
+        "naive+belief",
+        "schedule:tom=6,naive",
+        "budget:20",
+        "never",
+    ]
     others = ["mine", "schedule:tom=6,mine", "plain", "coasting", "agent.zip"]
     assert [name for name in [*ours, *others] if registry.of_package(name)] == ours
 
@@ -534,24 +794,33 @@ def test_learned_values_warn_only_where_they_were_not_learned():
     for scenario in ("merger", "merger-v1", "crossing_crowd", "crossing-crowd-v1"):
         make(scenario, "learned:0.1")  # a warning would be an error
     told = "not in merger-v1, horizon 15.*`ms-highway values learn merger-v1 --set horizon=15"
-    with pytest.warns(UserWarning, match=f"the values of computation were learned in .*{told}"):
+    with pytest.warns(
+        UserWarning, match=f"the values of computation were learned in .*{told}"
+    ):
         make("merger-v1", "learned:1", horizon=15)
     with pytest.warns(UserWarning, match="not in dense_merge, solver gradient"):
         make(SEVERAL, "budget:20", solver="gradient")
     make("merger-v1", "learned:1+belief", yielding="never")  # measured, see the guide
 
 
-def test_learned_values_warn_among_other_humans_than_those_they_were_learned_among(monkeypatch):
+def test_learned_values_warn_among_other_humans_than_those_they_were_learned_among(
+    monkeypatch,
+):
     learn = "`ms-highway values learn merger-v1 --set {} --out values.npz`"
-    for reward, text in (("published", "human_reward=published"), ({"speed": 2.0}, "'human_reward={\"speed\": 2.0}'")):
+    for reward, text in (
+        ("published", "human_reward=published"),
+        ({"speed": 2.0}, "'human_reward={\"speed\": 2.0}'"),
+    ):
         with pytest.warns(
-            UserWarning, match=f"human_reward learned, not in merger-v1, human_reward .*{learn.format(text)}"
+            UserWarning,
+            match=f"human_reward learned, not in merger-v1, human_reward .*{learn.format(text)}",
         ):
             make("merger-v1", "learned:1", human_reward=reward)
     make("merger-v1", "learned:1", human_reward="learned")
     monkeypatch.setitem(HUMAN_DRIVERS, "coasts", keep_velocity)
     with pytest.warns(
-        UserWarning, match="not in merger-v1, where 'coasts' drives the humans; choose another controller"
+        UserWarning,
+        match="not in merger-v1, where 'coasts' drives the humans; choose another controller",
     ):
         make("merger-v1", "learned:1", human_driver="coasts")
     make("merger-v1", "tom", human_driver="coasts", human_reward="published")
@@ -562,14 +831,22 @@ def test_humans_drive_for_the_reward_of_us101_by_its_name_and_by_its_file(tmp_pa
     save(shipped("us101"), file)
     games = []
     for name in ("us101", str(file)):
-        config = configuration(parse(["compare", "merger-v1", "--set", f"human_reward={name}", "--out", "x"]))
+        config = configuration(
+            parse(
+                ["compare", "merger-v1", "--set", f"human_reward={name}", "--out", "x"]
+            )
+        )
         games.append(make("merger-v1", **config).unwrapped.game.humans)
     assert games[0].names == games[1].names
     np.testing.assert_array_equal(games[0].weights, games[1].weights)
     weights = dict(zip(games[0].names, games[0].weights[0], strict=True))
-    assert weights["closing_speed"] == pytest.approx(shipped("us101").weights["closing_speed"])
+    assert weights["closing_speed"] == pytest.approx(
+        shipped("us101").weights["closing_speed"]
+    )
     _, states, *_ = drive(make("merger-v1", human_reward="us101"), steps=10)
     usual = drive(make("merger-v1"), steps=10).states
     assert np.abs(states[-1, 1] - usual[-1, 1]).max() > 0.1
-    with pytest.raises(ValueError, match="'learned', 'published', 'us101', or give finite weights"):
+    with pytest.raises(
+        ValueError, match="'learned', 'published', 'us101', or give finite weights"
+    ):
         make("merger-v1", human_reward="us102")

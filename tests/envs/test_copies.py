@@ -17,14 +17,26 @@ from ms_highway.vehicle import states_of
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
 DRIVEN = "intersection-v0"
-NAMES = (DRIVEN, "merger", "dense_merge", "ms-highway/demonstration-v0", "ms-highway/recorded-v0")
+NAMES = (
+    DRIVEN,
+    "merger",
+    "dense_merge",
+    "ms-highway/demonstration-v0",
+    "ms-highway/recorded-v0",
+)
 
 
 def made(name):
     if name == DRIVEN:
-        return ms_highway.drive(gym.make(name, render_mode="rgb_array"), {"driver": "fixed:naive"})
+        return ms_highway.drive(
+            gym.make(name, render_mode="rgb_array"), {"driver": "fixed:naive"}
+        )
     if "/" in name:
-        return gym.make(name, render_mode="rgb_array", config={"observation": PIXELS} if "recorded" in name else None)
+        return gym.make(
+            name,
+            render_mode="rgb_array",
+            config={"observation": PIXELS} if "recorded" in name else None,
+        )
     return make(name, render_mode="rgb_array")
 
 
@@ -35,7 +47,10 @@ def test_copies_of_a_rendered_environment_drive_alike_and_can_be_rendered(name):
     env.action_space.seed(0)
     for _ in range(4):
         env.render()
-        copies, action = [env, deepcopy(env), loads(dumps(env))], env.action_space.sample()
+        copies, action = (
+            [env, deepcopy(env), loads(dumps(env))],
+            env.action_space.sample(),
+        )
         seen = [each.step(action)[0] for each in copies]
         np.testing.assert_array_equal(seen[1:], [seen[0]] * 2)
         states = [states_of(each.unwrapped.road.vehicles) for each in copies]
@@ -44,7 +59,10 @@ def test_copies_of_a_rendered_environment_drive_alike_and_can_be_rendered(name):
         np.testing.assert_allclose(each.render().mean(), env.render().mean(), rtol=0.05)
 
 
-CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}, "ladder": ["naive", "turn"]}
+CHOOSING = {
+    "action": {"type": "HumanModelAction", "lambda": 1.0},
+    "ladder": ["naive", "turn"],
+}
 DRIVING = {"action": {"type": "ContinuousAction"}}
 
 
@@ -57,7 +75,13 @@ def driven_by_an_agent():
     "made",
     [
         *(pytest.param(partial(made, name), id=name) for name in NAMES),
-        partial(make, "merger", "switching:0.1+belief", costs="measured", ladder=["naive", "turn"]),
+        partial(
+            make,
+            "merger",
+            "switching:0.1+belief",
+            costs="measured",
+            ladder=["naive", "turn"],
+        ),
         partial(make, "merger", **CHOOSING),
         partial(make, "merger", "never"),
         partial(make, "merger-v1", **DRIVING, yielding="never"),
@@ -69,7 +93,10 @@ def driven_by_an_agent():
 def test_info_has_the_same_keys_types_and_shapes_from_the_reset_on(made):
     env = made()
     first = env.reset(seed=0)[1]
-    infos = [*(env.step(env.action_space.sample())[4] for _ in range(3)), env.reset(seed=1)[1]]
+    infos = [
+        *(env.step(env.action_space.sample())[4] for _ in range(3)),
+        env.reset(seed=1)[1],
+    ]
     assert len(form(first)) > 5
     for info in infos:
         assert form(info) == form(first)

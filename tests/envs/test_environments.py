@@ -22,10 +22,17 @@ DRIVING = {"type": "ContinuousAction"}
 
 
 @pytest.mark.parametrize(
-    ("scenario", "action"), [("merger", {"type": "Autopilot"}), ("merger", CHOOSING), ("dense_merge", DRIVING)]
+    ("scenario", "action"),
+    [("merger", {"type": "Autopilot"}), ("merger", CHOOSING), ("dense_merge", DRIVING)],
 )
 def test_gymnasiums_checker_passes_without_a_warning(scenario, action):
-    env = make(scenario, render_mode="rgb_array", action=action, ladder=["naive", "turn"], duration=0.3)
+    env = make(
+        scenario,
+        render_mode="rgb_array",
+        action=action,
+        ladder=["naive", "turn"],
+        duration=0.3,
+    )
     check_env(env.unwrapped)  # a warning would be an error
 
 
@@ -40,25 +47,63 @@ def test_info_holds_the_reward_by_feature_and_measured_times(turned):
     for reward, info in zip(turned.rewards, infos, strict=True):
         assert sum(info["rewards"].values()) == pytest.approx(reward)
         assert (info["status"], info["human_status"]) == ("planned", ("planned",))
-        assert (info["model"], info["models"], info["collision"]) == ("turn", ("turn",), False)
+        assert (info["model"], info["models"], info["collision"]) == (
+            "turn",
+            ("turn",),
+            False,
+        )
         assert 0 < info["timing"].planning_seconds < 1
-    assert infos[0]["timing"] == infos[1]["timing"] == Timing(1.0, 2.0, 3.0)  # so that episodes can be compared
+    assert (
+        infos[0]["timing"] == infos[1]["timing"] == Timing(1.0, 2.0, 3.0)
+    )  # so that episodes can be compared
 
 
 @pytest.mark.parametrize(
     ("scenario", "kind", "action", "message"),
     [
-        ("merger", DRIVING, np.array([0.0, np.nan]), r"nan.* is impossible; give one of Box\(-1.0, 1.0"),
-        ("merger", DRIVING, [1, 0, 9, 9], r"action \[1, 0, 9, 9\] is impossible; give one of Box\(-1.0, 1.0, \(2,\)"),
+        (
+            "merger",
+            DRIVING,
+            np.array([0.0, np.nan]),
+            r"nan.* is impossible; give one of Box\(-1.0, 1.0",
+        ),
+        (
+            "merger",
+            DRIVING,
+            [1, 0, 9, 9],
+            r"action \[1, 0, 9, 9\] is impossible; give one of Box\(-1.0, 1.0, \(2,\)",
+        ),
         ("merger", DRIVING, [[1, 0], [1]], r"action .* is impossible; give one of Box"),
         ("merger", DRIVING, 1.0, r"action 1.0 is impossible; give one of Box"),
-        ("merger", DRIVING, ["0", None], r"action \['0', None\] is impossible; give one of Box"),
-        ("merger", {"type": "DiscreteAction"}, 9, r"action 9 is impossible; give one of Discrete\(9\)"),
-        ("merger", {"type": "DiscreteAction"}, 0.5, r"action 0.5 is impossible; give one of Discrete\(9\)"),
-        ("dense_merge", CHOOSING, 1, r"action 1 is impossible; give one of MultiDiscrete"),
+        (
+            "merger",
+            DRIVING,
+            ["0", None],
+            r"action \['0', None\] is impossible; give one of Box",
+        ),
+        (
+            "merger",
+            {"type": "DiscreteAction"},
+            9,
+            r"action 9 is impossible; give one of Discrete\(9\)",
+        ),
+        (
+            "merger",
+            {"type": "DiscreteAction"},
+            0.5,
+            r"action 0.5 is impossible; give one of Discrete\(9\)",
+        ),
+        (
+            "dense_merge",
+            CHOOSING,
+            1,
+            r"action 1 is impossible; give one of MultiDiscrete",
+        ),
     ],
 )
-def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, action, message):
+def test_an_impossible_action_is_refused_before_anything_moves(
+    scenario, kind, action, message
+):
     env = make(scenario, action=kind).unwrapped
     env.reset(seed=0)
     before = env.car_states
@@ -68,48 +113,84 @@ def test_an_impossible_action_is_refused_before_anything_moves(scenario, kind, a
     assert (env.time, env.steps) == (0, 0)
 
 
-def test_a_control_divided_by_the_ends_of_the_ranges_is_the_action_that_repeats_it(turned):
-    copy, controls = make("merger", action=ACTION), [info["control"] for info in turned.infos]
+def test_a_control_divided_by_the_ends_of_the_ranges_is_the_action_that_repeats_it(
+    turned,
+):
+    copy, controls = (
+        make("merger", action=ACTION),
+        [info["control"] for info in turned.infos],
+    )
     copy.reset(seed=0)
     for control, state in zip(controls, turned.states[1:], strict=True):
-        shares = [control[name] / ACTION[f"{name}_range"][1] for name in ("acceleration", "steering")]
+        shares = [
+            control[name] / ACTION[f"{name}_range"][1]
+            for name in ("acceleration", "steering")
+        ]
         copy.step(np.float32(shares))
-        np.testing.assert_allclose(copy.unwrapped.robot.position, state[0, :2], rtol=0, atol=1e-3)
-    assert max(abs(control["acceleration"]) for control in controls) > 5.0  # beyond the default range
+        np.testing.assert_allclose(
+            copy.unwrapped.robot.position, state[0, :2], rtol=0, atol=1e-3
+        )
+    assert (
+        max(abs(control["acceleration"]) for control in controls) > 5.0
+    )  # beyond the default range
 
 
 def test_gradient_steps_suit_the_horizon_and_longer_ones_give_one_warning():
     assert make("merger", horizon=10).unwrapped.game.planner.solver.iterations == 58
-    with pytest.warns(UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot") as warned:
+    with pytest.warns(
+        UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot"
+    ) as warned:
         make("merger", horizon=10, step_size=0.03)
     assert [each.category for each in warned].count(UserWarning) == 1
 
 
-def test_a_model_without_finite_predictions_is_warned_of_in_the_first_step_and_paid_for(monkeypatch):
-    lost = type("Lost", (PredictedHuman,), {"name": "lost", "predict": lambda *_: np.full((5, 2), np.nan)})
+def test_a_model_without_finite_predictions_is_warned_of_in_the_first_step_and_paid_for(
+    monkeypatch,
+):
+    lost = type(
+        "Lost",
+        (PredictedHuman,),
+        {"name": "lost", "predict": lambda *_: np.full((5, 2), np.nan)},
+    )
     monkeypatch.setitem(MODELS, "lost", lost())
-    env = make("merger", action=CHOOSING, ladder=["naive", "lost"], costs={"naive": 0.01, "lost": 0.1})
+    env = make(
+        "merger",
+        action=CHOOSING,
+        ladder=["naive", "lost"],
+        costs={"naive": 0.01, "lost": 0.1},
+    )
     env.reset(seed=0)
-    with pytest.warns(UserWarning, match="model 'lost' predicts a curvature of nan 1/m, so that no plan follows"):
+    with pytest.warns(
+        UserWarning,
+        match="model 'lost' predicts a curvature of nan 1/m, so that no plan follows",
+    ):
         env.step(0)
     for action, status, seconds in ((1, "previous plan", 0.1), (0, "planned", 0.01)):
         info = env.step(action)[-1]
-        assert (info["status"], info["counted_seconds"]) == (status, pytest.approx(seconds))
+        assert (info["status"], info["counted_seconds"]) == (
+            status,
+            pytest.approx(seconds),
+        )
 
 
 def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked():
     starts = np.array([[0, 0, 0.0, 20.0], [-8, -3.3, 0.0, 20.0], [3, 0.0, 0.0, 20.0]])
     for terminate, steps in ((False, 2), (True, 1)):
-        _, states, rewards, infos = drive(make("merger", terminate_on_collision=terminate), starts=starts, steps=2)
+        _, states, rewards, infos = drive(
+            make("merger", terminate_on_collision=terminate), starts=starts, steps=2
+        )
         assert infos[0]["collision"]
         assert infos[0]["crashed"]
         assert rewards[0] < -90
         assert len(rewards) == steps
-        np.testing.assert_allclose(states[1, 2], starts[2] + [2.0, 0, 0, 0])  # no push, no freeze
+        np.testing.assert_allclose(
+            states[1, 2], starts[2] + [2.0, 0, 0, 0]
+        )  # no push, no freeze
 
 
 @pytest.mark.parametrize(
-    ("config", "missing"), [({"action": DRIVING}, [np.nan] * 2), ({"action": {"type": "DiscreteAction"}}, -1)]
+    ("config", "missing"),
+    [({"action": DRIVING}, [np.nan] * 2), ({"action": {"type": "DiscreteAction"}}, -1)],
 )
 def test_info_tells_no_action_before_the_first_step(config, missing):
     env = make("merger-v1", **config)
@@ -119,13 +200,22 @@ def test_info_tells_no_action_before_the_first_step(config, missing):
     np.testing.assert_array_equal(env.reset(seed=1)[1]["action"], missing)
 
 
-@pytest.mark.parametrize("name", ["merger-v1", "demonstration-v0", "recorded-v0", "merge-v1"])
+@pytest.mark.parametrize(
+    "name", ["merger-v1", "demonstration-v0", "recorded-v0", "merge-v1"]
+)
 def test_seeds_are_whole_numbers_also_of_numpy(name):
-    env = ms_highway.drive(gym.make(name)) if name == "merge-v1" else gym.make(f"ms_highway:ms-highway/{name}")
+    env = (
+        ms_highway.drive(gym.make(name))
+        if name == "merge-v1"
+        else gym.make(f"ms_highway:ms-highway/{name}")
+    )
     same = [env.reset(seed=seed)[0] for seed in (3, np.int64(3), np.int32(3))]
     np.testing.assert_array_equal(same[1:], [same[0]] * 2)
     for seed in (1.5, np.float64(3.0), -1, "3", True, [3]):
-        with pytest.raises(ValueError, match=r"the seed of reset is .*; give a whole number from 0 on, or None"):
+        with pytest.raises(
+            ValueError,
+            match=r"the seed of reset is .*; give a whole number from 0 on, or None",
+        ):
             env.reset(seed=seed)
 
 
@@ -137,13 +227,19 @@ def test_seeds_are_whole_numbers_also_of_numpy(name):
         ("dense_merge", "nearest:1", {"semantics": "physical"}),
     ],
 )
-def test_whole_turns_of_a_cars_heading_change_nothing_in_an_episode(scenario, controller, config):
+def test_whole_turns_of_a_cars_heading_change_nothing_in_an_episode(
+    scenario, controller, config
+):
     env = make(scenario, controller, **config)
     env.reset(seed=0)
     starts = env.unwrapped.car_states - [0, 0, 0.01, 0]
     turns = 2 * np.pi * np.eye(4)[2] * np.arange(1, 1 + len(starts))[:, None]
-    plain, turned = (drive(env, starts=given, steps=3) for given in (starts, starts + turns))
-    assert [info["model"] for info in turned.infos] == [info["model"] for info in plain.infos]
+    plain, turned = (
+        drive(env, starts=given, steps=3) for given in (starts, starts + turns)
+    )
+    assert [info["model"] for info in turned.infos] == [
+        info["model"] for info in plain.infos
+    ]
     for name in ("gains", "rewards"):
         for one, other in zip(turned.infos, plain.infos, strict=True):
             assert one[name] == pytest.approx(other[name], rel=1e-3, abs=1e-4)
@@ -172,7 +268,9 @@ def test_action_spaces_and_frame_rates_are_an_environments_own():
 def weights_of(game):
     """The human's reward by name, without zeros."""
     humans = game.humans
-    values = zip((*humans.names, *COMFORT), (*humans.weights[0], *humans.comfort), strict=True)
+    values = zip(
+        (*humans.names, *COMFORT), (*humans.weights[0], *humans.comfort), strict=True
+    )
     return {name: float(value) for name, value in values if value}
 
 
@@ -184,7 +282,11 @@ def test_given_weights_change_the_human_and_the_robots_models_of_it_alike():
         inner, *_ = drive(env, starts=starts, steps=1)
         own.append(inner.humans[0].last_step.control)
         believed.append(inner.robot.last_step.humans[0, 0])
-    assert weights_of(inner.game) == {"speed": 40.0, "lane_alignment": 75.0, "target_lane": 1000.0}
+    assert weights_of(inner.game) == {
+        "speed": 40.0,
+        "lane_alignment": 75.0,
+        "target_lane": 1000.0,
+    }
     np.testing.assert_allclose(own, believed, atol=1e-3)
     assert abs(own[0][1] - own[1][1]) > 0.5
 
@@ -215,7 +317,9 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_forked_and_other_workers_of_a_vector_environment_find_and_step_the_environment(tmp_path):
+def test_forked_and_other_workers_of_a_vector_environment_find_and_step_the_environment(
+    tmp_path,
+):
     script = tmp_path / "vector.py"
     script.write_text(VECTOR)
     assert python(script, timeout=600).stderr == ""
@@ -223,7 +327,11 @@ def test_forked_and_other_workers_of_a_vector_environment_find_and_step_the_envi
 
 @pytest.mark.parametrize(
     ("costs", "controller", "clocked"),
-    [("measured", "switching:0.1", True), ("measured", "naive", False), ("published", "budget:500", True)],
+    [
+        ("measured", "switching:0.1", True),
+        ("measured", "naive", False),
+        ("published", "budget:500", True),
+    ],
 )
 def test_info_tells_whether_rules_chose_by_measured_times(costs, controller, clocked):
     env = make("merger", controller, ladder=["naive", "turn"], costs=costs)
@@ -300,7 +408,12 @@ worker.join()
 
 @pytest.mark.slow
 def test_a_worker_forked_after_jax_had_begun_raises_an_error_instead_of_waiting_for_ever():
-    assert python("-c", FORKED, timeout=600).stdout.count("start it with context='forkserver' or 'spawn'") == 10
+    assert (
+        python("-c", FORKED, timeout=600).stdout.count(
+            "start it with context='forkserver' or 'spawn'"
+        )
+        == 10
+    )
 
 
 @pytest.mark.parametrize(
@@ -311,10 +424,14 @@ def test_a_worker_forked_after_jax_had_begun_raises_an_error_instead_of_waiting_
         ("recorded", "ContinuousAction"),
     ],
 )
-def test_full_braking_stops_a_car_and_reverses_it_only_within_a_range_of_speeds(name, kind):
+def test_full_braking_stops_a_car_and_reverses_it_only_within_a_range_of_speeds(
+    name, kind
+):
     brakes = np.array([-1.0, 0.0], np.float32) if kind == "ContinuousAction" else 1
     for speeds, lowest in (({}, 0.0), ({"speed_range": [-2.0, 30.0]}, -2.0)):
-        env = gym.make(f"ms-highway/{name}-v0", config={"action": {"type": kind, **speeds}}).unwrapped
+        env = gym.make(
+            f"ms-highway/{name}-v0", config={"action": {"type": kind, **speeds}}
+        ).unwrapped
         env.reset(seed=0)
         env.vehicle.speed = 1.0
         driven = [(env.step(brakes), env.vehicle.speed)[1] for _ in range(8)]
@@ -324,9 +441,18 @@ def test_full_braking_stops_a_car_and_reverses_it_only_within_a_range_of_speeds(
 @pytest.mark.parametrize("name", PAPER_SCENARIOS)
 def test_semantics_choose_the_humans_reward_and_leave_the_robots(name):
     scenario = SCENARIOS[name]
-    aims = {feature: weight for feature, weight in scenario.human_weights.items() if feature not in COMMON_WEIGHTS}
-    for semantics, driving in (("paper", shipped("demonstrations").weights), ("released", COMMON_WEIGHTS)):
+    aims = {
+        feature: weight
+        for feature, weight in scenario.human_weights.items()
+        if feature not in COMMON_WEIGHTS
+    }
+    for semantics, driving in (
+        ("paper", shipped("demonstrations").weights),
+        ("released", COMMON_WEIGHTS),
+    ):
         game = make(name, semantics=semantics).unwrapped.game
         assert weights_of(game) == pytest.approx(driving | aims)
         robot = zip(game.robot.names, game.robot.weights.tolist(), strict=True)
-        assert {feature: weight for feature, weight in robot if weight} == scenario.robot_weights
+        assert {
+            feature: weight for feature, weight in robot if weight
+        } == scenario.robot_weights

@@ -37,13 +37,17 @@ class Remembers:
     def __call__(self, game, state):
         self.places = [*self.places[-5:], state[0, 0]]
         way = self.places[-1] - self.places[0]
-        return keep_velocity(game.world, state[0]) + np.array([0.0, 0.1 * way + self.random.normal()])
+        return keep_velocity(game.world, state[0]) + np.array(
+            [0.0, 0.1 * way + self.random.normal()]
+        )
 
 
 def leaks(game, state, places=[]):  # noqa: B006
     """Remember the last six steps, also those of the episode before."""
     places[:] = [*places[-5:], state[0, 0]]
-    return keep_velocity(game.world, state[0]) + np.array([0.0, 0.1 * (places[-1] - places[0])])
+    return keep_velocity(game.world, state[0]) + np.array(
+        [0.0, 0.1 * (places[-1] - places[0])]
+    )
 
 
 def draws(game, state):
@@ -103,7 +107,9 @@ def added():
 @pytest.mark.usefixtures("added")
 def test_a_function_drives_the_human_alike_live_and_in_a_batch():
     _, states, *_ = drive(make("merger-v1", human_driver="brakes"), steps=10)
-    np.testing.assert_allclose(np.diff(states[:, 1, 3]), -0.1, atol=2e-3)  # m/s in 0.1 s
+    np.testing.assert_allclose(
+        np.diff(states[:, 1, 3]), -0.1, atol=2e-3
+    )  # m/s in 0.1 s
     speeds = batch_of("brakes")["human_speed"].to_numpy()[:10]
     np.testing.assert_allclose(speeds, states[-10:, 1, 3], atol=1e-3)
 
@@ -129,8 +135,14 @@ def test_a_vehicle_of_highway_env_drives_by_itself():
     [
         ("follows", "'follows', which cannot be simulated"),
         ("looks", "cannot trace the human driver 'looks'.*use `compare`"),
-        ("remembers", "'remembers', which remembers and cannot be simulated.*use `compare`"),
-        ("counts", "'counts' computes something else when it is asked again; give add_driver an object with `reset"),
+        (
+            "remembers",
+            "'remembers', which remembers and cannot be simulated.*use `compare`",
+        ),
+        (
+            "counts",
+            "'counts' computes something else when it is asked again; give add_driver an object with `reset",
+        ),
     ],
 )
 def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, message):
@@ -141,8 +153,17 @@ def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, me
 
 
 @pytest.mark.usefixtures("added")
-@pytest.mark.parametrize("how", [{"controller": "remembers"}, {"controller": "made"}, {"human_driver": "remembers"}])
-def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_its_environment(how):
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"controller": "remembers"},
+        {"controller": "made"},
+        {"human_driver": "remembers"},
+    ],
+)
+def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_its_environment(
+    how,
+):
     env = make("merger-v1", **how)
     alone = drive(env, seed=4, steps=10).states
     other = drive(env, seed=0, steps=10).states
@@ -162,11 +183,26 @@ def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_it
 @pytest.mark.parametrize(
     ("driver", "message"),
     [
-        ("leaks", "'leaks' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
-        ("draws", "'draws' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
-        ("counts", "'counts' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`"),
-        ("forgets", "'forgets' writes into an array that it was given; copy an array before you change it"),
-        ("moves", "'moves' writes into an array that it was given; copy an array before you change it"),
+        (
+            "leaks",
+            "'leaks' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`",
+        ),
+        (
+            "draws",
+            "'draws' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`",
+        ),
+        (
+            "counts",
+            "'counts' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`",
+        ),
+        (
+            "forgets",
+            "'forgets' writes into an array that it was given; copy an array before you change it",
+        ),
+        (
+            "moves",
+            "'moves' writes into an array that it was given; copy an array before you change it",
+        ),
     ],
 )
 def test_a_function_that_is_not_pure_is_found_within_an_episode(driver, role, message):
@@ -176,17 +212,26 @@ def test_a_function_that_is_not_pure_is_found_within_an_episode(driver, role, me
 
 def test_an_object_that_cannot_begin_an_episode_is_refused():
     takes_no_key = type("TakesNoKey", (Remembers,), {"reset": lambda self: None})
-    needs_numbers = type("NeedsNumbers", (Remembers,), {"__init__": lambda self, number: None})
+    needs_numbers = type(
+        "NeedsNumbers", (Remembers,), {"__init__": lambda self, number: None}
+    )
     for driver in (takes_no_key, takes_no_key(), needs_numbers):
-        with pytest.raises(ValueError, match=r"cannot begin an episode: .*`reset` take a key"):
+        with pytest.raises(
+            ValueError, match=r"cannot begin an episode: .*`reset` take a key"
+        ):
             ms_highway.add_driver("mine", driver)
     never_called = type("NeverCalled", (), {"reset": lambda self, key: None})
-    with pytest.raises(ValueError, match=r"an object with `reset\(key\)` that is called like one"):
+    with pytest.raises(
+        ValueError, match=r"an object with `reset\(key\)` that is called like one"
+    ):
         ms_highway.add_driver("mine", never_called())
 
 
 def test_arrow_keys_drive_the_human(monkeypatch):
-    with pytest.raises(OSError, match="no window to press keys in; make the environment with render_mode='human'"):
+    with pytest.raises(
+        OSError,
+        match="no window to press keys in; make the environment with render_mode='human'",
+    ):
         make("merger-v1", human_driver="keyboard").reset(seed=0)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame.display.init()
@@ -204,9 +249,18 @@ def test_arrow_keys_drive_the_human(monkeypatch):
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"human_driver": "nobody"}, "config\\['human_driver'\\] is 'nobody'; add it with ms_highway.add_driver"),
-        ({"human_driver": "keyboard", "yielding": "never"}, "config\\['yielding'\\] is 'never'"),
-        ({"other_vehicles_type": "ms_highway.vehicle.HumanVehicle"}, "no effect here; 'human_driver' says"),
+        (
+            {"human_driver": "nobody"},
+            "config\\['human_driver'\\] is 'nobody'; add it with ms_highway.add_driver",
+        ),
+        (
+            {"human_driver": "keyboard", "yielding": "never"},
+            "config\\['yielding'\\] is 'never'",
+        ),
+        (
+            {"other_vehicles_type": "ms_highway.vehicle.HumanVehicle"},
+            "no effect here; 'human_driver' says",
+        ),
     ],
 )
 def test_an_unknown_driver_and_a_key_without_effect_are_refused(config, message):
@@ -216,19 +270,32 @@ def test_an_unknown_driver_and_a_key_without_effect_are_refused(config, message)
 
 @pytest.mark.parametrize(
     ("scenario", "config"),
-    [("merger-v1", {"human_driver": "keyboard", "controller": "tom"}), ("demonstration-v0", {"manual_control": True})],
+    [
+        ("merger-v1", {"human_driver": "keyboard", "controller": "tom"}),
+        ("demonstration-v0", {"manual_control": True}),
+    ],
 )
-def test_keys_without_a_display_are_refused_in_one_sentence(scenario, config, monkeypatch):
+def test_keys_without_a_display_are_refused_in_one_sentence(
+    scenario, config, monkeypatch
+):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     pygame.display.quit()
-    env = gym.make(f"ms_highway:ms-highway/{scenario}", render_mode="human", config=config)
+    env = gym.make(
+        f"ms_highway:ms-highway/{scenario}", render_mode="human", config=config
+    )
     try:
-        with pytest.raises(OSError, match="there is no display for a person to drive at; use a desktop"):
+        with pytest.raises(
+            OSError, match="there is no display for a person to drive at; use a desktop"
+        ):
             env.reset(seed=0)
     finally:
         env.close()
     monkeypatch.setenv("SDL_VIDEODRIVER", "x11")
-    with pytest.raises(OSError, match="there is no display for the window of render_mode='human'"):
-        gym.make(f"ms_highway:ms-highway/{scenario}", render_mode="human", config=config)
+    with pytest.raises(
+        OSError, match="there is no display for the window of render_mode='human'"
+    ):
+        gym.make(
+            f"ms_highway:ms-highway/{scenario}", render_mode="human", config=config
+        )
     pygame.display.quit()

@@ -15,7 +15,9 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import episode
 from ms_highway.game.scenario import GRIP, title
 
-PHYSICAL = [name for name, scenario in SCENARIOS.items() if scenario.semantics == "physical"]
+PHYSICAL = [
+    name for name, scenario in SCENARIOS.items() if scenario.semantics == "physical"
+]
 
 
 @pytest.mark.parametrize("name", PHYSICAL)
@@ -31,7 +33,9 @@ def test_robot_and_human_accelerate_by_no_more_than_tyres_hold_in_any_step():
     _, states, _, infos = drive(make("merger-v1"))
     assert {info["status"] for info in infos} == {"planned"}
     before, changes = states[:-1, :2], np.diff(states[:, :2], axis=0) / 0.1
-    accelerations = np.hypot(before[..., 3] * changes[..., 2], changes[..., 3])  # across and along, as tyres feel them
+    accelerations = np.hypot(
+        before[..., 3] * changes[..., 2], changes[..., 3]
+    )  # across and along, as tyres feel them
     assert 7.0 < accelerations.max() < GRIP + 0.01
 
 
@@ -43,12 +47,17 @@ def test_physical_semantics_limit_a_scenario_of_the_paper_too():
 def bodies_of(env):
     """Return the bodies as they are drawn: the robot's, and those of all others."""
     robot, *others = (Polygon(vehicle.polygon()[:4]) for vehicle in env.road.vehicles)
-    cones = [Point(cone.position).buffer(cone.WIDTH / 2, quad_segs=256) for cone in env.road.objects]
+    cones = [
+        Point(cone.position).buffer(cone.WIDTH / 2, quad_segs=256)
+        for cone in env.road.objects
+    ]
     return robot, [*others, *cones]
 
 
 @pytest.mark.parametrize("name", ["merger-v1", "stay-back-v1", "dense-merge-v1"])
-def test_a_collision_is_an_overlap_of_bodies_for_rewards_info_success_and_vector_environments(name):
+def test_a_collision_is_an_overlap_of_bodies_for_rewards_info_success_and_vector_environments(
+    name,
+):
     """An agent steers into its neighbour, or into cones."""
     config = {"action": {"type": "ContinuousAction"}, "terminate_on_collision": True}
     single = gym.make(f"ms-highway/{name}", config=config)
@@ -57,7 +66,9 @@ def test_a_collision_is_an_overlap_of_bodies_for_rewards_info_success_and_vector
     many.reset(seed=0)
     terminated = truncated = False
     while not (terminated or truncated):
-        speed_up_and_steer = np.array([0.5, 0.12 if name == "stay-back-v1" else -0.12], np.float32)
+        speed_up_and_steer = np.array(
+            [0.5, 0.12 if name == "stay-back-v1" else -0.12], np.float32
+        )
         _, _, terminated, truncated, info = single.step(speed_up_and_steer)
         _, _, ended, _, infos = many.step(np.tile(speed_up_and_steer, (2, 1)))
         robot, others = bodies_of(single.unwrapped)
@@ -79,22 +90,34 @@ def test_no_body_overlaps_another_one_under_the_learned_choice(name):
         _, _, _, infos = drive(env, seed)
         assert not any(info["collision"] or info["crashed"] for info in infos)
         robot, others = bodies_of(env.unwrapped)
-        assert all(one.disjoint(two) for one, two in combinations([robot, *others[: len(env.unwrapped.humans)]], 2))
+        assert all(
+            one.disjoint(two)
+            for one, two in combinations(
+                [robot, *others[: len(env.unwrapped.humans)]], 2
+            )
+        )
 
 
 def driven(scenario, controllers, starts):
     """Return a row for each step of episodes from the same starts."""
     robots = {controller: make(scenario, controller) for controller in controllers}
     steps = (
-        (name, seed, step) for name, env in robots.items() for seed in range(starts) for step in episode(env, seed)
+        (name, seed, step)
+        for name, env in robots.items()
+        for seed in range(starts)
+        for step in episode(env, seed)
     )
-    return pd.DataFrame([step | {"controller": name, "seed": seed} for name, seed, step in steps])
+    return pd.DataFrame(
+        [step | {"controller": name, "seed": seed} for name, seed, step in steps]
+    )
 
 
 @drives_long
 def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
     steps = driven("stay-back-v1", ["naive", "learned:1"], 12)
-    episodes = steps.groupby(["controller", "seed"]).agg({"reward": "mean", "collision": "any"})
+    episodes = steps.groupby(["controller", "seed"]).agg(
+        {"reward": "mean", "collision": "any"}
+    )
     assert episodes.loc["naive", "collision"].any()
     assert not episodes.loc["learned:1", "collision"].any()
     assert episodes.loc["learned:1", "reward"].min() > 2.6
@@ -103,9 +126,18 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
 @drives_long
 def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
     """On the first of the starts of the results page, where 38, 97 and 98 % succeed."""
-    steps = simulated(Comparison({"dense-merge-v1": ["naive", "tom", "learned:1"]}, 30, first_seed=3000))
+    steps = simulated(
+        Comparison(
+            {"dense-merge-v1": ["naive", "tom", "learned:1"]}, 30, first_seed=3000
+        )
+    )
     assert not steps["collision"].any()
-    success = steps.groupby(["controller", "seed"])["success"].last().groupby("controller").mean()
+    success = (
+        steps.groupby(["controller", "seed"])["success"]
+        .last()
+        .groupby("controller")
+        .mean()
+    )
     assert success["naive"] <= 0.5
     assert min(success["tom"], success["learned:1"]) >= 0.95
     means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
@@ -122,6 +154,12 @@ def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision
     assert not steps["collision"].any()
     algorithm_1 = steps[steps["controller"] == "switching:0.1"]
     assert {*algorithm_1["status"]} == {"planned"}
-    assert algorithm_1["gains"].map(lambda gains: np.isfinite([*gains.values()]).any()).any()
+    assert (
+        algorithm_1["gains"]
+        .map(lambda gains: np.isfinite([*gains.values()]).any())
+        .any()
+    )
     rewards = steps.groupby("controller")["reward"].mean()
-    assert rewards["learned:1"] - rewards["naive"] > 0.97 * (rewards["tom"] - rewards["naive"])
+    assert rewards["learned:1"] - rewards["naive"] > 0.97 * (
+        rewards["tom"] - rewards["naive"]
+    )

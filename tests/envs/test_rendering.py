@@ -14,7 +14,12 @@ from ms_highway import drive
 from ms_highway.envs.graphics import TEXT_WIDTH
 from ms_highway.envs.viewer import MODEL_COLORS, PAPER
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
-from ms_highway.visualization.video import HEADING_HEIGHT, film_together, scaled, side_by_side
+from ms_highway.visualization.video import (
+    HEADING_HEIGHT,
+    film_together,
+    scaled,
+    side_by_side,
+)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +49,9 @@ def test_a_frame_shows_cars_plan_and_model_in_their_colours():
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 @pytest.mark.parametrize("driver", [None, "dummy"])
-def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_others(driver, monkeypatch):
+def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_others(
+    driver, monkeypatch
+):
     monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
     if driver:
         monkeypatch.setenv("SDL_VIDEODRIVER", driver)
@@ -59,11 +66,16 @@ def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_o
     for env in envs:
         observation, _ = env.reset(seed=0)
         assert env.render().std() > 10
-        assert observation.std() > 10 or env.unwrapped.config["observation"]["type"] != PIXELS["type"]
+        assert (
+            observation.std() > 10
+            or env.unwrapped.config["observation"]["type"] != PIXELS["type"]
+        )
     assert os.environ == before
 
 
-@pytest.mark.parametrize(("controller", "chooses"), [("turn", False), ("switching:0.1", True)])
+@pytest.mark.parametrize(
+    ("controller", "chooses"), [("turn", False), ("switching:0.1", True)]
+)
 def test_the_panel_gives_a_reason_only_if_the_model_is_chosen(controller, chooses):
     reason = rendered(controller)[-42:, : TEXT_WIDTH - 60]
     assert (reason != PAPER).any() == chooses
@@ -79,7 +91,9 @@ def test_a_video_of_two_controllers_shows_both_under_their_names(films):
 
 
 def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path):
-    run(f"video merger --controller naive --against turn --seed 1 --width 480 --out {tmp_path / 'film.mp4'}")
+    run(
+        f"video merger --controller naive --against turn --seed 1 --width 480 --out {tmp_path / 'film.mp4'}"
+    )
     video = imageio.imread(tmp_path / "film.mp4", plugin="pyav")
     assert video.shape == (40, 408, 480, 3)
     road = slice(HEADING_HEIGHT // 2, HEADING_HEIGHT // 2 + 100)

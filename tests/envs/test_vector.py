@@ -11,7 +11,10 @@ from ms_highway import FunctionalEnv
 from ms_highway.envs import scenario_name
 from ms_highway.game.starts import TracedRandom
 
-CHOOSING = {"action": {"type": "HumanModelAction", "lambda": 1.0}, "ladder": ["naive", "turn"]}
+CHOOSING = {
+    "action": {"type": "HumanModelAction", "lambda": 1.0},
+    "ladder": ["naive", "turn"],
+}
 LEARNED = {"controller": "learned:1", "ladder": ["naive", "turn"]}
 DRIVING = {"action": {"type": "ContinuousAction"}, **TWO}
 NAME = "ms_highway:ms-highway/"
@@ -22,12 +25,18 @@ def both(scenario, config, number=3, mode=AutoresetMode.NEXT_STEP):
     arguments = {"id": NAME + scenario, "num_envs": number, "config": config}
     ours = gym.make_vec(autoreset_mode=mode, **arguments)
     ours.action_space.seed(0)
-    return ours, gym.make_vec(vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **arguments)
+    return ours, gym.make_vec(
+        vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **arguments
+    )
 
 
 @pytest.mark.parametrize(
     ("scenario", "config"),
-    [("merger-v1", CHOOSING), ("merger-v1", LEARNED), ("dense-merge-v0", CHOOSING | TWO)],
+    [
+        ("merger-v1", CHOOSING),
+        ("merger-v1", LEARNED),
+        ("dense-merge-v0", CHOOSING | TWO),
+    ],
 )
 def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
     ours, singles = both(scenario, config | {"duration": 2.0})
@@ -55,7 +64,9 @@ def test_in_a_chaotic_scene_the_first_steps_agree_with_single_environments():
         mine, other = ours.step(actions), singles.step(actions)
         np.testing.assert_array_equal(mine[4]["model"], other[4]["model"])
         np.testing.assert_allclose(mine[1], other[1], atol=1e-3)
-        states = np.stack([single.unwrapped.car_states for single in singles.unwrapped.envs])
+        states = np.stack(
+            [single.unwrapped.car_states for single in singles.unwrapped.envs]
+        )
         np.testing.assert_allclose(ours.unwrapped._state.now.state, states, atol=0.02)
 
 
@@ -99,7 +110,11 @@ def test_pure_functions_have_derivatives_in_reverse_mode_only_where_plans_take_a
     shifted = action + 0.01 * np.float32([[1, 0], [-1, 0], [0, 1], [0, -1]])
     earned = jax.jit(jax.vmap(rewards))(shifted)
     for derive in (jax.jacfwd, jax.grad):
-        np.testing.assert_allclose(jax.jit(derive(rewards))(action), (earned[::2] - earned[1::2]) / 0.02, rtol=0.05)
+        np.testing.assert_allclose(
+            jax.jit(derive(rewards))(action),
+            (earned[::2] - earned[1::2]) / 0.02,
+            rtol=0.05,
+        )
     rewards = rewards_of_two_steps("merger-v1")
     assert jax.eval_shape(jax.jacfwd(rewards), action).shape == (2,)
     with pytest.raises(ValueError, match="Reverse-mode differentiation does not work"):
@@ -118,24 +133,37 @@ def test_episodes_begin_anew_as_gymnasium_says(mode):
             np.testing.assert_allclose(mine[part], other[part], atol=1e-3)
         ended = mine[2] | mine[3]
         if mode is AutoresetMode.SAME_STEP and ended.any():
-            np.testing.assert_allclose(np.stack(mine[4]["final_obs"]), np.stack(other[4]["final_obs"]), atol=1e-4)
+            np.testing.assert_allclose(
+                np.stack(mine[4]["final_obs"]),
+                np.stack(other[4]["final_obs"]),
+                atol=1e-4,
+            )
         if mode is AutoresetMode.DISABLED and ended.any():
             with pytest.raises(ValueError, match="reset before they can step"):
                 ours.step(actions)
-            mine, other = (envs.reset(options={"reset_mask": ended})[0] for envs in (ours, singles))
+            mine, other = (
+                envs.reset(options={"reset_mask": ended})[0] for envs in (ours, singles)
+            )
             np.testing.assert_allclose(mine, other, atol=1e-5)
 
 
 def test_pure_functions_can_be_jitted_and_vmapped_and_equal_the_environment():
     config = CHOOSING | {"ladder": ["naive", "idm"]}
-    env, single = FunctionalEnv("merger-v1", config), gym.make(NAME + "merger-v1", config=config)
+    env, single = (
+        FunctionalEnv("merger-v1", config),
+        gym.make(NAME + "merger-v1", config=config),
+    )
     state, seen = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 2))
     assert np.abs(seen[0] - seen[1]).max() > 1e-4  # from keys of their own
-    observation, _ = single.reset(options={"initial_states": np.asarray(state.now.state)[1, 0]})
+    observation, _ = single.reset(
+        options={"initial_states": np.asarray(state.now.state)[1, 0]}
+    )
     step = jax.jit(jax.vmap(env.step))
     for action in (1, 1, 0, 1):
         np.testing.assert_allclose(seen[1], observation, atol=1e-4)
-        state, seen, reward, terminated, truncated, info = step(state, np.array([0, action]))
+        state, seen, reward, terminated, truncated, info = step(
+            state, np.array([0, action])
+        )
         observation, wanted, *_ = single.step(action)
         assert float(reward[1]) == pytest.approx(wanted, abs=2e-3)
         assert not (terminated | truncated | info["collision"]).any()
@@ -154,7 +182,10 @@ def test_a_scenario_is_known_by_its_name_and_by_its_id():
 
 
 def test_draws_that_jax_lacks_are_refused_with_the_known_ones():
-    with pytest.raises(AttributeError, match="draws no 'exponential' here; draw by normal, uniform or beta"):
+    with pytest.raises(
+        AttributeError,
+        match="draws no 'exponential' here; draw by normal, uniform or beta",
+    ):
         TracedRandom(jax.random.key(0)).exponential()
 
 
@@ -162,11 +193,16 @@ def test_draws_that_jax_lacks_are_refused_with_the_known_ones():
     ("config", "message"),
     [
         ({"action": {"type": "DiscreteAction"}}, "what is simulated is Autopilot"),
-        ({"observation": {"type": "Kinematics"}}, "what is simulated is CarStates or SceneStates"),
+        (
+            {"observation": {"type": "Kinematics"}},
+            "what is simulated is CarStates or SceneStates",
+        ),
         ({"costs": "measured"}, "cannot measure plans"),
     ],
 )
-def test_a_configuration_that_is_not_simulated_is_refused_with_the_remedy(config, message):
+def test_a_configuration_that_is_not_simulated_is_refused_with_the_remedy(
+    config, message
+):
     with pytest.raises(ValueError, match=message):
         gym.make_vec(NAME + "merger-v1", num_envs=2, config=config)
 
@@ -176,12 +212,21 @@ def test_wrong_actions_seeds_and_masks_are_refused():
     with pytest.raises(ValueError, match="3 seeds for 2 environments"):
         env.reset(seed=[0, 1, 2])
     for seed in (1.5, -1, "ab", [0, 0.5], [-1, 0], np.array(3)):
-        with pytest.raises(ValueError, match=r"the seed of reset is .*; give a whole number from 0 on, or None"):
+        with pytest.raises(
+            ValueError,
+            match=r"the seed of reset is .*; give a whole number from 0 on, or None",
+        ):
             env.reset(seed=seed)
-    with pytest.raises(ValueError, match="the reset options are 3; give a mapping with keys out of reset_mask"):
+    with pytest.raises(
+        ValueError,
+        match="the reset options are 3; give a mapping with keys out of reset_mask",
+    ):
         env.reset(options=3)
     for key in (3, None):
-        with pytest.raises(ValueError, match=rf"the key of reset is {key}; give one of JAX, such as jax\.random\.key"):
+        with pytest.raises(
+            ValueError,
+            match=rf"the key of reset is {key}; give one of JAX, such as jax\.random\.key",
+        ):
             FunctionalEnv("merger-v1").reset(key)
     with pytest.raises(ValueError, match="never reset; reset all of them"):
         env.reset(options={"reset_mask": np.array([False, True])})
@@ -198,14 +243,25 @@ def test_wrong_actions_seeds_and_masks_are_refused():
     ("arguments", "message"),
     [
         *(
-            ({"num_envs": number}, "num_envs is .*; give a whole number of environments")
+            (
+                {"num_envs": number},
+                "num_envs is .*; give a whole number of environments",
+            )
             for number in (0, -1, 1.5, "2")
         ),
-        ({"autoreset_mode": "same"}, "autoreset_mode is 'same'; give one of AutoresetMode.NEXT_STEP"),
-        ({"config": {"humans": 2}}, r"config\['humans'\] is 2; merger-v1 has one human; leave it out"),
+        (
+            {"autoreset_mode": "same"},
+            "autoreset_mode is 'same'; give one of AutoresetMode.NEXT_STEP",
+        ),
+        (
+            {"config": {"humans": 2}},
+            r"config\['humans'\] is 2; merger-v1 has one human; leave it out",
+        ),
     ],
 )
-def test_an_impossible_vector_environment_is_refused_when_it_is_made(arguments, message):
+def test_an_impossible_vector_environment_is_refused_when_it_is_made(
+    arguments, message
+):
     with pytest.raises(ValueError, match=message):
         gym.make_vec(NAME + "merger-v1", **{"num_envs": 2, **arguments})
 
@@ -214,9 +270,21 @@ def test_an_impossible_vector_environment_is_refused_when_it_is_made(arguments, 
     ("config", "action", "message"),
     [
         (CHOOSING, 2, r"action 2 is impossible; give one of Discrete\(2\)"),
-        (CHOOSING, 0.5, r"numbers of type float32; give one of Discrete\(2\), of whole numbers"),
-        ({"action": {"type": "ContinuousAction"}}, [np.nan, 0.0], r"nan.* is impossible; give one of Box"),
-        ({"action": {"type": "ContinuousAction"}}, [1.0, 0.0, 9.0, 9.0], r"shape \(4,\); give one of Box"),
+        (
+            CHOOSING,
+            0.5,
+            r"numbers of type float32; give one of Discrete\(2\), of whole numbers",
+        ),
+        (
+            {"action": {"type": "ContinuousAction"}},
+            [np.nan, 0.0],
+            r"nan.* is impossible; give one of Box",
+        ),
+        (
+            {"action": {"type": "ContinuousAction"}},
+            [1.0, 0.0, 9.0, 9.0],
+            r"shape \(4,\); give one of Box",
+        ),
     ],
 )
 def test_pure_functions_refuse_impossible_actions(config, action, message):
@@ -231,8 +299,12 @@ def test_observations_tell_states_and_the_distance_to_cones_within_finite_bounds
     assert np.abs([env.observation_space.low, env.observation_space.high]).max() < 100
     robot, human = env.car_states
     x, y, _, speed = human - robot
-    np.testing.assert_allclose(observation[1, :4], [1.0, x / 100, y / 10, speed / 40], atol=1e-4)  # present, and where
+    np.testing.assert_allclose(
+        observation[1, :4], [1.0, x / 100, y / 10, speed / 40], atol=1e-4
+    )  # present, and where
     cones = np.array([cone.position for cone in env.road.objects])
     ahead = cones[np.abs(cones[:, 1] - robot[1]) < 5 / 3, 0].min()
     bodies = (env.robot.LENGTH + env.road.objects[0].LENGTH) / 2
-    assert observation[0, 7] == pytest.approx((ahead - robot[0] - bodies) / 100, abs=1e-5)
+    assert observation[0, 7] == pytest.approx(
+        (ahead - robot[0] - bodies) / 100, abs=1e-5
+    )

@@ -24,26 +24,48 @@ def searched(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_regrets_compare_to_the_best_tried_order_of_each_start_which_earns_the_same_in_the_environment(searched):
+def test_regrets_compare_to_the_best_tried_order_of_each_start_which_earns_the_same_in_the_environment(
+    searched,
+):
     tried = pd.read_csv(searched / "merger_episodes.csv")
     for price in PRICES:
         tried["net"] = tried["reward"] - price * tried["counted_seconds"]
-        found = pd.read_csv(searched / "orders.csv").query("price == @price").set_index("seed")
-        np.testing.assert_allclose(found["meta_reward"], tried.groupby("seed")["net"].max())
-        behind = pd.read_csv(searched / "regrets.csv").query("price == @price").set_index("controller")
+        found = (
+            pd.read_csv(searched / "orders.csv")
+            .query("price == @price")
+            .set_index("seed")
+        )
+        np.testing.assert_allclose(
+            found["meta_reward"], tried.groupby("seed")["net"].max()
+        )
+        behind = (
+            pd.read_csv(searched / "regrets.csv")
+            .query("price == @price")
+            .set_index("controller")
+        )
         assert behind.loc[BEST_PER_START, "regret"] == 0
         own = tried.groupby("controller")["net"].mean()[CONTROLLERS]
-        np.testing.assert_allclose(behind.loc[own.index, "regret"], found["meta_reward"].mean() - own)
-        assert behind["regret"].between(behind["regret_low"], behind["regret_high"]).all()
+        np.testing.assert_allclose(
+            behind.loc[own.index, "regret"], found["meta_reward"].mean() - own
+        )
+        assert (
+            behind["regret"].between(behind["regret_low"], behind["regret_high"]).all()
+        )
         for seed, row in found.iterrows():
-            env = make_environment("merger", row["controller"], ladder=["naive", "turn"])
+            env = make_environment(
+                "merger", row["controller"], ladder=["naive", "turn"]
+            )
             steps = pd.DataFrame(episode(env, seed))
             assert steps["reward"].mean() == pytest.approx(row["reward"], abs=1e-3)
-            assert steps["counted_seconds"].mean() == pytest.approx(row["counted_seconds"])
+            assert steps["counted_seconds"].mean() == pytest.approx(
+                row["counted_seconds"]
+            )
 
 
 @pytest.mark.slow
-def test_a_killed_search_resumes_and_gives_the_same_results(searched, tmp_path, capsys, monkeypatch):
+def test_a_killed_search_resumes_and_gives_the_same_results(
+    searched, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setenv("COLUMNS", "200")
     episodes = "merger_episodes.csv"
     shutil.copy(searched / "settings.json", tmp_path)
@@ -54,4 +76,7 @@ def test_a_killed_search_resumes_and_gives_the_same_results(searched, tmp_path, 
         assert (tmp_path / name).read_bytes() == (searched / name).read_bytes()
     assert (tmp_path / "merger_frontier.png").exists()
     printed = capsys.readouterr().out
-    assert all(printed.count(name) >= len(PRICES) for name in (*CONTROLLERS[2:], BEST_PER_START))
+    assert all(
+        printed.count(name) >= len(PRICES)
+        for name in (*CONTROLLERS[2:], BEST_PER_START)
+    )

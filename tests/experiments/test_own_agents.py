@@ -28,10 +28,16 @@ class Trained:
 
 @pytest.fixture(autouse=True)
 def added():
-    ms_highway.add_driver("stays", lambda game, state: keep_velocity(game.world, state[0]))
+    ms_highway.add_driver(
+        "stays", lambda game, state: keep_velocity(game.world, state[0])
+    )
     ms_highway.add_agent("coasts", lambda observation: [-1.0, 0.0])
     ms_highway.add_agent("trained", Trained())
-    ms_highway.add_agent("wrong", lambda observation: 7, {"action": {"type": "HumanModelAction", "lambda": 0.0}})
+    ms_highway.add_agent(
+        "wrong",
+        lambda observation: 7,
+        {"action": {"type": "HumanModelAction", "lambda": 0.0}},
+    )
     yield
     del HUMAN_DRIVERS["stays"]
     AGENTS.clear()
@@ -39,19 +45,30 @@ def added():
 
 def test_planners_agents_and_controllers_are_compared_in_one_table(tmp_path):
     config = {"duration": 1.0, "ladder": ["naive", "turn"]}
-    comparison = Comparison({"merger-v1": ["stays", "coasts", "trained", "turn"]}, seeds=1, config=config)
+    comparison = Comparison(
+        {"merger-v1": ["stays", "coasts", "trained", "turn"]}, seeds=1, config=config
+    )
     assert [*run(comparison, tmp_path)][-1] == 4
     steps = read(comparison, tmp_path)
     models = steps.groupby("controller")["model"].unique().map(list).to_dict()
-    assert models == {"stays": ["stays"], "coasts": ["coasts"], "trained": ["turn"], "turn": ["turn"]}
+    assert models == {
+        "stays": ["stays"],
+        "coasts": ["coasts"],
+        "trained": ["turn"],
+        "turn": ["turn"],
+    }
     found = summary(steps).set_index("controller")
-    assert found.loc["trained", "reward"] == pytest.approx(found.loc["turn", "reward"], abs=1e-3)
+    assert found.loc["trained", "reward"] == pytest.approx(
+        found.loc["turn", "reward"], abs=1e-3
+    )
     assert found.loc["trained", "counted_ms"] == found.loc["turn", "counted_ms"]
     assert found["reward"]["stays"] > found["reward"]["coasts"]  # which brakes
     assert (found["kind"] == ["driver", "agent", "agent", "fixed"]).all()
     assert "T(M)" not in table(summary(steps), "merger-v1").attrs["title"]
     planner = steps.query("controller == 'stays'")  # which sees the state in SI units
-    np.testing.assert_allclose(planner["robot_speed"], planner["robot_speed"].iloc[0], atol=5e-3)
+    np.testing.assert_allclose(
+        planner["robot_speed"], planner["robot_speed"].iloc[0], atol=5e-3
+    )
     assert (planner["planning_seconds"] > 0).all()
 
 
@@ -59,9 +76,18 @@ def test_planners_agents_and_controllers_are_compared_in_one_table(tmp_path):
     ("what", "message"),
     [
         (lambda: drive(make_environment("merger-v1", "wrong")), "'wrong' chose 7"),
-        (lambda: simulated(Comparison({"merger-v1": ["coasts"]})), "'coasts' is not simulated; use `compare`"),
-        (lambda: simulated(Comparison({"merger-v1": ["stays"]})), "not simulated; use `compare`"),
-        (lambda: ms_highway.add_agent("mine", Trained(), {"horizon": 3}), "unknown key 'horizon'"),
+        (
+            lambda: simulated(Comparison({"merger-v1": ["coasts"]})),
+            "'coasts' is not simulated; use `compare`",
+        ),
+        (
+            lambda: simulated(Comparison({"merger-v1": ["stays"]})),
+            "not simulated; use `compare`",
+        ),
+        (
+            lambda: ms_highway.add_agent("mine", Trained(), {"horizon": 3}),
+            "unknown key 'horizon'",
+        ),
     ],
 )
 def test_impossible_agents_are_refused_with_the_reason_and_a_remedy(what, message):

@@ -76,7 +76,9 @@ def begin_sweep():
 
 
 @pytest.mark.parametrize("changed", FILES)
-def test_results_are_refused_after_a_module_or_a_file_that_it_reads_has_changed(changed, imports):
+def test_results_are_refused_after_a_module_or_a_file_that_it_reads_has_changed(
+    changed, imports
+):
     imports()
     begin("naive", "brakes")
     begin_sweep()
@@ -87,15 +89,22 @@ def test_results_are_refused_after_a_module_or_a_file_that_it_reads_has_changed(
     imports()
     before = Path("out/settings.json").read_text()
     name = changed.removesuffix(".py")
-    with pytest.raises(ValueError, match=f"results of naive in merger .* before {name} changed; choose another"):
+    with pytest.raises(
+        ValueError,
+        match=f"results of naive in merger .* before {name} changed; choose another",
+    ):
         begin("naive", "brakes")
-    with pytest.raises(ValueError, match=f"swept holds .* before {name} changed; choose another"):
+    with pytest.raises(
+        ValueError, match=f"swept holds .* before {name} changed; choose another"
+    ):
         begin_sweep()
     assert Path("out/settings.json").read_text() == before
     begin("naive", "brakes", out="elsewhere")
 
 
-def test_results_of_other_controllers_and_scenarios_are_refused_beside_those_of_a_module_before(imports):
+def test_results_of_other_controllers_and_scenarios_are_refused_beside_those_of_a_module_before(
+    imports,
+):
     """All of them stand in one table, and the module may drive their humans."""
     imports()
     begin("naive")
@@ -109,7 +118,9 @@ def test_results_of_other_controllers_and_scenarios_are_refused_beside_those_of_
         next(run(Comparison({"give_way": ["naive"]}, seeds=1), "out"))
 
 
-def test_results_are_refused_after_what_a_driver_imports_and_reads_while_it_drives_has_changed(imports):
+def test_results_are_refused_after_what_a_driver_imports_and_reads_while_it_drives_has_changed(
+    imports,
+):
     Path("my_driver.py").write_text(LATE)
     imports()
     asked = Comparison({"merger": ["brakes"]}, seeds=1, config={"duration": 0.1})
@@ -120,9 +131,14 @@ def test_results_are_refused_after_what_a_driver_imports_and_reads_while_it_driv
         text = Path(name).read_text()
         Path(name).write_text(f"{text} ")
         imports()
-        with pytest.raises(ValueError, match=rf"out holds results that .* before {name} changed; choose another"):
+        with pytest.raises(
+            ValueError,
+            match=rf"out holds results that .* before {name} changed; choose another",
+        ):
             next(run(asked, "out"))
-        with pytest.raises(ValueError, match=rf"results that .* before {name} changed; add --no-videos"):
+        with pytest.raises(
+            ValueError, match=rf"results that .* before {name} changed; add --no-videos"
+        ):
             read_results(Path("out")).refuse_changed("merger", ["brakes"])
         Path(name).unlink()
         with pytest.raises(ValueError, match=rf"before {name} changed"):
@@ -137,11 +153,15 @@ def test_imports_are_added_to_results_but_not_taken_away(imports):
     import_modules([])
     begin("naive", "turn")
     HUMAN_DRIVERS["brakes"] = HUMAN_DRIVERS["never"]  # by another module
-    with pytest.raises(ValueError, match="computed with my_driver, which is not imported now"):
+    with pytest.raises(
+        ValueError, match="computed with my_driver, which is not imported now"
+    ):
         begin("brakes")
 
 
-def test_results_are_refused_after_a_name_has_got_another_meaning(tmp_path, monkeypatch):
+def test_results_are_refused_after_a_name_has_got_another_meaning(
+    tmp_path, monkeypatch
+):
     """As in a notebook, where a driver is defined again, or by two modules that add one name."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(HUMAN_DRIVERS, "mine", None)
@@ -164,7 +184,10 @@ def test_results_are_refused_after_a_name_has_got_another_meaning(tmp_path, monk
     begin("mine", "naive")
     add_driver("mine", stays)
     begin("naive")
-    with pytest.raises(ValueError, match=r"results of mine in merger .* before the definition of mine changed"):
+    with pytest.raises(
+        ValueError,
+        match=r"results of mine in merger .* before the definition of mine changed",
+    ):
         begin("mine", "naive")
 
     # The same text with other numbers: of a partial function, and of the function around it.
@@ -192,7 +215,9 @@ def test_results_are_refused_after_a_file_of_values_has_changed(tmp_path, monkey
     assert controller_settings("agents/mine.zip").files() == ("agents/mine.zip",)
 
 
-def test_files_beside_a_package_are_sources_of_its_modules(imports, tmp_path, monkeypatch):
+def test_files_beside_a_package_are_sources_of_its_modules(
+    imports, tmp_path, monkeypatch
+):
     package = Path("own package") / "cars" / "humans"
     package.mkdir(parents=True)
     monkeypatch.syspath_prepend(tmp_path / "own package")
@@ -206,38 +231,67 @@ def test_files_beside_a_package_are_sources_of_its_modules(imports, tmp_path, mo
     monkeypatch.chdir(package)
     import_modules(["cars.humans.calm"])
     modules = {"cars", "cars.humans", "cars.humans.calm"}
-    assert imported_sources().keys() == {*modules, str(Path("..") / ".." / "data" / "strength")}
+    assert imported_sources().keys() == {
+        *modules,
+        str(Path("..") / ".." / "data" / "strength"),
+    }
 
 
 def test_films_of_results_are_refused_only_after_their_sources_have_changed(imports):
     imports()
-    asked = Comparison({"merger": ["naive"]}, seeds=1, config={"human_driver": "brakes", "duration": 0.2})
+    asked = Comparison(
+        {"merger": ["naive"]},
+        seeds=1,
+        config={"human_driver": "brakes", "duration": 0.2},
+    )
     assert [*run(asked, "out")] == [0, 1]
     read_results(Path("out")).refuse_changed("merger", ["naive"])
     Path("strength.txt").write_text("3")
     imports()
-    with pytest.raises(ValueError, match=r"of naive in merger .* before strength\.txt changed; add --no-videos"):
+    with pytest.raises(
+        ValueError,
+        match=r"of naive in merger .* before strength\.txt changed; add --no-videos",
+    ):
         read_results(Path("out")).refuse_changed("merger", ["naive"])
 
 
-def test_results_are_read_but_not_filmed_where_a_driver_that_they_name_is_missing(imports):
+def test_results_are_read_but_not_filmed_where_a_driver_that_they_name_is_missing(
+    imports,
+):
     imports()
-    asked = Comparison({"merger": ["naive"]}, seeds=1, config={"human_driver": "brakes", "duration": 0.2})
+    asked = Comparison(
+        {"merger": ["naive"]},
+        seeds=1,
+        config={"human_driver": "brakes", "duration": 0.2},
+    )
     assert [*run(asked, "out")] == [0, 1]
     HUMAN_DRIVERS.pop("brakes")
     results = read_results(Path("out"))
     assert len(results.records) == 2
-    with pytest.raises(ValueError, match=r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import"):
+    with pytest.raises(
+        ValueError,
+        match=r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import",
+    ):
         results.refuse_changed("merger", ["naive"])
 
 
-@pytest.mark.filterwarnings("ignore:the values of computation were learned")  # among other humans
+@pytest.mark.filterwarnings(
+    "ignore:the values of computation were learned"
+)  # among other humans
 def test_a_worker_that_has_imported_the_same_has_the_same_sources(imports):
     imports()
     shutil.copy(SHIPPED / "values.npz", "learned.npz")
-    asked = Comparison({"merger": ["learned:1:learned.npz"]}, config={"human_driver": "brakes"})
+    asked = Comparison(
+        {"merger": ["learned:1:learned.npz"]}, config={"human_driver": "brakes"}
+    )
     (sources,) = asked.sources()["merger"].values()
-    assert sources.keys() == {"my_driver", "braking", "strength.txt", "the definition of brakes", "learned.npz"}
+    assert sources.keys() == {
+        "my_driver",
+        "braking",
+        "strength.txt",
+        "the definition of brakes",
+        "learned.npz",
+    }
     assert {name: source_now(name) for name in sources} == sources
     assert source_now("the definition of nothing") is None
 
@@ -252,8 +306,12 @@ def test_a_module_that_was_imported_before_counts_as_what_was_loaded(imports):
 
 def test_modules_of_packages_of_this_one_and_without_a_file_are_no_sources(imports):
     making = "import sys, types; sys.modules['made'] = made = types.ModuleType('made'); made.__file__ = '_made.py'"
-    Path("braking.py").write_text(f"import installed_elsewhere; BRAKING = 1.0; {making}")
-    elsewhere = Path("other/site-packages").absolute()  # as of an environment that this one builds on
+    Path("braking.py").write_text(
+        f"import installed_elsewhere; BRAKING = 1.0; {making}"
+    )
+    elsewhere = Path(
+        "other/site-packages"
+    ).absolute()  # as of an environment that this one builds on
     elsewhere.mkdir(parents=True)
     (elsewhere / "installed_elsewhere.py").write_text("")
     sys.path.append(str(elsewhere))

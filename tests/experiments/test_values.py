@@ -20,18 +20,32 @@ def test_values_learned_in_scenes_of_unlike_horizons_know_all_of_them():
     assert learning.settings["planning_horizon"] == [10, 20]
 
 
-@pytest.mark.parametrize("name", ["merger-v1", "stay-back-v1", "give-way-v1", "dense-merge-v1", "crossing-crowd-v1"])
+@pytest.mark.parametrize(
+    "name",
+    ["merger-v1", "stay-back-v1", "give-way-v1", "dense-merge-v1", "crossing-crowd-v1"],
+)
 def test_the_shipped_values_are_at_home_in_every_scene_of_version_1(name, recwarn):
     make(name, "learned:1").reset(seed=0)
-    assert not [warning for warning in recwarn if "values of computation" in str(warning.message)]
+    assert not [
+        warning
+        for warning in recwarn
+        if "values of computation" in str(warning.message)
+    ]
 
 
 @pytest.mark.slow
-def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_values(tmp_path):
-    asked = Comparison({"merger": ["switching:1"]}, config={"ladder": ["naive", "turn"]})
+def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_values(
+    tmp_path,
+):
+    asked = Comparison(
+        {"merger": ["switching:1"]}, config={"ladder": ["naive", "turn"]}
+    )
     learning, batches = prepare(asked, rounds=2, states=8, horizon=None, seed=3)
     done = list(learn(learning, batches, tmp_path / "whole"))
-    assert [said for said, _ in done][1:3] == ["round 1 of 2: fitted", "round 2 of 2: merger"]
+    assert [said for said, _ in done][1:3] == [
+        "round 1 of 2: fitted",
+        "round 2 of 2: merger",
+    ]
     assert [values.provenance["examples"] for _, values in done[1::2]] == [8, 13]
     kept = tmp_path / "kept"
     list(islice(learn(learning, batches, kept), 1))
@@ -54,4 +68,6 @@ def test_the_command_learns_values_among_several_humans_that_drive(tmp_path):
     values = load_values(file)
     assert values.provenance["scenarios"] == ["dense_merge"]
     assert values.provenance["examples"] == 24  # 2 per state
-    run(f"compare {config} --controllers learned:0.1:{file} --seeds 1 --out {tmp_path / 'out'}")
+    run(
+        f"compare {config} --controllers learned:0.1:{file} --seeds 1 --out {tmp_path / 'out'}"
+    )

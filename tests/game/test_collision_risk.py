@@ -3,7 +3,11 @@
 import jax
 import numpy as np
 
-from ms_highway.game.collision_risk import CAR_SHARPNESS, OBSTACLE_SHARE, OBSTACLE_SHARPNESS
+from ms_highway.game.collision_risk import (
+    CAR_SHARPNESS,
+    OBSTACLE_SHARE,
+    OBSTACLE_SHARPNESS,
+)
 from ms_highway.game.features import features
 from ms_highway.game.reward import PAPER_FEATURES, linear_reward
 from ms_highway.geometry.bodies import CORNERS, MIDDLES
@@ -14,26 +18,37 @@ def by_formula(scene, cars):
 
     Points are complex numbers, x + iy.
     """
-    along, across = (np.concatenate([scene.corner * CORNERS, MIDDLES]) * scene.car_size).T
+    along, across = (
+        np.concatenate([scene.corner * CORNERS, MIDDLES]) * scene.car_size
+    ).T
     x, y, heading, _ = cars[0]
     points = x + 1j * y + (along + 1j * across) * np.exp(1j * heading)
 
     def closeness(x, y, heading, size, sharpness):
         offset = (points - x - 1j * y) * np.exp(-1j * heading)
-        distance = (2 * offset.real / size[0]) ** 2 + (2 * offset.imag / size[1]) ** 2 - 1
+        distance = (
+            (2 * offset.real / size[0]) ** 2 + (2 * offset.imag / size[1]) ** 2 - 1
+        )
         return np.sum(np.exp(-sharpness * distance))
 
     others = sum(closeness(*car[:3], scene.car_size, CAR_SHARPNESS) for car in cars[1:])
-    cones = sum(closeness(*cone, 0.0, scene.obstacle_size, OBSTACLE_SHARPNESS) for cone in scene.obstacles)
+    cones = sum(
+        closeness(*cone, 0.0, scene.obstacle_size, OBSTACLE_SHARPNESS)
+        for cone in scene.obstacles
+    )
     return others + OBSTACLE_SHARE * cones
 
 
 def test_the_risk_of_a_collision_is_that_of_its_formula(played):
     """Four cars are near a cone, in any direction. Derivatives are JAX's, see the slopes of all features."""
     scene, place = played("stay_back")[0].scene, PAPER_FEATURES.index("collision_risk")
-    states = np.random.default_rng(0).normal(0, [3, 3, 1, 2], (6, 4, 4)).astype(np.float32)
+    states = (
+        np.random.default_rng(0).normal(0, [3, 3, 1, 2], (6, 4, 4)).astype(np.float32)
+    )
     states[..., :2] += scene.obstacles[0]
-    risks = jax.jit(lambda states: features(scene, linear_reward({}, 20.0), states)[..., place])
+    risks = jax.jit(
+        lambda states: features(scene, linear_reward({}, 20.0), states)[..., place]
+    )
     expected = [by_formula(scene, cars) for cars in states]
     assert max(expected) > 0.1, "the cars should be close"
     np.testing.assert_allclose(risks(states), expected, rtol=1e-4, atol=1e-4)

@@ -95,11 +95,15 @@ def test_cars_side_by_side_in_their_lanes_and_one_behind_the_other_pay_nothing()
 
 
 @pytest.mark.parametrize(("contact", "collides"), [("paper", False), ("bodies", True)])
-def test_corners_that_overlap_by_half_a_metre_collide_on_physical_ground_alone(contact, collides):
+def test_corners_that_overlap_by_half_a_metre_collide_on_physical_ground_alone(
+    contact, collides
+):
     """The paper's nine points miss them: its ellipse does not reach into corners."""
     scene = replace(ROAD, contact=contact)
     other = np.array([[[4.5, 2.0, 0.0, 20.0]]])
-    assert bool(touches(scene, observe(np.zeros((1, 4))), observe(other))[0]) == collides
+    assert (
+        bool(touches(scene, observe(np.zeros((1, 4))), observe(other))[0]) == collides
+    )
 
 
 def test_the_slope_of_the_cost_matches_finite_differences():
@@ -114,5 +118,10 @@ def test_the_slope_of_the_cost_matches_finite_differences():
 
     with jax.enable_x64(True):
         for pose in poses:
-            slopes = [(cost(pose + step) - cost(pose - step)) / (2 * apart) for step in apart * np.eye(3)]
-            np.testing.assert_allclose(jax.grad(cost)(pose), slopes, rtol=1e-3, atol=1e-3)
+            slopes = [
+                (cost(pose + step) - cost(pose - step)) / (2 * apart)
+                for step in apart * np.eye(3)
+            ]
+            np.testing.assert_allclose(
+                jax.grad(cost)(pose), slopes, rtol=1e-3, atol=1e-3
+            )

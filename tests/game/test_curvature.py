@@ -20,13 +20,17 @@ LED = replace(ROAD, leader=2)
 
 @jax.jit
 def bends(scene, reward, own, others):
-    return Payoff(scene, reward, None, True).curvature(own, jnp.stack(others, axis=1))[..., 0]
+    return Payoff(scene, reward, None, True).curvature(own, jnp.stack(others, axis=1))[
+        ..., 0
+    ]
 
 
 @jax.jit
 def hessian(scene, reward, own, others):
     def cost(fields):
-        return -jnp.sum(motion_reward(scene, reward, Motion(*fields[:, None]), others, smooth=True))
+        return -jnp.sum(
+            motion_reward(scene, reward, Motion(*fields[:, None]), others, smooth=True)
+        )
 
     return jax.hessian(cost)(own[:, 0])
 
@@ -36,7 +40,11 @@ def motion(y, heading, x=0.0):
 
 
 def near(random, x):
-    return observe(random.normal((x, -1.5, 0, 20), (6, 2, 0.1, 3), size=(2, 1, 4)).astype(np.float32))
+    return observe(
+        random.normal((x, -1.5, 0, 20), (6, 2, 0.1, 3), size=(2, 1, 4)).astype(
+            np.float32
+        )
+    )
 
 
 FAR = near(np.random.default_rng(0), 500)
@@ -56,22 +64,35 @@ def test_the_curvature_of_closeness_bounds_its_hessian_and_is_not_much_larger():
     reward = linear_reward({"collision_risk": -1.0, "collision": -100.0}, 20.0)
     random, larger = np.random.default_rng(0), []
     for _ in range(20):
-        own = motion(random.uniform(-4, 1), random.normal(0, 0.2), x=random.uniform(50, 66))
+        own = motion(
+            random.uniform(-4, 1), random.normal(0, 0.2), x=random.uniform(50, 66)
+        )
         at = LED, reward, own, near(random, 60)
         bent, exact = np.asarray(bends(*at)), np.asarray(hessian(*at))
         rounding = 1e-4 * np.abs(bent).max() + 1e-4
         assert np.linalg.eigvalsh(bent - exact)[0] > -rounding
         assert np.linalg.eigvalsh(bent + exact)[0] > -rounding
-        larger.append(np.linalg.eigvalsh(bent)[-1] / np.abs(np.linalg.eigvalsh(exact)).max())
+        larger.append(
+            np.linalg.eigvalsh(bent)[-1] / np.abs(np.linalg.eigvalsh(exact)).max()
+        )
     assert np.median(larger) < 2.5
 
 
 @pytest.mark.parametrize("contact", ["paper", "bodies"])
-def test_the_curvature_of_any_reward_is_positive_semidefinite_and_that_of_a_gap_without_a_leader_is_zero(contact):
+def test_the_curvature_of_any_reward_is_positive_semidefinite_and_that_of_a_gap_without_a_leader_is_zero(
+    contact,
+):
     random, road = np.random.default_rng(0), replace(ROAD, contact=contact)
     for _ in range(20):
         own = motion(random.uniform(-7, 4), random.normal(0, 0.2))
         weights = dict(zip(FEATURES, random.normal(0, 100, len(FEATURES)), strict=True))
-        bent = bends(road, linear_reward(weights, 20.0, gap=0.3 * PAPER_UNIT), own, near(random, 0))
+        bent = bends(
+            road,
+            linear_reward(weights, 20.0, gap=0.3 * PAPER_UNIT),
+            own,
+            near(random, 0),
+        )
         assert np.linalg.eigvalsh(bent)[0] > -1e-4 * np.abs(bent).max()
-    assert not bends(road, linear_reward({"gap": 70.0}, 20.0, names=FEATURES), motion(0.0, 0.0), FAR).any()
+    assert not bends(
+        road, linear_reward({"gap": 70.0}, 20.0, names=FEATURES), motion(0.0, 0.0), FAR
+    ).any()

@@ -38,19 +38,30 @@ def derivatives(dynamics, car, controls):
 def test_a_step_of_the_bicycle_is_the_papers_equation():
     acceleration = 5.0 - 0.2 * 20.0
     distance = 20.0 * 0.1 + acceleration * 0.1**2 / 2
-    moved = [distance * np.cos(0.3), distance * np.sin(0.3), 20.0 * 0.01 * 0.1, acceleration * 0.1]
+    moved = [
+        distance * np.cos(0.3),
+        distance * np.sin(0.3),
+        20.0 * 0.01 * 0.1,
+        acceleration * 0.1,
+    ]
     state = np.array([1.0, 2.0, 0.3, 20.0])
     np.testing.assert_allclose(step(PAPER, state, np.array([0.01, 5.0])), state + moved)
 
 
 @ALL
-def test_recovering_a_control_inverts_a_step_and_a_standing_car_has_no_observable_curvature(dynamics):
+def test_recovering_a_control_inverts_a_step_and_a_standing_car_has_no_observable_curvature(
+    dynamics,
+):
     after, standing = step(dynamics, STATES, CONTROLS[0]), STATES * [1, 1, 1, 0]
     assert after.dtype == np.float64
-    np.testing.assert_allclose(recover_control(dynamics, STATES, after), CONTROLS[0], atol=1e-9)
+    np.testing.assert_allclose(
+        recover_control(dynamics, STATES, after), CONTROLS[0], atol=1e-9
+    )
     assert not recover_control(dynamics, standing, standing).any()
     turned = after + np.array([0, 0, 2 * np.pi, 0])
-    np.testing.assert_allclose(recover_control(dynamics, STATES, turned), CONTROLS[0], atol=1e-9)
+    np.testing.assert_allclose(
+        recover_control(dynamics, STATES, turned), CONTROLS[0], atol=1e-9
+    )
 
 
 @PLANS
@@ -59,10 +70,16 @@ def test_a_rollout_equals_repeated_steps_and_its_derivative_is_exact(dynamics):
     for control in CONTROLS:
         states.append(step(dynamics, states[-1], control))
     controls = np.moveaxis(CONTROLS, 0, -2)
-    for field, expected in zip(rollout_of(dynamics, STATES, controls), observe(np.stack(states[1:], -2)), strict=True):
+    for field, expected in zip(
+        rollout_of(dynamics, STATES, controls),
+        observe(np.stack(states[1:], -2)),
+        strict=True,
+    ):
         np.testing.assert_allclose(field, expected, rtol=1e-5, atol=1e-4)
     found, expected = derivatives(dynamics, STATES[0, 0], controls[0, 0])
-    np.testing.assert_allclose(found, expected.reshape(found.shape), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(
+        found, expected.reshape(found.shape), rtol=1e-4, atol=1e-4
+    )
 
 
 @ALL
@@ -76,14 +93,21 @@ def test_a_car_that_keeps_its_velocity_coasts(dynamics):
 
 
 @PLANS
-def test_controls_within_the_grip_are_kept_and_others_scaled_onto_the_friction_circle(dynamics):
+def test_controls_within_the_grip_are_kept_and_others_scaled_onto_the_friction_circle(
+    dynamics,
+):
     """A car that rolls backwards stops."""
     random = np.random.default_rng(0)
-    speed, control = random.uniform(-0.5, 30, 500), random.normal(0, [0.05, 8], (500, 2))
+    speed, control = (
+        random.uniform(-0.5, 30, 500),
+        random.normal(0, [0.05, 8], (500, 2)),
+    )
     bend = 0.02
     held = within_grip(dynamics, 8.0, speed, control, bend)
     after = step(dynamics, speed[:, None] * [0.0, 0.0, 0.0, 1.0], held)
-    turned = after[:, 2] / dynamics.time_step * speed + bend * speed**2  # m/s^2 to the side, the road's bend included
+    turned = (
+        after[:, 2] / dynamics.time_step * speed + bend * speed**2
+    )  # m/s^2 to the side, the road's bend included
     total = np.hypot(turned, (after[:, 3] - speed) / dynamics.time_step)
     assert total.max() <= 8.0 + 1e-6
     assert after[:, 3].min() >= -1e-12

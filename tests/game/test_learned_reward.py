@@ -20,7 +20,11 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
     simulated, real = (shipped(name) for name in SHIPPED)
     for learned in (simulated, real):
         assert learned.converged
-        assert 0 <= learned.log_likelihood["train"] - learned.log_likelihood["held_out"] < 0.5
+        assert (
+            0
+            <= learned.log_likelihood["train"] - learned.log_likelihood["held_out"]
+            < 0.5
+        )
     for name in simulated.learned:
         assert 1 / 1.05 < simulated.weights[name] / COMMON_WEIGHTS[name] < 1.05
     assert set(real.learned) > {"headway", "closing_speed", "comfort_steering"}
@@ -30,22 +34,37 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
     ("damage", "message"),
     [
         (lambda content: content.update(version=2), "of version 2, not 3"),
-        (lambda content: content["weights"].update(speed=float("nan")), "the weight of speed is nan"),
-        (lambda content: content["drivers"]["weights"].pop("headway"), "weights of drivers lack .* headway"),
         (
-            lambda content: content["drivers"]["peers"]["idm"]["spread"]["along"].__setitem__(1, "far"),
+            lambda content: content["weights"].update(speed=float("nan")),
+            "the weight of speed is nan",
+        ),
+        (
+            lambda content: content["drivers"]["weights"].pop("headway"),
+            "weights of drivers lack .* headway",
+        ),
+        (
+            lambda content: content["drivers"]["peers"]["idm"]["spread"][
+                "along"
+            ].__setitem__(1, "far"),
             r"\(drivers\.peers\.idm\.spread\.along\[1\] is 'far': Expected `float`, got `str`\)",
         ),
-        (lambda content: content["feature_counts"]["human"].pop("speed"), "feature_counts.human lacks .* speed"),
+        (
+            lambda content: content["feature_counts"]["human"].pop("speed"),
+            "feature_counts.human lacks .* speed",
+        ),
     ],
 )
-def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(damage, message, tmp_path):
+def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(
+    damage, message, tmp_path
+):
     path = tmp_path / "theta.json"
     save(shipped("us101"), path)
     content = json.loads(path.read_text())
     damage(content)
     path.write_text(json.dumps(content))
-    with pytest.raises(ValueError, match=rf"theta\.json .*{message}.*ms-highway irl fit"):
+    with pytest.raises(
+        ValueError, match=rf"theta\.json .*{message}.*ms-highway irl fit"
+    ):
         load(path)
 
 
@@ -56,13 +75,19 @@ def places(content, *keys):
     """All places in JSON content, of lists only the first."""
     yield keys
     parts = (
-        content.items() if isinstance(content, dict) else enumerate(content[:1]) if isinstance(content, list) else ()
+        content.items()
+        if isinstance(content, dict)
+        else enumerate(content[:1])
+        if isinstance(content, list)
+        else ()
     )
     for key, part in parts:
         yield from places(part, *keys, key)
 
 
-def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_names_it(tmp_path):
+def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_names_it(
+    tmp_path,
+):
     """A tenth of all damages; texts for which any content is right, such as provenance, cannot be damaged."""
     path = tmp_path / "theta.json"
     save(shipped("us101"), path)
@@ -73,7 +98,8 @@ def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_n
         for keys in places(json.loads(text))
         if keys and keys[0] not in free
         for damage in DAMAGES
-        if damage is not None or keys[-1] not in ("drivers", "tails", "train", "held_out")
+        if damage is not None
+        or keys[-1] not in ("drivers", "tails", "train", "held_out")
     ]
     for keys, damage in damages[::10]:
         whole = place = json.loads(text)
@@ -81,7 +107,9 @@ def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_n
             place = place[key]
         place[keys[-1]] = damage
         path.write_text(json.dumps(whole))
-        with pytest.raises(ValueError, match=r"theta\.json cannot be read as a learned reward") as refusal:
+        with pytest.raises(
+            ValueError, match=r"theta\.json cannot be read as a learned reward"
+        ) as refusal:
             load(path)
         (line,) = str(refusal.value).splitlines()
         assert len(line) < 400
@@ -90,12 +118,18 @@ def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_n
 
 
 def test_unknown_rewards_are_refused():
-    with pytest.raises(ValueError, match="no learned reward 'us102' comes with ms_highway"):
+    with pytest.raises(
+        ValueError, match="no learned reward 'us102' comes with ms_highway"
+    ):
         shipped("us102")
 
 
 def test_an_interval_is_as_wide_as_its_covariance_says():
     learned = shipped("demonstrations")
-    wide = structs.replace(learned, covariance=(4 * np.array(learned.covariance)).tolist())
-    narrow_width, wide_width = (np.ptp(np.log(each.interval("speed"))) for each in (learned, wide))
+    wide = structs.replace(
+        learned, covariance=(4 * np.array(learned.covariance)).tolist()
+    )
+    narrow_width, wide_width = (
+        np.ptp(np.log(each.interval("speed"))) for each in (learned, wide)
+    )
     assert wide_width == pytest.approx(2 * narrow_width)

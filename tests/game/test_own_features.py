@@ -16,7 +16,13 @@ from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.features import features
 from ms_highway.game.game import total_reward
-from ms_highway.game.reward import OWN_FEATURES, PAPER_FEATURES, add_feature, linear_reward, weight_names
+from ms_highway.game.reward import (
+    OWN_FEATURES,
+    PAPER_FEATURES,
+    add_feature,
+    linear_reward,
+    weight_names,
+)
 from ms_highway.game.scenario import build_game, driving_game
 from ms_highway.game.scenarios import MERGER
 from ms_highway.planning.compiled_plans import plan
@@ -46,14 +52,21 @@ def test_decisions_expand_a_feature_that_depends_on_all_cars_at_once(roomy, play
     """Expansions leave other cars and cones out for features of the package; this feature depends on them."""
     state = np.array(played("merger")[1])
     state[0, 0] -= 3.0  # close to each other
-    gradient = jit_quickly(jax.grad(lambda both: total_reward(roomy, state, both[0], both[1:])))
+    gradient = jit_quickly(
+        jax.grad(lambda both: total_reward(roomy, state, both[0], both[1:]))
+    )
 
     def slope(both):
         return np.asarray(gradient(both))
 
     both = np.random.default_rng(0).normal(0, 0.3, (2, 1, 2)).astype(np.float32)
     changes = 1e-2 * np.eye(4, dtype=np.float32).reshape(4, 2, 1, 2)
-    bend = np.stack([slope(both + change) - slope(both - change) for change in changes]).reshape(2, 2, 2, 2) / 2e-2
+    bend = (
+        np.stack(
+            [slope(both + change) - slope(both - change) for change in changes]
+        ).reshape(2, 2, 2, 2)
+        / 2e-2
+    )
     expansion = jit_quickly(expand)(roomy, state, both[0, 0], both[1, 0])
     close(expansion.gradient.reshape(2, 2), slope(both)[:, 0], 1e-3)
     hessian = np.asarray(expansion.hessian).reshape(bend.shape)
@@ -62,7 +75,9 @@ def test_decisions_expand_a_feature_that_depends_on_all_cars_at_once(roomy, play
 
 
 def close(found, expected, tolerance):
-    np.testing.assert_allclose(found, expected, atol=tolerance * np.abs(expected).max(), rtol=0)
+    np.testing.assert_allclose(
+        found, expected, atol=tolerance * np.abs(expected).max(), rtol=0
+    )
 
 
 def test_a_feature_that_is_added_again_is_computed_anew(played):
@@ -78,11 +93,15 @@ def test_a_feature_that_is_added_again_is_computed_anew(played):
 
 def test_a_feature_sees_one_moment_at_a_time(played):
     game, state = played("merger")
-    add_feature("nearby", lambda scene, own, others: jnp.max(others.x) > own.x)  # over cars, not over times
+    add_feature(
+        "nearby", lambda scene, own, others: jnp.max(others.x) > own.x
+    )  # over cars, not over times
     ahead = np.linspace(-40.0, 40.0, 6).reshape(2, 3)
     states = np.tile(state, (2, 3, 1, 1))
     states[..., 0, 0] = ahead
-    found = jit_quickly(features)(game.scene, linear_reward({"nearby": 3.0}, 20.0), states)[..., -1]
+    found = jit_quickly(features)(
+        game.scene, linear_reward({"nearby": 3.0}, 20.0), states
+    )[..., -1]
     np.testing.assert_array_equal(found, ahead < float(state[1:, 0].max()))
 
 
@@ -94,8 +113,16 @@ def speed(scene, own, others):
     ("name", "function", "message"),
     [
         ("speed", speed, "cannot be called 'speed'; choose one word other than"),
-        ("own", lambda scene, own, others: others.speed, r"'own' returns float32 of shape \(3,\) .* must return one"),
-        ("own", lambda scene, own, others: float(own.speed), "'own' cannot be computed: Concretization.* jax.numpy"),
+        (
+            "own",
+            lambda scene, own, others: others.speed,
+            r"'own' returns float32 of shape \(3,\) .* must return one",
+        ),
+        (
+            "own",
+            lambda scene, own, others: float(own.speed),
+            "'own' cannot be computed: Concretization.* jax.numpy",
+        ),
     ],
 )
 def test_taken_names_and_unusable_functions_are_refused(name, function, message):
@@ -106,9 +133,18 @@ def test_taken_names_and_unusable_functions_are_refused(name, function, message)
 
 
 BROKEN = {
-    "nowhere": (lambda scene, own, others: jnp.log(-1.0 - own.speed**2), "is nan; return a finite number"),
-    "endless": (lambda scene, own, others: own.speed / (0.0 * own.x), "is -?inf; return a finite number"),
-    "edgy": (lambda scene, own, others: jnp.sqrt(jnp.maximum(-own.speed, 0.0)), "has a gradient that is not finite"),
+    "nowhere": (
+        lambda scene, own, others: jnp.log(-1.0 - own.speed**2),
+        "is nan; return a finite number",
+    ),
+    "endless": (
+        lambda scene, own, others: own.speed / (0.0 * own.x),
+        "is -?inf; return a finite number",
+    ),
+    "edgy": (
+        lambda scene, own, others: jnp.sqrt(jnp.maximum(-own.speed, 0.0)),
+        "has a gradient that is not finite",
+    ),
     "later": (
         lambda scene, own, others: jnp.where(own.x > 15.0, jnp.nan, own.speed),
         "of car 0 in the state .* is nan; return a finite number",
@@ -120,17 +156,32 @@ BROKEN = {
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_feature_that_is_not_finite_is_refused_by_its_name(name, loop):
     function, message = BROKEN[name]
-    start = np.array([[-4.0, 0.0, 0.0, 20.0], [-7.0, -3.3, 0.0, 20.0], [2.0, -3.3, 0.0, 20.0]])
+    start = np.array(
+        [[-4.0, 0.0, 0.0, 20.0], [-7.0, -3.3, 0.0, 20.0], [2.0, -3.3, 0.0, 20.0]]
+    )
     add_feature(name, function)
-    config = {"human_reward": {"speed": 2.0, "lane_alignment": 75.0, name: 1e-3}, "ladder": ["naive"]}
+    config = {
+        "human_reward": {"speed": 2.0, "lane_alignment": 75.0, name: 1e-3},
+        "ladder": ["naive"],
+    }
     runs = {
         "live": lambda: drive(make("merger-v1", **config)),
-        "agent": lambda: step_all(make("merger-v1", action={"type": "ContinuousAction"}, **config), np.zeros(2)),
-        "batch": lambda: simulated(Comparison({"merger-v1": ["naive"]}, seeds=1, config=config)),
-        "vector": lambda: step_all(
-            gym.make_vec(environment_id("merger-v1"), 2, config={"controller": "naive", **config}), np.zeros(2, int)
+        "agent": lambda: step_all(
+            make("merger-v1", action={"type": "ContinuousAction"}, **config),
+            np.zeros(2),
         ),
-        "one plan": lambda: plan(make("merger-v1", **config).unwrapped.game, start, "naive"),
+        "batch": lambda: simulated(
+            Comparison({"merger-v1": ["naive"]}, seeds=1, config=config)
+        ),
+        "vector": lambda: step_all(
+            gym.make_vec(
+                environment_id("merger-v1"), 2, config={"controller": "naive", **config}
+            ),
+            np.zeros(2, int),
+        ),
+        "one plan": lambda: plan(
+            make("merger-v1", **config).unwrapped.game, start, "naive"
+        ),
     }
     if (name, loop) == ("later", "one plan"):
         runs[loop]()  # where nothing is wrong
@@ -146,9 +197,14 @@ def step_all(envs, actions):
 
 
 def test_weights_of_unknown_or_left_out_features_are_refused():
-    with pytest.raises(ValueError, match=r"unknown reward features \['rom'\].*room.*--import the module that does"):
+    with pytest.raises(
+        ValueError,
+        match=r"unknown reward features \['rom'\].*room.*--import the module that does",
+    ):
         linear_reward({"rom": 1.0}, 20.0)
-    with pytest.raises(ValueError, match="room would not be computed; add them to the names"):
+    with pytest.raises(
+        ValueError, match="room would not be computed; add them to the names"
+    ):
         linear_reward({"room": 1.0}, 20.0, names=PAPER_FEATURES)
 
 

@@ -17,13 +17,20 @@ LEARNED = shipped("demonstrations").weights
 
 
 def draws(scenario, humans):
-    random, game = np.random.default_rng(0), build_game(scenario, humans=humans, human_driving=LEARNED)
+    random, game = (
+        np.random.default_rng(0),
+        build_game(scenario, humans=humans, human_driving=LEARNED),
+    )
     return [draw_episode(scenario, random, game.humans) for _ in range(EPISODES)]
 
 
 @pytest.mark.parametrize("humans", HUMANS)
-@pytest.mark.parametrize("scenario", [DENSE_MERGE, CROSSING_CROWD], ids=lambda scenario: scenario.name)
-def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_middle(scenario, humans):
+@pytest.mark.parametrize(
+    "scenario", [DENSE_MERGE, CROSSING_CROWD], ids=lambda scenario: scenario.name
+)
+def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_middle(
+    scenario, humans
+):
     shortest, longest = scenario.streams[0].spacing
     for starts, _ in draws(scenario, humans):
         assert starts.shape == (1 + humans, 4)
@@ -43,7 +50,9 @@ def test_humans_in_streams_differ_only_in_how_readily_they_yield():
     believed, risk = game.humans.weights, game.humans.names.index("collision_risk")
     weights = np.concatenate([weights for _, weights in draws(DENSE_MERGE, 8)])
     expected = np.tile(believed, (EPISODES, 1))
-    np.testing.assert_array_equal(np.delete(weights, risk, 1), np.delete(expected, risk, 1))
+    np.testing.assert_array_equal(
+        np.delete(weights, risk, 1), np.delete(expected, risk, 1)
+    )
     factors = weights[:, risk] / expected[:, risk]
     careless = np.isclose(factors, CARELESS_FACTOR)
     assert careless.mean() == pytest.approx(DENSE_MERGE.careless, abs=0.05)
@@ -52,12 +61,16 @@ def test_humans_in_streams_differ_only_in_how_readily_they_yield():
 
 
 @pytest.mark.parametrize("scenario", [MERGER, DENSE_MERGE])
-def test_humans_drive_for_given_weights_for_their_own_aims_and_more_boldly_in_dense_traffic(scenario):
+def test_humans_drive_for_given_weights_for_their_own_aims_and_more_boldly_in_dense_traffic(
+    scenario,
+):
     game = build_game(scenario, human_driving=LEARNED)
     aims = {"target_lane": 1000, "gap": 70} if scenario.name == "merger" else {}
     for name, weights in zip(game.humans.names, game.humans.weights.T, strict=True):
         caution = scenario.caution if name == "collision_risk" else 1.0
-        np.testing.assert_allclose(weights, caution * {**aims, **LEARNED}.get(name, 0.0), rtol=1e-6)
+        np.testing.assert_allclose(
+            weights, caution * {**aims, **LEARNED}.get(name, 0.0), rtol=1e-6
+        )
 
 
 @pytest.mark.parametrize(
@@ -73,18 +86,45 @@ def test_impossible_scenarios_are_refused(numbers, told):
 
 
 WRONG = {
-    "no human": ({"cars": MERGER.cars[:1]}, "has no human, as its cars are .*give the starts of the robot and of the"),
-    "humans": ({"humans": 0}, "has humans=0 and 0 streams; streams say where .*, and without streams there is one"),
-    "weight": ({"robot_weights": {"sped": 2}}, r"robot_weights: unknown reward features \['sped'\]; the features are"),
-    "infinite": ({"human_weights": {"speed": np.inf}}, "human_weights: the weight of speed is inf; it must be a fin"),
-    "no weights": ({"human_weights": ["speed"]}, r"has human_weights=\['speed'\]; give weights by name"),
-    "model": ({"ladder": ("naive", "tomm")}, r"has the ladder .*: unknown human model 'tomm'; the models are naive"),
-    "order": ({"ladder": ("tom", "naive")}, "has the ladder .*: impossible ladder .*name each model once, cheapest"),
+    "no human": (
+        {"cars": MERGER.cars[:1]},
+        "has no human, as its cars are .*give the starts of the robot and of the",
+    ),
+    "humans": (
+        {"humans": 0},
+        "has humans=0 and 0 streams; streams say where .*, and without streams there is one",
+    ),
+    "weight": (
+        {"robot_weights": {"sped": 2}},
+        r"robot_weights: unknown reward features \['sped'\]; the features are",
+    ),
+    "infinite": (
+        {"human_weights": {"speed": np.inf}},
+        "human_weights: the weight of speed is inf; it must be a fin",
+    ),
+    "no weights": (
+        {"human_weights": ["speed"]},
+        r"has human_weights=\['speed'\]; give weights by name",
+    ),
+    "model": (
+        {"ladder": ("naive", "tomm")},
+        r"has the ladder .*: unknown human model 'tomm'; the models are naive",
+    ),
+    "order": (
+        {"ladder": ("tom", "naive")},
+        "has the ladder .*: impossible ladder .*name each model once, cheapest",
+    ),
     "no model": ({"ladder": ()}, r"has the ladder \(\): impossible ladder"),
     "steps": ({"steps": 0}, "has steps=0; give a whole number of steps, 1 or more"),
     "price": ({"prices": (1.0,)}, r"has the prices \(1.0,\); give two lambdas"),
-    "car": ({"merging_car": 7}, "has merging_car=7; give the place of one of its 3 cars"),
-    "point": ({"cars": ((0.0,), *MERGER.cars[1:])}, r"has a car at \(0.0,\); give x and y"),
+    "car": (
+        {"merging_car": 7},
+        "has merging_car=7; give the place of one of its 3 cars",
+    ),
+    "point": (
+        {"cars": ((0.0,), *MERGER.cars[1:])},
+        r"has a car at \(0.0,\); give x and y",
+    ),
 }
 
 
@@ -92,15 +132,27 @@ WRONG = {
 def test_a_scenario_that_cannot_be_driven_is_refused_when_it_is_added(changes, message):
     before = list(gymnasium.registry)
     with pytest.raises(ValueError, match=f"scenario 'mine'.*{message}"):
-        add_scenario(type("MineEnv", (MergerEnv,), {"scenario": replace(MERGER, name="mine", **changes)}))
+        add_scenario(
+            type(
+                "MineEnv",
+                (MergerEnv,),
+                {"scenario": replace(MERGER, name="mine", **changes)},
+            )
+        )
     assert "mine" not in ENVIRONMENTS
     assert list(gymnasium.registry) == before
 
 
 def test_only_a_class_of_environments_with_a_scenario_is_added():
     for wrong, message in (
-        (MERGER, "is no class of environments; give a class derived from ms_highway.InteractionEnv"),
-        (type("NoneEnv", (MergerEnv,), {"scenario": None}), "`scenario` of NoneEnv is None; make it a ms_highway.Sc"),
+        (
+            MERGER,
+            "is no class of environments; give a class derived from ms_highway.InteractionEnv",
+        ),
+        (
+            type("NoneEnv", (MergerEnv,), {"scenario": None}),
+            "`scenario` of NoneEnv is None; make it a ms_highway.Sc",
+        ),
     ):
         with pytest.raises(ValueError, match=message):
             add_scenario(wrong)

@@ -29,7 +29,9 @@ STEPS, HALF = 20, 9
 def motion(x, y=CONE[1], speed=SPEED):
     """A car that keeps its velocity, and is at x half-way."""
     xs = x + speed * 0.1 * (np.arange(STEPS) - HALF)
-    return observe(np.stack(np.broadcast_arrays(xs, y, 0.0, speed), axis=-1).astype(np.float32))
+    return observe(
+        np.stack(np.broadcast_arrays(xs, y, 0.0, speed), axis=-1).astype(np.float32)
+    )
 
 
 late = jax.jit(stopping_cost)
@@ -46,22 +48,33 @@ def test_a_car_that_passes_beside_an_obstacle_or_has_passed_it_pays_nothing():
     assert cost(CONE[0] + 1.01 * LENGTH) == 0.0
 
 
-@pytest.mark.parametrize(("grip", "limit", "braking"), [(3.0, 8.0, 3.0), (8.0, 3.0, 3.0), (None, 8.0, 8.0)])
+@pytest.mark.parametrize(
+    ("grip", "limit", "braking"), [(3.0, 8.0, 3.0), (8.0, 3.0, 3.0), (None, 8.0, 8.0)]
+)
 def test_plans_count_on_the_braking_that_their_limits_allow(grip, limit, braking):
-    planner = replace(GAME.planner, grip=grip, control_limit=np.array([0.2, limit], np.float32))
+    planner = replace(
+        GAME.planner, grip=grip, control_limit=np.array([0.2, limit], np.float32)
+    )
     assert replace(GAME, planner=planner).payoff.braking == braking
 
 
 def test_only_plans_for_seconds_where_there_are_obstacles_keep_room():
     assert build_game(DENSE_MERGE, solver="gradient").payoff.braking is None
-    assert swap_roles(GAME).payoff.braking == GAME.payoff.braking  # humans with the published reward pay, too
-    assert replace(GAME, scene=replace(SCENE, obstacles=np.zeros((0, 2)))).payoff.braking is None
+    assert (
+        swap_roles(GAME).payoff.braking == GAME.payoff.braking
+    )  # humans with the published reward pay, too
+    assert (
+        replace(GAME, scene=replace(SCENE, obstacles=np.zeros((0, 2)))).payoff.braking
+        is None
+    )
 
 
 def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_than_it_must():
     """Without the cost it is 7 m too late after a second."""
     place = STOP - 34.0
-    others = ([place + ahead, SCENE.target_lane, 0.0, 20.0] for ahead in (8.0, 0.0, -8.0))
+    others = (
+        [place + ahead, SCENE.target_lane, 0.0, 20.0] for ahead in (8.0, 0.0, -8.0)
+    )
     state = np.float32([[place, 0.0, 0.0, 21.0], *others])
     solution, _ = CompiledPlans(GAME, [Naive()]).plan(state, [0])
     x, *_, speed = np.asarray(move(GAME, state[0], solution.plan.robot))[:, HALF]
@@ -78,7 +91,9 @@ def test_a_car_pays_once_it_can_no_longer_stop_with_room_to_steer():
 
 
 def test_without_a_limit_of_braking_only_the_gap_counts():
-    slopes = jax.jit(jax.grad(lambda own: stopping_cost(SCENE, np.inf, Motion(*own)).sum()))(np.stack(motion(STOP + 1)))
+    slopes = jax.jit(
+        jax.grad(lambda own: stopping_cost(SCENE, np.inf, Motion(*own)).sum())
+    )(np.stack(motion(STOP + 1)))
     assert np.isfinite(slopes).all()
     assert slopes[0].any()
     assert not slopes[4].any()
@@ -95,7 +110,10 @@ def price_and_bend(payoff, own, others):
 @pytest.mark.parametrize("metres", [0.01, 0.5, 6.0, 30.0])
 def test_payoff_and_curvature_include_the_cost_at_the_price_of_a_collision(metres):
     """The curvature is that of squares of r, without a jump. At 30 m, the car is passing the obstacle."""
-    own, others = np.stack(motion(STOP - BRAKING + metres, CONE[1] - 0.4 * WIDTH)), np.stack(motion(300.0, -3.3))[None]
+    own, others = (
+        np.stack(motion(STOP - BRAKING + metres, CONE[1] - 0.4 * WIDTH)),
+        np.stack(motion(300.0, -3.3))[None],
+    )
 
     def lateness(change):
         changed = own.copy()
@@ -104,6 +122,16 @@ def test_payoff_and_curvature_include_the_cost_at_the_price_of_a_collision(metre
 
     price, bent = price_and_bend(replace(GAME, scene=SCENE).payoff, own, others)
     assert price == pytest.approx(100 * lateness(0) ** 2, 2e-3, 1e-3)
-    slopes = np.array([lateness(bump) - lateness(-bump) for bump in 0.02 * np.eye(5, dtype=np.float32)]) / 0.04
+    slopes = (
+        np.array(
+            [
+                lateness(bump) - lateness(-bump)
+                for bump in 0.02 * np.eye(5, dtype=np.float32)
+            ]
+        )
+        / 0.04
+    )
     assert not np.delete(bent, HALF, axis=-1).any()
-    np.testing.assert_allclose(bent[..., HALF], 200 * np.outer(slopes, slopes), rtol=0.05, atol=0.2)
+    np.testing.assert_allclose(
+        bent[..., HALF], 200 * np.outer(slopes, slopes), rtol=0.05, atol=0.2
+    )

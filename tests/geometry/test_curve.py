@@ -23,7 +23,11 @@ def through_a_roundabout():
     env = gym.make("roundabout-v1").unwrapped
     env.reset(seed=0)
     goal = road_map(env.road.network).goal("nxs")
-    return goal.roads.chain(goal.ahead(goal.roads.lanes["ser", "ses", 0], 200.0)).curve(0).curve
+    return (
+        goal.roads.chain(goal.ahead(goal.roads.lanes["ser", "ses", 0], 200.0))
+        .curve(0)
+        .curve
+    )
 
 
 CURVES = {
@@ -40,14 +44,21 @@ def places(own, number=500):
     random = np.random.default_rng(0)
     s = random.uniform(own.start - 30.0, own.end + 30.0, number)
     farthest = min(6.0, 0.5 / np.abs(own.curvature).max(initial=0.01))
-    return s, random.uniform(-farthest, farthest, number), random.uniform(-3.0, 3.0, number)
+    return (
+        s,
+        random.uniform(-farthest, farthest, number),
+        random.uniform(-3.0, 3.0, number),
+    )
 
 
 def unambiguous(own, s, d):
     """Which places are beside their own part of the curve, and no other part is nearer."""
     x, y, _ = own.place(s, d)
     nearest = np.hypot(x[:, None] - own.x, y[:, None] - own.y).argmin(axis=1)
-    return np.abs(own.start + own.spacing * nearest - np.clip(s, own.start, own.end)) < 15.0
+    return (
+        np.abs(own.start + own.spacing * nearest - np.clip(s, own.start, own.end))
+        < 15.0
+    )
 
 
 def placed_and_projected(own, s, d, turned):
@@ -60,15 +71,21 @@ by_jax = jax.jit(placed_and_projected)
 
 
 @pytest.mark.parametrize("own", CURVES.values(), ids=CURVES)
-def test_places_and_projections_are_inverse_in_numpy_and_in_jax_and_a_curve_goes_straight_on_beyond_its_ends(own):
+def test_places_and_projections_are_inverse_in_numpy_and_in_jax_and_a_curve_goes_straight_on_beyond_its_ends(
+    own,
+):
     s, d, turned = places(own)
     clear = unambiguous(own, s, d)
     assert clear.mean() > 0.5
-    (by_numpy, projected), (poses, same) = (of(own, s, d, turned) for of in (placed_and_projected, by_jax))
+    (by_numpy, projected), (poses, same) = (
+        of(own, s, d, turned) for of in (placed_and_projected, by_jax)
+    )
     np.testing.assert_allclose(poses, by_numpy, atol=1e-3)
     for found in (projected, same):
         for values, true in zip(found, (s, d, turned), strict=True):
-            np.testing.assert_allclose(np.asarray(values)[clear], true[clear], atol=0.01)
+            np.testing.assert_allclose(
+                np.asarray(values)[clear], true[clear], atol=0.01
+            )
     for end, side in ((own.start, -1), (own.end, 1)):
         x, y, heading = own.place(np.array([end, end + side * 25.0]), np.zeros(2))
         assert heading[0] == heading[1]

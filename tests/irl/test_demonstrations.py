@@ -59,11 +59,18 @@ def test_routes_keep_apart():
 def test_the_driver_drives_the_episodes_of_a_minari_data_set_again_with_its_settings_and_seed():
     dataset = minari.load_dataset(NAME)
     settings = dataset.storage.metadata["ms_highway"]
-    assert [settings[key] for key in ("driver", "format", "time_step", "horizon")] == ["maxent", 1, 0.1, 5]
+    assert [settings[key] for key in ("driver", "format", "time_step", "horizon")] == [
+        "maxent",
+        1,
+        0.1,
+        5,
+    ]
     (mark,) = dataset.storage.get_episode_metadata([1])
     env = dataset.recover_environment()
     seen = [env.reset(seed=mark["seed"], options=mark["options"])[0]]
-    for action, recorded in zip(actions("maxent", env.unwrapped, mark["seed"]), dataset[1].actions, strict=False):
+    for action, recorded in zip(
+        actions("maxent", env.unwrapped, mark["seed"]), dataset[1].actions, strict=False
+    ):
         np.testing.assert_array_equal(action, recorded)
         seen.append(env.step(action)[0])
     np.testing.assert_array_equal(seen, dataset[1].observations)
@@ -73,18 +80,29 @@ def test_the_driver_drives_the_episodes_of_a_minari_data_set_again_with_its_sett
 def test_loaded_recordings_are_the_observed_states_and_follow_from_the_actions():
     dataset = minari.load_dataset(NAME)
     action_type = dataset.recover_environment().unwrapped.action_type
-    for recording, episode, others in zip(load_demonstrations(NAME), dataset, DENSITIES.values(), strict=True):
+    for recording, episode, others in zip(
+        load_demonstrations(NAME), dataset, DENSITIES.values(), strict=True
+    ):
         assert (recording.states.shape, [*recording.drivers]) == ((51, 8, 4), [0])
         assert (recording.seen.sum(axis=1) == 1 + others).all()
-        np.testing.assert_array_equal(recording.states[recording.seen], episode.observations[recording.seen, 1:])
+        np.testing.assert_array_equal(
+            recording.states[recording.seen], episode.observations[recording.seen, 1:]
+        )
         pedals, wheel = episode.actions.T
         accelerations = np.interp(pedals, [-1, 1], action_type.acceleration_range)
         curvatures = np.tan(wheel * action_type.steering_range[1]) / 5
-        states, controls = recording.states[:, 0], np.stack([curvatures, accelerations], axis=-1)
-        np.testing.assert_allclose(step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5)
+        states, controls = (
+            recording.states[:, 0],
+            np.stack([curvatures, accelerations], axis=-1),
+        )
+        np.testing.assert_allclose(
+            step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5
+        )
 
 
-def test_recording_goes_on_after_the_last_episode_and_leaves_a_complete_data_set_alone(files):
+def test_recording_goes_on_after_the_last_episode_and_leaves_a_complete_data_set_alone(
+    files,
+):
     data = files / "main_data.hdf5"
     before = data.read_bytes()
     assert list(record("maxent", 2, NAME)) == [3]
@@ -95,17 +113,24 @@ def test_recording_goes_on_after_the_last_episode_and_leaves_a_complete_data_set
     assert [path.name for path in files.parent.iterdir()] == ["data"]
 
 
-def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_is_named(files, monkeypatch):
+def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_is_named(
+    files, monkeypatch
+):
     with pytest.raises(ValueError, match=r"other settings, {'first_seed': 0}"):
         next(record("maxent", 3, NAME, seed=5))
     with h5py.File(files / "main_data.hdf5", "a") as file:
         file["episode_1/observations"][7, 2, 3] = np.nan
-    with pytest.raises(ValueError, match=rf"{NAME} cannot be used \(episode 1 is not finite at step 7, car 2\)"):
+    with pytest.raises(
+        ValueError,
+        match=rf"{NAME} cannot be used \(episode 1 is not finite at step 7, car 2\)",
+    ):
         load_demonstrations(NAME)
     described = (files / "metadata.json").read_text()
     for foreign in ("[]", json.dumps({**json.loads(described), "ms_highway": "x"})):
         (files / "metadata.json").write_text(foreign)
-        with pytest.raises(ValueError, match=f"{NAME} cannot be used .*record it again"):
+        with pytest.raises(
+            ValueError, match=f"{NAME} cannot be used .*record it again"
+        ):
             load_demonstrations(NAME)
     (files / "metadata.json").write_text(described)
     (files / "main_data.hdf5").write_bytes(b"no HDF5")
@@ -115,20 +140,28 @@ def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_
     with pytest.raises(ValueError, match=f"there is no data set {NAME}"):
         load_demonstrations(NAME)
     monkeypatch.setitem(sys.modules, "minari", None)
-    with pytest.raises(ImportError, match=r"pip install 'ms-highway\[demonstrations\]'"):
+    with pytest.raises(
+        ImportError, match=r"pip install 'ms-highway\[demonstrations\]'"
+    ):
         load_demonstrations(NAME)
 
 
-def test_a_person_needs_a_display_and_closing_the_window_discards_the_episode(datasets, monkeypatch, refused):
+def test_a_person_needs_a_display_and_closing_the_window_discards_the_episode(
+    datasets, monkeypatch, refused
+):
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     pygame.display.quit()
-    assert "there is no display" in refused("irl record --driver keyboard --episodes 1 --dataset me-v0")
+    assert "there is no display" in refused(
+        "irl record --driver keyboard --episodes 1 --dataset me-v0"
+    )
     pygame.display.quit()
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     counts = record("keyboard", 1, "me-v0")
     assert next(counts) == 0
-    threading.Timer(2.0, pygame.event.post, [pygame.event.Event(pygame.QUIT)]).start()  # within the five seconds
+    threading.Timer(
+        2.0, pygame.event.post, [pygame.event.Event(pygame.QUIT)]
+    ).start()  # within the five seconds
     with pytest.raises(KeyboardInterrupt):
         next(counts)
     assert not list(datasets.iterdir())

@@ -17,13 +17,27 @@ import ms_highway
 from ms_highway.game.learned_reward import load, save, shipped
 from ms_highway.irl.commonroad import read_directory
 from ms_highway.irl.evaluation import evaluate, metrics, prediction_errors
-from ms_highway.irl.mixture import Mixture, Modes, density_level, expected_path, fit_spread, log_density
-from ms_highway.irl.prediction import PREDICTORS, predict_drivers, predict_peer, predict_with
+from ms_highway.irl.mixture import (
+    Mixture,
+    Modes,
+    density_level,
+    expected_path,
+    fit_spread,
+    log_density,
+)
+from ms_highway.irl.prediction import (
+    PREDICTORS,
+    predict_drivers,
+    predict_peer,
+    predict_with,
+)
 from ms_highway.irl.recording import Recording, known_from, sources
 from ms_highway.irl.snapshots import cut_snapshots
 
 DRIVERS = shipped("us101").drivers
-LANES = 3.4 * np.arange(6)  # as many as recordings are padded to, so that moments are predicted by the same program
+LANES = (
+    3.4 * np.arange(6)
+)  # as many as recordings are padded to, so that moments are predicted by the same program
 
 
 def recorded(*cars, drivers=1):
@@ -31,7 +45,9 @@ def recorded(*cars, drivers=1):
     first = np.array(cars, float)
     states = np.linspace(first, first + 6 * first[:, 3:] * [1, 0, 0, 0], 61)
     sizes = np.tile([5.0, 2.0], (len(cars), 1))
-    return Recording("made", "made", states, np.arange(drivers), sizes, LANES, 3.4, 29.0)
+    return Recording(
+        "made", "made", states, np.arange(drivers), sizes, LANES, 3.4, 29.0
+    )
 
 
 def following():
@@ -47,29 +63,53 @@ def snapshot(recording, second):
 def test_a_moment_is_predicted_as_in_a_recording_whose_future_is_not_used(predictor):
     """Of 50 cars, the first comes up to a standing one, and 48 come into sight only at this moment."""
     behind = [(-40.0 * row, y, 0.0, 15.0) for row in range(1, 9) for y in LANES]
-    recording = recorded((0.0, 3.4, 0.0, 15.0), (105.0, 3.4, 0.0, 0.0), *behind, drivers=50)
+    recording = recorded(
+        (0.0, 3.4, 0.0, 15.0), (105.0, 3.4, 0.0, 0.0), *behind, drivers=50
+    )
     recording.states[:30, 2:] = np.nan
     (weights, paths), spread = predict_with(predictor, snapshot(recording, 3), DRIVERS)
-    states = recording.states[:31] + np.array([0, 0, 2 * np.pi, 0])  # whole turns of headings change nothing
-    found = ms_highway.predict(states, LANES, 29.0, seconds=4, predictor=predictor, lane_width=3.4)
+    states = recording.states[:31] + np.array(
+        [0, 0, 2 * np.pi, 0]
+    )  # whole turns of headings change nothing
+    found = ms_highway.predict(
+        states, LANES, 29.0, seconds=4, predictor=predictor, lane_width=3.4
+    )
     np.testing.assert_allclose(found.times, 0.1 * np.arange(1, 41))
     np.testing.assert_allclose(found.weights, weights, rtol=1e-4)
     np.testing.assert_allclose(found.means, paths[:, :, :40], atol=2e-3)
     assert (np.linalg.eigvalsh(found.covariance) > 0).all()
-    assert (found.mean[0, -1, 0] < 100.0) == (predictor != "constant_velocity"), "it brakes behind the standing car"
-    variances = found.covariances.diagonal(axis1=-2, axis2=-1) / spread.scales(len(found.covariances), 40) ** 2
-    inside = stats.f.cdf(np.log(2) * variances, 2, np.asarray(spread.freedom(40))[:, None])
-    np.testing.assert_allclose(inside, 0.5, rtol=1e-3, err_msg="half of the drivers are within the half-ellipse")
+    assert (found.mean[0, -1, 0] < 100.0) == (predictor != "constant_velocity"), (
+        "it brakes behind the standing car"
+    )
+    variances = (
+        found.covariances.diagonal(axis1=-2, axis2=-1)
+        / spread.scales(len(found.covariances), 40) ** 2
+    )
+    inside = stats.f.cdf(
+        np.log(2) * variances, 2, np.asarray(spread.freedom(40))[:, None]
+    )
+    np.testing.assert_allclose(
+        inside,
+        0.5,
+        rtol=1e-3,
+        err_msg="half of the drivers are within the half-ellipse",
+    )
 
 
 def test_highway_envs_own_idm_vehicles_are_reproduced():
     cars = (0, 3.0, 0.02, 20), (30, 3.6, 0, 14), (-10, 6.0, 0, 18), (12, 7.0, 0, 12)
     snapshots, network = snapshot(recorded(*cars, drivers=4), 3), RoadNetwork()
     for y in LANES:
-        network.add_lane("start", "end", StraightLane([-1e4, y], [1e4, y], width=3.4, speed_limit=29.0))
+        network.add_lane(
+            "start",
+            "end",
+            StraightLane([-1e4, y], [1e4, y], width=3.4, speed_limit=29.0),
+        )
     road = Road(network)
     for state in snapshots.now[0, :4]:
-        road.vehicles.append(IDMVehicle(road, state[:2], *state[2:], enable_lane_change=False))
+        road.vehicles.append(
+            IDMVehicle(road, state[:2], *state[2:], enable_lane_change=False)
+        )
     path = []
     for _ in range(50):
         road.act()
@@ -83,11 +123,19 @@ def test_highway_envs_own_idm_vehicles_are_reproduced():
 def test_errors_of_a_known_path_are_its_distances_from_the_recording():
     snapshots = cut_snapshots([following()])
     exact = predict_with("constant_velocity", snapshots, DRIVERS)
-    paths = np.asarray(exact.modes.path) + [3.0, 0.0] * (0.1 * np.arange(1, 51))[:, None]  # by 3 m/s too fast
+    paths = (
+        np.asarray(exact.modes.path) + [3.0, 0.0] * (0.1 * np.arange(1, 51))[:, None]
+    )  # by 3 m/s too fast
     fast = exact._replace(modes=exact.modes._replace(path=paths))
-    right, wrong = (metrics(prediction_errors(each, snapshots.recorded)) for each in (exact, fast))
+    right, wrong = (
+        metrics(prediction_errors(each, snapshots.recorded)) for each in (exact, fast)
+    )
     assert max(right["ade"].values()) < 1e-4
-    assert wrong["fde"] == wrong["rmse"] == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)
+    assert (
+        wrong["fde"]
+        == wrong["rmse"]
+        == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)
+    )
     assert wrong["ade"]["1"] == pytest.approx(1.65, abs=1e-3)
     assert set(wrong["miss"].values()) == {1.0}
     assert wrong["log_p"]["5"] < right["log_p"]["5"]
@@ -96,46 +144,90 @@ def test_errors_of_a_known_path_are_its_distances_from_the_recording():
 def test_a_driver_who_drifts_to_the_next_lane_is_expected_there():
     drifting = following()
     drifting.states[:, 0, 2] = -0.06
-    drifting.states[:, 0, 1] += 1.0 - 0.9 * 0.1 * np.arange(61)  # in the snapshot, half way to the next lane
+    drifting.states[:, 0, 1] += 1.0 - 0.9 * 0.1 * np.arange(
+        61
+    )  # in the snapshot, half way to the next lane
     modes = predict_drivers(snapshot(drifting, 2), DRIVERS)
     assert modes.probability[0].argmax() == 1
     assert modes.path[0, 1, -1, 1] == pytest.approx(0.0, abs=0.7)
-    assert predict_drivers(snapshot(following(), 5), DRIVERS).probability[0].argmax() == 0
+    assert (
+        predict_drivers(snapshot(following(), 5), DRIVERS).probability[0].argmax() == 0
+    )
 
 
 def test_the_fitted_spread_holds_as_many_drivers_as_it_says():
     random, time = np.random.default_rng(0), 0.1 * np.arange(1, 51)
     scales = np.stack([0.3 * time**1.5, 0.1 * time], axis=-1)
-    positions = random.normal(size=(1000, 50, 2)) * scales / np.sqrt(random.chisquare(4, size=(1000, 1, 1)) / 4)
+    positions = (
+        random.normal(size=(1000, 50, 2))
+        * scales
+        / np.sqrt(random.chisquare(4, size=(1000, 1, 1)) / 4)
+    )
     modes = Modes(np.ones((1000, 1)), np.zeros((1000, 1, 50, 2), np.float32))
     fitted = Mixture(modes, fit_spread(modes, positions))
-    found, freedom = np.asarray(fitted.spread.scales(1, 50))[0], float(fitted.spread.freedom(50)[-1])
+    found, freedom = (
+        np.asarray(fitted.spread.scales(1, 50))[0],
+        float(fitted.spread.freedom(50)[-1]),
+    )
     np.testing.assert_allclose(found[9::10], scales[9::10], rtol=0.15)
-    density = stats.multivariate_t.logpdf(positions[:, -1], shape=np.diag(found[-1] ** 2), df=freedom)
-    np.testing.assert_allclose(log_density(fitted, positions)[:, -1], density, rtol=1e-3)
+    density = stats.multivariate_t.logpdf(
+        positions[:, -1], shape=np.diag(found[-1] ** 2), df=freedom
+    )
+    np.testing.assert_allclose(
+        log_density(fitted, positions)[:, -1], density, rtol=1e-3
+    )
     level = density_level(fitted, positions)
     for share in (0.5, 0.9):
-        np.testing.assert_allclose((level[:, 9::20] < share).mean(axis=0), share, atol=0.04)
+        np.testing.assert_allclose(
+            (level[:, 9::20] < share).mean(axis=0), share, atol=0.04
+        )
 
 
-def test_evaluating_on_the_recordings_that_were_learned_from_is_said_under_any_name(tmp_path, capsys):
-    for number, cars in enumerate((car(1, 20, 0) + car(2, 60, 3.0), car(3, 30, 0) + pedestrian(4, 80))):
-        (tmp_path / f"{number}.xml").write_text(scenario(cars=cars).replace("Test-1", f"Test-{number}"))
+def test_evaluating_on_the_recordings_that_were_learned_from_is_said_under_any_name(
+    tmp_path, capsys
+):
+    for number, cars in enumerate(
+        (car(1, 20, 0) + car(2, 60, 3.0), car(3, 30, 0) + pedestrian(4, 80))
+    ):
+        (tmp_path / f"{number}.xml").write_text(
+            scenario(cars=cars).replace("Test-1", f"Test-{number}")
+        )
     first, second = recordings = read_directory(tmp_path)
-    save(structs.replace(shipped("us101"), learned_from=sources([first])), tmp_path / "theta.json")
+    save(
+        structs.replace(shipped("us101"), learned_from=sources([first])),
+        tmp_path / "theta.json",
+    )
     known = load(tmp_path / "theta.json").learned_from
     assert known_from(recordings, known) == [first]
-    assert len(known_from([replace(first, group="Renamed-1"), replace(second, group=first.group)], known)) == 2
-    assert known_from([replace(second, group="episode 0", measured=False)], {"episode 0": ["other"]}) == []
+    assert (
+        len(
+            known_from(
+                [replace(first, group="Renamed-1"), replace(second, group=first.group)],
+                known,
+            )
+        )
+        == 2
+    )
+    assert (
+        known_from(
+            [replace(second, group="episode 0", measured=False)],
+            {"episode 0": ["other"]},
+        )
+        == []
+    )
     run(f"irl evaluate --theta {tmp_path / 'theta.json'} --data {tmp_path} --json")
     printed = capsys.readouterr()
-    (line,) = (line for line in printed.err.splitlines() if line.startswith("ms-highway:"))
+    (line,) = (
+        line for line in printed.err.splitlines() if line.startswith("ms-highway:")
+    )
     assert "was learned from 1 of these 2 recordings" in line
     assert "--folds 4" in line
     assert json.loads(printed.out)["learned_from"] == 1
 
 
-def test_the_shipped_drivers_know_the_recordings_that_they_were_learned_from(us101_directory):
+def test_the_shipped_drivers_know_the_recordings_that_they_were_learned_from(
+    us101_directory,
+):
     recordings = read_directory(us101_directory, first=1)
     (renamed,) = (replace(recording, group="renamed") for recording in recordings)
     assert len(known_from([*recordings, renamed], shipped("us101").learned_from)) == 2
@@ -148,7 +240,9 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     for short in ("8_4", "14_1"):
         (path,) = us101_directory.glob(f"*-{short}_*.xml.gz")
         (data / path.name).symlink_to(path)
-    run(f"irl fit --data {data} --learn headway closing_speed comfort_steering --out {theta}")
+    run(
+        f"irl fit --data {data} --learn headway closing_speed comfort_steering --out {theta}"
+    )
     assert load(theta).log_likelihood["held_out"] is not None
     assert "closing_speed" in capsys.readouterr().out
     run(f"irl evaluate --folds 2 --data {data} --json --figures {tmp_path}")
@@ -159,18 +253,35 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     model, kept, *_ = found["predictors"].values()
     assert model["fde"]["5"] < kept["fde"]["5"]
     assert model["log_p"]["5"] > kept["log_p"]["5"]
-    assert {path.stem for path in tmp_path.glob("*.png")} == {"errors", "likelihood", "calibration"}
+    assert {path.stem for path in tmp_path.glob("*.png")} == {
+        "errors",
+        "likelihood",
+        "calibration",
+    }
 
 
-def test_drivers_with_damaged_peers_are_refused_before_recordings_are_read(tmp_path, refused):
+def test_drivers_with_damaged_peers_are_refused_before_recordings_are_read(
+    tmp_path, refused
+):
     peers = DRIVERS.peers
-    damaged = structs.replace(peers["fitted_idm"], parameters={**peers["fitted_idm"].parameters, "braking": -1.0})
+    damaged = structs.replace(
+        peers["fitted_idm"],
+        parameters={**peers["fitted_idm"].parameters, "braking": -1.0},
+    )
     theta = tmp_path / "theta.json"
     for wrong, message in (
-        ({**peers, "fitted_idm": damaged}, "drivers.peers.fitted_idm.parameters: braking is -1.0"),
+        (
+            {**peers, "fitted_idm": damaged},
+            "drivers.peers.fitted_idm.parameters: braking is -1.0",
+        ),
         ({"idm": peers["idm"]}, "drivers.peers lacks constant_velocity"),
     ):
-        save(structs.replace(shipped("us101"), drivers=structs.replace(DRIVERS, peers=wrong)), theta)
+        save(
+            structs.replace(
+                shipped("us101"), drivers=structs.replace(DRIVERS, peers=wrong)
+            ),
+            theta,
+        )
         line = refused(f"irl evaluate --theta {theta} --data nowhere")
         assert f"{theta} cannot be used ({message}" in line
 
@@ -178,7 +289,10 @@ def test_drivers_with_damaged_peers_are_refused_before_recordings_are_read(tmp_p
 def test_impossible_predictions_are_refused():
     with pytest.raises(ValueError, match=r"states are of shape \(4,\)"):
         ms_highway.predict([0.0, 0.0, 0.0, 20.0], LANES, 30.0)
-    with pytest.raises(ValueError, match="predictor is 'imm'; choose one of model, constant_velocity, idm, fitted_idm"):
+    with pytest.raises(
+        ValueError,
+        match="predictor is 'imm'; choose one of model, constant_velocity, idm, fitted_idm",
+    ):
         predict_with("imm", None, DRIVERS)
     with pytest.raises(ValueError, match=r"fitted_idm; learn it .* irl fit"):
         predict_with("fitted_idm", None, structs.replace(DRIVERS, peers={}))

@@ -10,7 +10,9 @@ from ms_highway.game.scenario import PAPER_DYNAMICS
 from ms_highway.irl.recording import Recording, track_of
 
 TIME = np.arange(80) * 0.1
-WAVE = np.stack([0.001 * np.sin(TIME), 4 + np.sin(TIME / 2)], axis=-1)  # a gentle swerve and some braking, at 20 m/s
+WAVE = np.stack(
+    [0.001 * np.sin(TIME), 4 + np.sin(TIME / 2)], axis=-1
+)  # a gentle swerve and some braking, at 20 m/s
 
 
 def tracked(states):
@@ -21,7 +23,9 @@ def tracked(states):
 
 def driven(start, controls):
     """The states of a car that starts in a state and is driven by controls."""
-    return np.stack(list(accumulate(controls, partial(step, PAPER_DYNAMICS), initial=start)))
+    return np.stack(
+        list(accumulate(controls, partial(step, PAPER_DYNAMICS), initial=start))
+    )
 
 
 STATES = driven(np.array([5.0, 1.0, 0.02, 20.0]), WAVE)
@@ -34,13 +38,17 @@ def error(track):
 
 def test_controls_drive_the_car_along_its_track_wherever_it_is():
     track, far = tracked(STATES), tracked(STATES + np.array([400.0, 17.0, 0, 0]))
-    np.testing.assert_allclose(driven(track.states[0], track.controls), track.states, atol=1e-9)
+    np.testing.assert_allclose(
+        driven(track.states[0], track.controls), track.states, atol=1e-9
+    )
     np.testing.assert_allclose(far.controls, track.controls, atol=1e-6)
     assert error(track) < 0.1
 
 
 def test_noise_is_not_taken_for_driving():
-    track = tracked(STATES + np.random.default_rng(0).normal(size=STATES.shape) * [0.1, 0.1, 0, 0])
+    track = tracked(
+        STATES + np.random.default_rng(0).normal(size=STATES.shape) * [0.1, 0.1, 0, 0]
+    )
     assert error(track) < 0.06
     curvatures, accelerations = (track.controls - WAVE).std(axis=0)
     assert curvatures < 0.0005

@@ -32,7 +32,9 @@ def test_a_step_records_the_models_and_controls_of_every_human(played):
     assert step.plan.shape == (5, 2)
     assert step.humans.shape == (2, 5, 2)
     np.testing.assert_array_equal(step.control, step.plan[0])
-    assert step.humans[0, 0] == pytest.approx([0.0, 0.2 * float(state[1, 3])], rel=1e-4)  # only makes up for friction
+    assert step.humans[0, 0] == pytest.approx(
+        [0.0, 0.2 * float(state[1, 3])], rel=1e-4
+    )  # only makes up for friction
     assert np.isnan(step.gains).all()
 
 
@@ -40,7 +42,9 @@ def test_a_step_records_the_models_and_controls_of_every_human(played):
 def moments(played):
     """A game, and six states in which all cars keep their velocity."""
     game, state = played("merger")
-    return game, [np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)) for count in range(6)]
+    return game, [
+        np.asarray(state.at[:, 0].add(state[:, 3] * 0.1 * count)) for count in range(6)
+    ]
 
 
 @pytest.mark.parametrize("kind", ["switching with a belief", "learned", "function"])
@@ -58,23 +62,34 @@ def test_whole_turns_of_headings_change_nothing_that_a_driver_does(moments, kind
     for shifts in (0 * turns, turns):
         drivers = {
             "switching with a belief": lambda: Driver(game, SWITCHING, belief=True),
-            "learned": lambda: Driver(game, load_values("shipped").rule(LADDER, COSTS, 0.1)),
+            "learned": lambda: Driver(
+                game, load_values("shipped").rule(LADDER, COSTS, 0.1)
+            ),
             "function": lambda: FunctionDriver(game, "steers", steer),
         }
         driver = drivers[kind]()
         for state, shift in zip(states, shifts, strict=False):
-            before = state + np.stack([0.0 * shift, 0.0 * shift, shift - 0.01, 0.0 * shift], axis=-1)
+            before = state + np.stack(
+                [0.0 * shift, 0.0 * shift, shift - 0.01, 0.0 * shift], axis=-1
+            )
             told.append(driver.step(before))
     for straight, turned in zip(told[:3], told[3:], strict=True):
         assert (straight.models, straight.status) == (turned.models, turned.status)
-        np.testing.assert_allclose(turned.control, straight.control, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(
+            turned.control, straight.control, rtol=1e-5, atol=1e-6
+        )
         for name in ("gains", "belief"):
-            found = [np.array(getattr(step, name), dtype=float) for step in (turned, straight)]
+            found = [
+                np.array(getattr(step, name), dtype=float)
+                for step in (turned, straight)
+            ]
             np.testing.assert_allclose(*found, rtol=1e-3, atol=1e-4, err_msg=name)
 
 
 @pytest.mark.slow
-def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(moments):
+def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(
+    moments,
+):
     """Another driver, whose game and rule have other numbers, compiles nothing either."""
     game, states = moments
     other = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
@@ -84,7 +99,9 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
     assert len({step.model for step in steps}) > 1
 
 
-def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_continues_from_them(moments):
+def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_continues_from_them(
+    moments,
+):
     game, states = moments
     controller, steps = Driver(game, SWITCHING), []
     for state, budget in zip(states, [None, 0.0, None], strict=False):
@@ -94,10 +111,14 @@ def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_contin
     assert [step.models for step in steps] == [("naive",), ("naive",), ("tom",)]
     assert [step.planned for step in steps] == [("naive",), ("tom",), ("tom",)]
     np.testing.assert_array_equal(steps[1].plan, steps[0].plan[1:])
-    assert np.isfinite(steps[2].gains[0, 2])  # of going up once more, as the robot has not gone up yet
+    assert np.isfinite(
+        steps[2].gains[0, 2]
+    )  # of going up once more, as the robot has not gone up yet
 
 
-def test_a_driver_whose_plans_fail_follows_the_rest_of_the_last_one_and_then_brakes(played):
+def test_a_driver_whose_plans_fail_follows_the_rest_of_the_last_one_and_then_brakes(
+    played,
+):
     game, state = played("merger")
     controller = fixed(game)
     first = controller.step(np.asarray(state))
@@ -125,14 +146,19 @@ class Reckless(PredictedHuman):
 
 
 @pytest.mark.filterwarnings("ignore:human model 'reckless' predicts:UserWarning")
-def test_a_plan_under_a_user_defined_model_keeps_to_the_limits_of_controls_and_to_the_grip_of_tyres(played):
+def test_a_plan_under_a_user_defined_model_keeps_to_the_limits_of_controls_and_to_the_grip_of_tyres(
+    played,
+):
     limit, grip = np.array([0.05, 6.0]), 8.0
     game, state = played("merger", control_limit=tuple(limit), grip=grip)
     controller, start = fixed(game, Reckless()), np.array(state)
     for speed in (1.0, 20.0):
         start[0, 3] = speed
         step = controller.step(start)
-        sideways, forward = speed**2 * step.control[0], step.control[1] - 0.2 * speed  # less the paper's friction
+        sideways, forward = (
+            speed**2 * step.control[0],
+            step.control[1] - 0.2 * speed,
+        )  # less the paper's friction
         assert step.status == "planned"
         assert (abs(step.plan) <= limit * 1.0001).all()
         assert np.hypot(sideways, forward) <= grip * 1.0001
@@ -145,12 +171,20 @@ def test_rules_with_impossible_ladders_costs_or_prices_are_refused(played):
     with pytest.raises(ValueError, match=message):
         Driver(game, replace(SWITCHING, ladder=("naive", "turn", "tom")))
     with pytest.raises(ValueError, match="give one for each of naive, turn, tom"):
-        Driver(game, replace(SWITCHING, costs=Costs(0.0, np.array([0.1]), SWITCHING.costs.names)))
+        Driver(
+            game,
+            replace(
+                SWITCHING, costs=Costs(0.0, np.array([0.1]), SWITCHING.costs.names)
+            ),
+        )
     with pytest.raises(ValueError, match="the price is nan"):
         Driver(game, at_price(SWITCHING, np.nan))
     names = ["tom@4", "tom@8", "tom"]
     responding = Switching(UNKNOWN.select(names), 0.0, ladder(names))
-    with pytest.raises(ValueError, match="with a belief, begin it with a model that does not, such as naive"):
+    with pytest.raises(
+        ValueError,
+        match="with a belief, begin it with a model that does not, such as naive",
+    ):
         Driver(game, responding, belief=True)
 
 
@@ -176,33 +210,53 @@ def test_costs_of_other_models_than_the_ladder_are_refused(played):
         Driver(game, Switching(swapped, 0.0, models))
     Driver(game, Switching(swapped.select(["naive", "tom"]), 0.0, models))
     with pytest.raises(
-        ValueError, match=r"the costs are \[0.1, 0.2\]; make them of seconds by name with ms_highway\.C"
+        ValueError,
+        match=r"the costs are \[0.1, 0.2\]; make them of seconds by name with ms_highway\.C",
     ):
         Driver(game, Switching([0.1, 0.2], 0.0, models))
-    with pytest.raises(ValueError, match=r"Costs\.of is given \[0.1, 0.2\]; give seconds by name, such as"):
+    with pytest.raises(
+        ValueError,
+        match=r"Costs\.of is given \[0.1, 0.2\]; give seconds by name, such as",
+    ):
         Costs.of([0.1, 0.2], 1)
 
 
-def test_an_order_with_a_belief_also_has_naive_can_be_pickled_and_can_be_replaced(played):
+def test_an_order_with_a_belief_also_has_naive_can_be_pickled_and_can_be_replaced(
+    played,
+):
     game, state = played("merger")
     models = ladder(("turn", "tom"))
-    driver = pickle.loads(pickle.dumps(Driver(game, in_order(np.array([[1]]), models), belief=True)))
+    driver = pickle.loads(
+        pickle.dumps(Driver(game, in_order(np.array([[1]]), models), belief=True))
+    )
     assert [model.name for model in driver.rule.ladder] == ["turn", "tom", "naive"]
     assert driver.step(np.asarray(state)).models == ("tom",)
     driver.rule = in_order(np.array([[0]]), models)
     assert driver.step(np.asarray(state)).models == ("turn",)  # at once
-    with pytest.raises(ValueError, match="the rule is on the ladder naive, and the driver on turn tom naive"):
+    with pytest.raises(
+        ValueError,
+        match="the rule is on the ladder naive, and the driver on turn tom naive",
+    ):
         driver.rule = always(MODELS["naive"])
     config = {"ladder": ["turn", "tom"], "yielding": "never"}
-    assert "naive" in make_batch(Comparison({"merger": ["tom+belief"]}, config=config), "merger").models
+    assert (
+        "naive"
+        in make_batch(
+            Comparison({"merger": ["tom+belief"]}, config=config), "merger"
+        ).models
+    )
 
 
-def test_an_escape_is_followed_if_the_next_plan_fails_and_later_plans_start_from_the_plan_it_replaced(played):
+def test_an_escape_is_followed_if_the_next_plan_fails_and_later_plans_start_from_the_plan_it_replaced(
+    played,
+):
     """A faster human comes from behind; another car is beside the robot."""
     game, state = played("merger")
     (model,) = ladder(("naive+warm",))
     lane, x = float(game.scene.target_lane), float(state[0, 0])
-    start = np.array([state[0], [x - 15.0, state[0, 1], 0.0, 30.0], [x, lane, 0.0, 20.0]])
+    start = np.array(
+        [state[0], [x - 15.0, state[0, 1], 0.0, 30.0], [x, lane, 0.0, 20.0]]
+    )
     driver, failing = (Driver(game, always(model), way_out=True) for _ in range(2))
     _, step = (each.step(start) for each in (driver, failing))
     assert step.status == "way out"

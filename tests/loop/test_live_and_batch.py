@@ -8,13 +8,33 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 import pytest
-from driving import COSTS, LADDER, Brakes, Brief, Eager, drive, episodes_of, move, simulated
+from driving import (
+    COSTS,
+    LADDER,
+    Brakes,
+    Brief,
+    Eager,
+    drive,
+    episodes_of,
+    move,
+    simulated,
+)
 from jax import numpy as jnp
 
 from ms_highway.choice.belief import RESPONDING
 from ms_highway.choice.budget import Budget
 from ms_highway.choice.learned_value import load_values
-from ms_highway.choice.rule import Chooser, Estimate, Estimator, Rule, Start, always, at_price, decide, in_order
+from ms_highway.choice.rule import (
+    Chooser,
+    Estimate,
+    Estimator,
+    Rule,
+    Start,
+    always,
+    at_price,
+    decide,
+    in_order,
+)
 from ms_highway.envs.controllers import ModelOrder, Outside
 from ms_highway.envs.registry import CONTROLLERS, controller_settings
 from ms_highway.game.dynamics import keep_velocity
@@ -68,8 +88,13 @@ class OneChooser(Chooser):
     which: Any
 
     def choose(self, memory, gains, costs, evidence):
-        choices = [partial(part.choose, memory, gains, costs, evidence) for part in self.parts]
-        return jax.lax.switch(self.which, [lambda choice=choice: jnp.int32(choice()) for choice in choices])
+        choices = [
+            partial(part.choose, memory, gains, costs, evidence) for part in self.parts
+        ]
+        return jax.lax.switch(
+            self.which,
+            [lambda choice=choice: jnp.int32(choice()) for choice in choices],
+        )
 
 
 @jax.tree_util.register_dataclass
@@ -103,7 +128,9 @@ class AtOnce(OwnChoice):
 
 
 @pytest.mark.parametrize("chooser", [OwnChoice(), AtOnce()])
-def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(played, chooser):
+def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(
+    played, chooser
+):
     game, _ = played("merger")
     models = ladder(["idm", "turn", "tom"])
     rule = Rule(models, UNKNOWN.select(model.name for model in models), chooser)
@@ -111,16 +138,32 @@ def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(played,
     assert Loop(game, rule, belief=True).unresponsive == live == 0
     order, live = drivable(in_order(np.array([[1]]), models), belief=True)
     assert Loop(game, order, belief=True).unresponsive == live == 3
-    with pytest.raises(ValueError, match="with a belief, the models of the loop are tom; add naive to `others`"):
+    with pytest.raises(
+        ValueError,
+        match="with a belief, the models of the loop are tom; add naive to `others`",
+    ):
         _ = Loop(game, always(models[2]), belief=True).unresponsive
 
 
 def parts(humans):
     """All choosers and all estimators by name; those of the package as an episode has them."""
-    start = Start(LADDER, Costs.of(COSTS.seconds, humans), "paper", humans, 5, np.random.default_rng(0))
+    start = Start(
+        LADDER,
+        Costs.of(COSTS.seconds, humans),
+        "paper",
+        humans,
+        5,
+        np.random.default_rng(0),
+    )
     choosers = {}
     estimators = {}
-    for name in ("switching:0.1", "horizon:0.1", "learned:1", "budget:700", "nearest:1"):
+    for name in (
+        "switching:0.1",
+        "horizon:0.1",
+        "learned:1",
+        "budget:700",
+        "nearest:1",
+    ):
         settings = controller_settings(name)
         rule = settings.rule(start)
         choosers[type(rule.chooser)] = rule.chooser
@@ -143,7 +186,9 @@ def scene(request, played):
     """A game, and two starts; the number of humans is that of the game."""
     humans = request.param
     scenario = "merger" if humans == 1 else "dense_merge"
-    games, starts = zip(*(played(scenario, seed, humans=humans) for seed in range(2)), strict=True)
+    games, starts = zip(
+        *(played(scenario, seed, humans=humans) for seed in range(2)), strict=True
+    )
     return games[0], np.array(starts)
 
 
@@ -151,16 +196,20 @@ def agree(records, episode, live, models):
     """Check states, models and statuses of one episode of a batch against a live drive."""
     states, driven = live
     np.testing.assert_allclose(records.states[episode], states[1:], atol=1e-3, rtol=0)
-    assert [tuple(models[rung].name for rung in rungs) for rungs in records.rungs[episode]] == [
-        step.models for step in driven
+    assert [
+        tuple(models[rung].name for rung in rungs) for rungs in records.rungs[episode]
+    ] == [step.models for step in driven]
+    assert [STATUSES[number] for number in records.status[episode]] == [
+        step.status for step in driven
     ]
-    assert [STATUSES[number] for number in records.status[episode]] == [step.status for step in driven]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("stopped_by_nans")
 @pytest.mark.parametrize("humans", [1, 3])
-def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(played, humans):
+def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(
+    played, humans
+):
     """Gains do not depend on the chooser either, where the same rungs are in use; the first rung gains 0."""
     scenario = "merger" if humans == 1 else "dense_merge"
     seeds = range(2 if humans == 1 else 1)
@@ -171,7 +220,10 @@ def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(play
     costs = Costs.of(COSTS.seconds, humans)
     chosen = set()
     for chooser, estimator in product(range(len(choosers)), range(len(estimators))):
-        made = OneChooser(choosers, np.int32(chooser)), OneEstimator(estimators, np.int32(estimator))
+        made = (
+            OneChooser(choosers, np.int32(chooser)),
+            OneEstimator(estimators, np.int32(estimator)),
+        )
         rule = Rule(LADDER, costs, *made)
         records = simulated(Loop(game, rule), starts)
         chosen.add(records.rungs.tobytes())
@@ -183,20 +235,34 @@ def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(play
             for gains, step in zip(records.gains[episode], driven, strict=True):
                 known = np.isfinite(step.gains)
                 np.testing.assert_array_equal(np.isfinite(gains), known, err_msg=name)
-                np.testing.assert_allclose(gains[known], step.gains[known], atol=1e-2, err_msg=name)
+                np.testing.assert_allclose(
+                    gains[known], step.gains[known], atol=1e-2, err_msg=name
+                )
                 assert (step.gains[known[:, 0], 0] == 0).all()
     assert len(chosen) > 8
 
 
-@pytest.mark.parametrize("name", ["switching:0.1", "horizon:0.1", "learned:1", "budget:700"])
+@pytest.mark.parametrize(
+    "name", ["switching:0.1", "horizon:0.1", "learned:1", "budget:700"]
+)
 def test_gains_depend_neither_on_the_price_nor_on_the_costs(scene, name):
     game, starts = scene
     humans = game.number
-    start = Start(LADDER, Costs.of(COSTS.seconds, humans), "paper", humans, 5, np.random.default_rng(0))
+    start = Start(
+        LADDER,
+        Costs.of(COSTS.seconds, humans),
+        "paper",
+        humans,
+        5,
+        np.random.default_rng(0),
+    )
     rule = controller_settings(name).rule(start)
     memory, outcome, *_ = begin(rule, game, starts[0])
     memory = memory._replace(step=np.int32(1))
-    dear = at_price(replace(rule, costs=replace(rule.costs, base=0.0, each=100 * COSTS.each)), np.float32(3.0))
+    dear = at_price(
+        replace(rule, costs=replace(rule.costs, base=0.0, each=100 * COSTS.each)),
+        np.float32(3.0),
+    )
     found = [decide_quickly(each, game, memory, outcome) for each in (rule, dear)]
     np.testing.assert_array_equal(found[0].gains, found[1].gains)
     assert (np.asarray(found[0].gains)[:, 0] == 0).all()
@@ -207,7 +273,9 @@ def test_gains_depend_neither_on_the_price_nor_on_the_costs(scene, name):
 def test_a_driver_with_a_budget_measures_the_time_of_its_decisions(scene):
     game, starts = scene
     humans = game.number
-    values = load_values("shipped", "several" if humans > 1 else "pair").estimator(LADDER)
+    values = load_values("shipped", "several" if humans > 1 else "pair").estimator(
+        LADDER
+    )
     rule = Rule(LADDER, Costs.of(COSTS.seconds, humans), Budget(10_000.0), values)
     driver = Driver(game, rule, budget=10.0)
     steps = [driver.step(starts[0]) for _ in range(2)]
@@ -216,18 +284,38 @@ def test_a_driver_with_a_budget_measures_the_time_of_its_decisions(scene):
     assert np.isfinite(steps[1].gains).all()
     again = Driver(game, rule, budget=10.0)
     first = again.step(starts[0])
-    assert first.compile_seconds > again.rule.chooser.deciding  # which compiles nothing, but measures again
+    assert (
+        first.compile_seconds > again.rule.chooser.deciding
+    )  # which compiles nothing, but measures again
 
 
 def weaves(game, state):
     """Return a control that depends on the robot's position, and that steers more than tyres hold."""
-    return keep_velocity(game.world, state[0]) + jnp.stack([jnp.float32(0.03), 0.1 * (state[1, 0] - state[0, 0])])
+    return keep_velocity(game.world, state[0]) + jnp.stack(
+        [jnp.float32(0.03), 0.1 * (state[1, 0] - state[0, 0])]
+    )
 
 
-MODELS = (*ladder(["naive", "idm", "turn", "tom@3+warm"]), Brakes(2.0), Failing(), Brief(), Eager())
+MODELS = (
+    *ladder(["naive", "idm", "turn", "tom@3+warm"]),
+    Brakes(2.0),
+    Failing(),
+    Brief(),
+    Eager(),
+)
 NAIVE, TOM, FAILING = 0, 3, 5  # among these
 ALWAYS_TOM = [[TOM] * 3] * 9
-MIXED = [[0, 2, 3], [1, 6, 0], [2, 3, 1], [6, 3, 7], [7, 1, 4], [4, 0, 2], [1, 7, 6], [3, 2, 2], [7, 6, 3]]
+MIXED = [
+    [0, 2, 3],
+    [1, 6, 0],
+    [2, 3, 1],
+    [6, 3, 7],
+    [7, 1, 4],
+    [4, 0, 2],
+    [1, 7, 6],
+    [3, 2, 2],
+    [7, 6, 3],
+]
 FAILS = [[rung] * 3 for rung in (NAIVE, *[FAILING] * 6, NAIVE, FAILING)]
 DRIVERS = never_yields, always_yields, weaves
 EPISODES = {  # number of the start, models of the humans in each step, and what drives the humans
@@ -236,7 +324,11 @@ EPISODES = {  # number of the start, models of the humans in each step, and what
     "always": (0, ALWAYS_TOM, always_yields),
     "way out": (1, ALWAYS_TOM, None),
     "weaving": (1, ALWAYS_TOM, weaves),
-    "many models": (0, MIXED, None),  # plans start from the rest of the last one only if a model in use says so
+    "many models": (
+        0,
+        MIXED,
+        None,
+    ),  # plans start from the rest of the last one only if a model in use says so
     "failing plans": (0, FAILS, None),
     "no plan": (0, [[FAILING] * 3] * 9, None),
 }
@@ -247,15 +339,25 @@ def test_a_step_is_the_same_live_and_in_batches_whatever_drives_robot_and_humans
     game, starts = scene
     places, schedules, functions = zip(*EPISODES.values(), strict=True)
     schedules = np.array(schedules)[:, :, : game.number]
-    drivers = [[1 + DRIVERS.index(function) if function else HUMAN_PLANS] * game.number for function in functions]
-    loop = Loop(game, in_order(schedules[0], MODELS), way_out=True, belief=True, drivers=DRIVERS)
+    drivers = [
+        [1 + DRIVERS.index(function) if function else HUMAN_PLANS] * game.number
+        for function in functions
+    ]
+    loop = Loop(
+        game, in_order(schedules[0], MODELS), way_out=True, belief=True, drivers=DRIVERS
+    )
     with pytest.warns(UserWarning, match="human model 'failing' predicts"):
         records = simulated(loop, starts[[*places]], 9, schedules, drivers)
     driven = {}
     for episode, name in enumerate(EPISODES):
         function = functions[episode]
-        humans = function and [FunctionDriver(swap_roles(game, i), "own", function) for i in range(game.number)]
-        driver = Driver(game, in_order(schedules[episode], MODELS), way_out=True, belief=True)
+        humans = function and [
+            FunctionDriver(swap_roles(game, i), "own", function)
+            for i in range(game.number)
+        ]
+        driver = Driver(
+            game, in_order(schedules[episode], MODELS), way_out=True, belief=True
+        )
         live = drive(driver, starts[places[episode]], 9, humans)
         agree(records, episode, live, MODELS)
         driven[name] = live[1]
@@ -264,12 +366,21 @@ def test_a_step_is_the_same_live_and_in_batches_whatever_drives_robot_and_humans
     assert "way out" in [step.status for step in driven["way out"]]
     assert {step.status for step in driven["no plan"]} == {"braking"}
     failing = [step.status for step in driven["failing plans"]]
-    assert failing == ["planned", *["previous plan"] * 4, "braking", "braking", "planned", "previous plan"]
+    assert failing == [
+        "planned",
+        *["previous plan"] * 4,
+        "braking",
+        "braking",
+        "planned",
+        "previous plan",
+    ]
     for name in ("planning humans", "never", "always"):
         last = driven[name][-1]
         ignored = last.belief[:, RESPONDING].sum(axis=1) < 0.3
         assert not ignored.all() if name == "planning humans" else ignored.any()
-        assert {model for model, alone in zip(last.models, ignored, strict=True) if alone} <= {"naive"}
+        assert {
+            model for model, alone in zip(last.models, ignored, strict=True) if alone
+        } <= {"naive"}
 
 
 @pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
@@ -287,7 +398,11 @@ def test_a_late_plan_is_followed_a_step_later_live_and_in_jax(scene):
     @partial(jax.jit, static_argnums=2)
     def in_jax(carry, now, is_late):
         scheduled = np.full(game.number, DECIDES)
-        return one_step(carry, now, batch_parts(loop, own, scheduled)._replace(is_late=lambda: is_late))
+        return one_step(
+            carry,
+            now,
+            batch_parts(loop, own, scheduled)._replace(is_late=lambda: is_late),
+        )
 
     carry = begin(order, game, np.float32(state))
     statuses = []
@@ -304,4 +419,13 @@ def test_a_late_plan_is_followed_a_step_later_live_and_in_jax(scene):
         keeps = np.asarray(keep_velocity(game.world, state[1 : 1 + game.number]))
         state = move(game, state, [live.control, *keeps])
     failed = ["previous plan"] * 4 + ["braking"] * 2
-    assert statuses == ["late", "planned", "late", "late", "planned", *failed, "late", "planned"]
+    assert statuses == [
+        "late",
+        "planned",
+        "late",
+        "late",
+        "planned",
+        *failed,
+        "late",
+        "planned",
+    ]

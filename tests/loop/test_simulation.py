@@ -17,19 +17,31 @@ from ms_highway.loop.batch import simulate
 
 KEYS = ["controller", "seed", "step"]
 CONTROLLERS = ["naive", "schedule:turn=5,naive=3,turn", "random:naive=0.25,turn=0.75"]
-STATES = [f"{car}_{name}" for car in ("robot", "human") for name in ("x", "y", "heading", "speed")]
-COMPARISON = Comparison({"merger": CONTROLLERS}, seeds=4, config={"ladder": ["naive", "turn"]})
+STATES = [
+    f"{car}_{name}"
+    for car in ("robot", "human")
+    for name in ("x", "y", "heading", "speed")
+]
+COMPARISON = Comparison(
+    {"merger": CONTROLLERS}, seeds=4, config={"ladder": ["naive", "turn"]}
+)
 
 
 def driven(comparison, scenario, controller):
     """The records of the environment."""
     env = make_environment(scenario, controller, **comparison.config)
-    rows = [{"seed": seed, **record} for seed in range(comparison.seeds) for record in episode(env, seed)]
+    rows = [
+        {"seed": seed, **record}
+        for seed in range(comparison.seeds)
+        for record in episode(env, seed)
+    ]
     return pd.DataFrame(rows).assign(controller=controller).set_index(KEYS)
 
 
 def agree(found, expected):
-    np.testing.assert_allclose(found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0)
+    np.testing.assert_allclose(
+        found[STATES] / PAPER_UNIT, expected[STATES] / PAPER_UNIT, atol=1e-3, rtol=0
+    )
     np.testing.assert_allclose(found["reward"], expected["reward"], atol=1e-3)
     for name in ("model", "status", "counted_seconds"):
         assert (found[name] == expected[name]).all()
@@ -37,8 +49,15 @@ def agree(found, expected):
 
 def test_episodes_agree_with_the_environment_step_by_step_and_have_the_columns_of_an_experiment_but_measured_times():
     records = simulated(COMPARISON)
-    agree(records.set_index(KEYS), pd.concat(driven(COMPARISON, "merger", controller) for controller in CONTROLLERS))
-    assert list(records) == [name for name in COMPARISON.columns() if name not in MEASURED]
+    agree(
+        records.set_index(KEYS),
+        pd.concat(
+            driven(COMPARISON, "merger", controller) for controller in CONTROLLERS
+        ),
+    )
+    assert list(records) == [
+        name for name in COMPARISON.columns() if name not in MEASURED
+    ]
     assert set(records["status"]) == {"planned"}
 
 
@@ -51,9 +70,16 @@ def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(ref
     for controller in ("naive", "turn"):
         _, logged = read_episodes(reference / f"give_way__{controller}.npz")
         given = batch.episodes([(controller, seed) for seed in range(10)])
-        records = simulate(batch.loop, replace(given, starts=np.float32(logged["states"][:, 0] * units)))
-        np.testing.assert_allclose(records.states[:, :-1] / units, logged["states"][:, 1:], atol=1e-3)
-        assert records.reward.mean() == pytest.approx(logged["rewards"].mean(), abs=0.01)
+        records = simulate(
+            batch.loop,
+            replace(given, starts=np.float32(logged["states"][:, 0] * units)),
+        )
+        np.testing.assert_allclose(
+            records.states[:, :-1] / units, logged["states"][:, 1:], atol=1e-3
+        )
+        assert records.reward.mean() == pytest.approx(
+            logged["rewards"].mean(), abs=0.01
+        )
 
 
 class NearsightedEnv(MergerEnv):
@@ -67,7 +93,9 @@ class NearsightedEnv(MergerEnv):
 
     def draw_episode(self, random):
         starts, weights = super().draw_episode(random)
-        return starts + [[0, 0, 0, 1.0]] * 3, 1.5 * weights  # which the robot does not know
+        return starts + [
+            [0, 0, 0, 1.0]
+        ] * 3, 1.5 * weights  # which the robot does not know
 
 
 @pytest.mark.slow
@@ -77,12 +105,17 @@ def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(monkeypatch):
         monkeypatch.setitem(known, nearsighted, None)
     monkeypatch.setitem(gym.registry, "ms-highway/nearsighted-v0", None)
     add_scenario(NearsightedEnv)
-    comparison = Comparison({nearsighted: ["naive"]}, seeds=2, config={"ladder": ["naive"]})
+    comparison = Comparison(
+        {nearsighted: ["naive"]}, seeds=2, config={"ladder": ["naive"]}
+    )
     found = simulated(comparison).set_index(KEYS)
     agree(found, driven(comparison, nearsighted, "naive"))
     assert found.loc[("naive", 0, 0), "human_speed"] > 20.4
     monkeypatch.setattr(NearsightedEnv, "_is_terminated", lambda self: self.steps > 3)
-    with pytest.raises(ValueError, match="NearsightedEnv has its own _is_terminated, which a simulation does not call"):
+    with pytest.raises(
+        ValueError,
+        match="NearsightedEnv has its own _is_terminated, which a simulation does not call",
+    ):
         make_batch(comparison, nearsighted)
 
 

@@ -48,15 +48,22 @@ def climbed(steepness, waves, limit):
     """Return the controls after Newton steps on a hill with waves, and the reward that these steps gain."""
 
     def reward(path):
-        return waves * jnp.sum(jnp.cos(3 * path)) - steepness * jnp.sum((path - 1.0) ** 2)
+        return waves * jnp.sum(jnp.cos(3 * path)) - steepness * jnp.sum(
+            (path - 1.0) ** 2
+        )
 
-    hill, start = objective(reward, lambda path: jnp.full_like(path, 2 * steepness), limit), jnp.full((6, 2), 0.9)
+    hill, start = (
+        objective(reward, lambda path: jnp.full_like(path, 2 * steepness), limit),
+        jnp.full((6, 2), 0.9),
+    )
     controls = climb(hill, start, steps=40)
     return controls, hill.earned(controls) - hill.earned(start)
 
 
 def test_steps_climb_any_reward_within_the_limits_and_are_nan_where_the_reward_is():
-    top = np.linalg.solve(np.eye(12) + 40 * PATH[0].T @ PATH[0], 40 * PATH[0].T @ np.ones(6)).reshape(6, 2)
+    top = np.linalg.solve(
+        np.eye(12) + 40 * PATH[0].T @ PATH[0], 40 * PATH[0].T @ np.ones(6)
+    ).reshape(6, 2)
     rewards = np.float32([[20, 0, 10], [20, 0, 0.1], [0, 5, 10], [np.nan, 0, 10]])
     found, gained = climbed(*rewards.T)
     np.testing.assert_allclose(found[0], top, atol=0.01)
@@ -72,13 +79,17 @@ def test_similar_starts_end_in_similar_plans_even_where_the_reward_has_walls():
     """
 
     def walls(path):
-        return -jnp.sum(50 * jnp.maximum(0.3 - (path - 0.4) ** 2, 0.0) ** 3) - jnp.sum((path - 1.0) ** 2)
+        return -jnp.sum(50 * jnp.maximum(0.3 - (path - 0.4) ** 2, 0.0) ** 3) - jnp.sum(
+            (path - 1.0) ** 2
+        )
 
     def bend(path):
         squared = (path - 0.4) ** 2
         return 2 + 300 * jnp.maximum(0.3 - squared, 0.0) * 4 * squared
 
-    improved = jax.jit(jax.vmap(lambda start: climb(objective(walls, bend), start, steps=6)))
+    improved = jax.jit(
+        jax.vmap(lambda start: climb(objective(walls, bend), start, steps=6))
+    )
 
     def changes(lowest, highest):
         starts = np.linspace(lowest, highest, 5001)[:, None, None] * np.ones((6, 2))
@@ -101,7 +112,9 @@ def test_the_share_of_a_step_is_that_of_a_parabola_and_short_towards_nan():
 
 def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_hardly_matters():
     def rest(start, most=50):
-        return until_still(lambda _, point: 0.3 * point, start, most, lambda point: point)
+        return until_still(
+            lambda _, point: 0.3 * point, start, most, lambda point: point
+        )
 
     starts = np.geomspace(0.5 * STEP_TOLERANCE, 1.0, 4001, dtype=np.float32)
     ends, steps, converged = map(np.asarray, jax.jit(jax.vmap(rest))(starts))

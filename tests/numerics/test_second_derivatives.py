@@ -9,18 +9,26 @@ from ms_highway.numerics.second_derivatives import floored, response
 
 def test_the_exact_response_solves_linear_equations_and_the_damped_one_always_ascends():
     random = np.random.default_rng(0)
-    responses = jax.jit(lambda matrix, push: [response(kind, matrix, push) for kind in ("exact", "damped")])
+    responses = jax.jit(
+        lambda matrix, push: [
+            response(kind, matrix, push) for kind in ("exact", "damped")
+        ]
+    )
     for _ in range(20):
         matrix, push = random.normal(0, 3, (5, 5)), random.normal(size=5)
         matrix = matrix + matrix.T
         exact, damped = responses(np.float32(matrix), np.float32(push))
-        np.testing.assert_allclose(matrix @ exact, -push, atol=1e-4 * abs(np.linalg.inv(matrix)).max())
+        np.testing.assert_allclose(
+            matrix @ exact, -push, atol=1e-4 * abs(np.linalg.inv(matrix)).max()
+        )
         assert np.dot(damped, push) > 0
         assert np.linalg.norm(damped) <= np.linalg.norm(push) * 1.001
 
 
 def symmetric(seed, eigenvalues):
-    vectors = np.linalg.qr(np.random.default_rng(seed).normal(size=(len(eigenvalues),) * 2))[0]
+    vectors = np.linalg.qr(
+        np.random.default_rng(seed).normal(size=(len(eigenvalues),) * 2)
+    )[0]
     return (vectors * eigenvalues) @ vectors.T
 
 
@@ -29,7 +37,9 @@ def floored_and_slope(matrix, floor, change):
     return jax.jvp(floored, (matrix, floor), (change, 0.4))
 
 
-@pytest.mark.parametrize("eigenvalues", [(3.0, 3.0, -1.0, -1.0), (0.2, -0.3, -5.0, 4.0)])
+@pytest.mark.parametrize(
+    "eigenvalues", [(3.0, 3.0, -1.0, -1.0), (0.2, -0.3, -5.0, 4.0)]
+)
 def test_floored_eigenvalues_have_exact_derivatives_also_where_they_meet(eigenvalues):
     matrix, change = symmetric(0, eigenvalues), symmetric(1, (1.0, -0.5, 0.3, 0.7))
     with jax.enable_x64(True):
@@ -37,4 +47,6 @@ def test_floored_eigenvalues_have_exact_derivatives_also_where_they_meet(eigenva
         more, _ = floored_and_slope(matrix + 1e-6 * change, 1 + 4e-7, change)
         less, _ = floored_and_slope(matrix - 1e-6 * change, 1 - 4e-7, change)
         np.testing.assert_allclose(slope, (more - less) / 2e-6, atol=1e-7)
-    np.testing.assert_allclose(np.linalg.eigvalsh(now), np.sort(np.maximum(eigenvalues, 1.0)), atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.eigvalsh(now), np.sort(np.maximum(eigenvalues, 1.0)), atol=1e-12
+    )

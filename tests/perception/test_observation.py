@@ -14,8 +14,19 @@ from tests.roads import scene_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
 
-GOALS = {"roundabout-v0": "nxs", "exit-v0": "exit", "u-turn-v0": "d", "intersection-v2": "o1"}
-SCENES = [*GOALS, *(f"{name}-v0" for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping"))]
+GOALS = {
+    "roundabout-v0": "nxs",
+    "exit-v0": "exit",
+    "u-turn-v0": "d",
+    "intersection-v2": "o1",
+}
+SCENES = [
+    *GOALS,
+    *(
+        f"{name}-v0"
+        for name in ("highway", "merge", "two-way", "racetrack", "lane-keeping")
+    ),
+]
 
 
 def forms(scene):
@@ -52,23 +63,31 @@ def drive(scene, steps=80):
         ego.plan_route_to(goal)
     for _ in range(steps):
         pose = (*(ego.position - ego.LENGTH / 2 * ego.direction), ego.heading)
-        positions = np.array([car.position for car in (*ego.road.vehicles, *ego.road.objects)])
+        positions = np.array(
+            [car.position for car in (*ego.road.vehicles, *ego.road.objects)]
+        )
         yield observe_road(ego, goal), pose, ego.lane_index, positions
         ego.road.act()
         ego.road.step(1 / 15)
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_observed_routes_are_drivable_and_constant_and_observed_positions_are_true(scene):
+def test_observed_routes_are_drivable_and_constant_and_observed_positions_are_true(
+    scene,
+):
     before = last = None
     for seen, pose, lane, positions in drive(scene):
         route, (left, right) = seen.route, seen.edges
         assert forms(seen) == FORMS
-        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(replace(seen, room=0.0)))
+        assert all(
+            np.isfinite(leaf).all() for leaf in jax.tree.leaves(replace(seen, room=0.0))
+        )
         assert np.abs(route.curvature).max() <= 0.2
         assert np.abs(np.diff(route.curvature)).max() < 0.1
         chords = np.diff(route.x) + 1j * np.diff(route.y)
-        turns = np.angle(chords * np.exp(-0.5j * (route.heading[1:] + route.heading[:-1])))
+        turns = np.angle(
+            chords * np.exp(-0.5j * (route.heading[1:] + route.heading[:-1]))
+        )
         assert np.abs(chords) == pytest.approx(2.0, abs=0.02)
         assert np.abs(turns).max() < 0.1 * 2.0 / 12
         assert (right - left >= 3.9).all()
@@ -77,7 +96,9 @@ def test_observed_routes_are_drivable_and_constant_and_observed_positions_are_tr
         found = np.stack([x, y], axis=-1)[seen.present] - positions
         assert (np.hypot(*found.T).min(axis=0, initial=np.inf) < 0.1).all()
         if before and (lane == last or lane[:2] != last[:2]):
-            _, aside, _ = route.project(before.x[8:60], before.y[8:60], before.heading[8:60])
+            _, aside, _ = route.project(
+                before.x[8:60], before.y[8:60], before.heading[8:60]
+            )
             assert np.abs(aside).max() < 0.05
         before, last = route, lane
 
@@ -103,6 +124,9 @@ def test_cars_before_an_intersection_may_take_several_paths_unless_their_route_i
     assert len(np.unique(ends.round(-1), axis=0)) == 3
     shown = observe_road(ego, "o1", intentions=True)
     assert shown.present.sum() == 1
-    assert [shown.paths.x[0, -1] < -50.0, shown.paths.y[0, -1]] == [True, pytest.approx(-2.0, abs=0.1)]
+    assert [shown.paths.x[0, -1] < -50.0, shown.paths.y[0, -1]] == [
+        True,
+        pytest.approx(-2.0, abs=0.1),
+    ]
     among(ego, ("ir2", "il3", 0), 10.0)
     assert observe_road(ego, "o1").present.sum() == 1  # the car has begun to turn

@@ -53,7 +53,9 @@ def test_low_latency_makes_the_steps_of_a_plan_one_kernel_that_plans_the_same(pl
 
 
 @pytest.mark.slow
-def test_low_latency_leaves_its_own_option_and_a_file_of_flags_as_the_user_has_set_them(tmp_path):
+def test_low_latency_leaves_its_own_option_and_a_file_of_flags_as_the_user_has_set_them(
+    tmp_path,
+):
     own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=0"
     flags, fused, *_ = run_with_low_latency(XLA_FLAGS=own)
     assert flags == own
@@ -75,11 +77,16 @@ def test_the_programs_of_plans_stay_small(played, name):
     plans = CompiledPlans(game, ladder(SCENARIOS[name].ladder))
     rungs = range(1 if game.number > 1 else len(plans.ladder))
     calls = [plans.call(checked_state(state), [rung] * game.number) for rung in rungs]
-    lines = [len(function.lower(*arguments).as_text().splitlines()) for function, *arguments in calls]
+    lines = [
+        len(function.lower(*arguments).as_text().splitlines())
+        for function, *arguments in calls
+    ]
     assert max(lines) < MAX_LINES[name], lines
 
 
 def test_a_state_needs_the_cars_of_the_game(played):
     game, state = played("dense_merge")
-    with pytest.raises(ValueError, match="the state has 2 cars; the game has a robot and 2 humans"):
+    with pytest.raises(
+        ValueError, match="the state has 2 cars; the game has a robot and 2 humans"
+    ):
         plan(game, state[:2])

@@ -19,7 +19,12 @@ FAR = 300.0  # m, at which nobody matters
 
 
 OWN = (Brief(), Eager(), Brakes(3.0))
-RUNGS = (*ladder(["naive@2", "naive", "idm", "turn@3", "turn", "tom@2", "tom@3+warm", "tom"]), *OWN)
+RUNGS = (
+    *ladder(
+        ["naive@2", "naive", "idm", "turn@3", "turn", "tom@2", "tom@3+warm", "tom"]
+    ),
+    *OWN,
+)
 
 
 def played_by(played, scenario, **options):
@@ -70,10 +75,15 @@ def test_a_model_plans_among_several_humans_as_it_does_alone(scene, alone):
 def test_no_two_models_that_differ_alone_are_equal_among_several_humans(scene, alone):
     game, state = scene
     together = CompiledPlans(game, RUNGS)
-    found = [together.plan(checked_state(state), [rung] * 3)[0].plan for rung in range(len(RUNGS))]
+    found = [
+        together.plan(checked_state(state), [rung] * 3)[0].plan
+        for rung in range(len(RUNGS))
+    ]
 
     def differ(one, other):
-        return max(abs(left - right).max() for left, right in zip(one, other, strict=True))
+        return max(
+            abs(left - right).max() for left, right in zip(one, other, strict=True)
+        )
 
     compared = 0
     for one, other in combinations(range(len(RUNGS)), 2):
@@ -88,7 +98,9 @@ def test_a_plan_says_its_steps_and_whether_they_converged(played):
     game, state = played_by(played, "dense_merge")
     names = ["naive@1", "naive@40", "tom@2"]
     plans = CompiledPlans(game, ladder(names))
-    found = [plans.plan(checked_state(state), [rung] * 3)[0] for rung in range(len(names))]
+    found = [
+        plans.plan(checked_state(state), [rung] * 3)[0] for rung in range(len(names))
+    ]
     assert [bool(solution.converged) for solution in found] == [False, True, False]
     one, many, two = (int(solution.steps) for solution in found)
     assert (one, two) == (1, 2)
@@ -100,7 +112,10 @@ def test_models_that_differ_only_in_name_plan_alike_in_any_assignment(played):
     game, state = played_by(played, "merger")
     twin = dataclass(frozen=True)(type("Twin", (Eager,), {"name": "twin"}))
     plans = CompiledPlans(game, [Eager(), twin()])
-    found = [plans.plan(checked_state(state), rungs)[0].plan for rungs in ([0] * 3, [1] * 3, [0, 1, 0])]
+    found = [
+        plans.plan(checked_state(state), rungs)[0].plan
+        for rungs in ([0] * 3, [1] * 3, [0, 1, 0])
+    ]
     for plan in found[1:]:
         np.testing.assert_allclose(plan.robot, found[0].robot, atol=1e-6)
         np.testing.assert_allclose(plan.humans, found[0].humans, atol=1e-6)
@@ -109,8 +124,16 @@ def test_models_that_differ_only_in_name_plan_alike_in_any_assignment(played):
 @pytest.mark.parametrize(
     ("base", "own", "message"),
     [
-        (TheoryOfMind, {"predict": lambda *_: None}, "'own' responds, and defines `predict`; a human that responds"),
-        (Naive, {"start": lambda self, game, state, last: last}, "'own' does not respond, and defines `start`"),
+        (
+            TheoryOfMind,
+            {"predict": lambda *_: None},
+            "'own' responds, and defines `predict`; a human that responds",
+        ),
+        (
+            Naive,
+            {"start": lambda self, game, state, last: last},
+            "'own' does not respond, and defines `start`",
+        ),
     ],
 )
 def test_models_whose_methods_no_plan_would_obey_are_refused(base, own, message):
@@ -123,13 +146,27 @@ def test_models_whose_methods_no_plan_would_obey_are_refused(base, own, message)
 @pytest.mark.parametrize(
     ("own", "message"),
     [
-        ({"solver": lambda self, game: replace(game.planner.solver, ease=50.0)}, "whose ease is 50.0, not the planner"),
-        ({"solver": lambda self, game: replace(game.planner.solver, joint_steps=0)}, "'own' plans in 0 steps"),
-        ({"start": lambda self, game, state, last: last.robot}, "'own' starts from .*; return a Plan"),
-        ({"start": lambda *cars: Plan(cars[3].robot[:2], cars[3].humans)}, r"'own' starts from arrays \(2, 2\)"),
+        (
+            {"solver": lambda self, game: replace(game.planner.solver, ease=50.0)},
+            "whose ease is 50.0, not the planner",
+        ),
+        (
+            {"solver": lambda self, game: replace(game.planner.solver, joint_steps=0)},
+            "'own' plans in 0 steps",
+        ),
+        (
+            {"start": lambda self, game, state, last: last.robot},
+            "'own' starts from .*; return a Plan",
+        ),
+        (
+            {"start": lambda *cars: Plan(cars[3].robot[:2], cars[3].humans)},
+            r"'own' starts from arrays \(2, 2\)",
+        ),
     ],
 )
-def test_solvers_and_starts_that_plans_cannot_take_are_refused_in_one_sentence(played, own, message):
+def test_solvers_and_starts_that_plans_cannot_take_are_refused_in_one_sentence(
+    played, own, message
+):
     game, state = played_by(played, "dense_merge")
     model = dataclass(frozen=True)(type("Own", (TheoryOfMind,), {"name": "own", **own}))
     with pytest.raises(ValueError, match=message):
@@ -137,11 +174,19 @@ def test_solvers_and_starts_that_plans_cannot_take_are_refused_in_one_sentence(p
 
 
 def test_a_plan_of_its_own_and_a_solver_of_another_type_are_refused(played):
-    own = dataclass(frozen=True)(type("Own", (TheoryOfMind,), {"name": "own", "plan": lambda *_: None}))
-    with pytest.raises(ValueError, match=r"'own' defines `plan`, .* cannot obey; define .*`solver`"):
+    own = dataclass(frozen=True)(
+        type("Own", (TheoryOfMind,), {"name": "own", "plan": lambda *_: None})
+    )
+    with pytest.raises(
+        ValueError, match=r"'own' defines `plan`, .* cannot obey; define .*`solver`"
+    ):
         ms_highway.register(own())
     assert "own" not in MODELS
-    other = type("Other", (TheoryOfMind,), {"name": "other", "solver": lambda *_: Newton()})
+    other = type(
+        "Other", (TheoryOfMind,), {"name": "other", "solver": lambda *_: Newton()}
+    )
     game, state = played("merger")
-    with pytest.raises(ValueError, match=r"'other' plans by Newton.*return game.planner.solver, a"):
+    with pytest.raises(
+        ValueError, match=r"'other' plans by Newton.*return game.planner.solver, a"
+    ):
         ms_highway.plan(game, np.array(state), other())

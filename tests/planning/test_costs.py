@@ -25,7 +25,9 @@ def test_names_and_numbers_of_rungs_count_the_same_time_live_and_in_batches():
     rungs = np.array([[0, 0], [0, 1], [1, 1]])
     named = [costs.of_models([costs.names[rung] for rung in row]) for row in rungs]
     np.testing.assert_array_equal(costs.total(rungs), named)
-    np.testing.assert_allclose(jax.jit(Costs.total)(costs, jax.numpy.array(rungs)), named)
+    np.testing.assert_allclose(
+        jax.jit(Costs.total)(costs, jax.numpy.array(rungs)), named
+    )
 
 
 def test_what_is_unknown_has_no_time_and_is_not_taken_for_known():

@@ -23,14 +23,19 @@ def plan(model, game, state):
 
 def mirrored(game, state):
     """The game and the state seen in a mirror along the road."""
-    scene = replace(game.scene, lanes=-game.scene.lanes, target_lane=-game.scene.target_lane)
+    scene = replace(
+        game.scene, lanes=-game.scene.lanes, target_lane=-game.scene.target_lane
+    )
     return replace(game, scene=scene), state * np.float32([1, -1, -1, 1])
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_mirrored_scenes_give_mirrored_plans(played, name):
     game, state = played("merger", seed=3)
-    straight, mirror = plan(MODELS[name], game, state), plan(MODELS[name], *mirrored(game, state))
+    straight, mirror = (
+        plan(MODELS[name], game, state),
+        plan(MODELS[name], *mirrored(game, state)),
+    )
     scale = np.array([-1.0, 1.0])
     np.testing.assert_allclose(mirror.robot, straight.robot * scale, atol=2e-3)
     np.testing.assert_allclose(mirror.humans, straight.humans * scale, atol=2e-3)
@@ -63,7 +68,9 @@ def test_theory_of_mind_steps_along_the_total_derivative(played):
     expected = slope_robot + (jacobian.T @ np.ravel(slope_human)).reshape(5, 2)
     assert abs(expected - slope_robot).max() > 1e-3, "the influence should matter here"
     once = replace(game, planner=replace(game.planner, solver=Ascent(iterations=1)))
-    np.testing.assert_allclose(plan(TheoryOfMind(), once, state).robot, 0.03 * expected, rtol=1e-2, atol=1e-4)
+    np.testing.assert_allclose(
+        plan(TheoryOfMind(), once, state).robot, 0.03 * expected, rtol=1e-2, atol=1e-4
+    )
 
 
 def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
@@ -74,12 +81,21 @@ def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
     assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
 
 
-def test_a_registered_model_predicts_in_si_units_and_there_is_a_warning_if_limits_cut_that(played):
+def test_a_registered_model_predicts_in_si_units_and_there_is_a_warning_if_limits_cut_that(
+    played,
+):
     game, state = played("merger")
-    acceleration = plan(Brakes(50.0), game, state).humans[..., 1] * game.planner.control_scale[1]
-    np.testing.assert_allclose(acceleration, 0.2 * state[1, 3] - 50.0, rtol=1e-5)  # friction is made up for
+    acceleration = (
+        plan(Brakes(50.0), game, state).humans[..., 1] * game.planner.control_scale[1]
+    )
+    np.testing.assert_allclose(
+        acceleration, 0.2 * state[1, 3] - 50.0, rtol=1e-5
+    )  # friction is made up for
     limited, _ = played("merger", control_limit=(0.2, 8.0))
-    with pytest.warns(UserWarning, match=r"'brakes' predicts an acceleration of -46 m/s\^2.*limits.*to -8"):
+    with pytest.warns(
+        UserWarning,
+        match=r"'brakes' predicts an acceleration of -46 m/s\^2.*limits.*to -8",
+    ):
         CompiledPlans(limited, [Brakes(50.0)]).warm_up(checked_state(state))
 
 
@@ -92,8 +108,16 @@ class Says(ms_highway.PredictedHuman):
         return self.what
 
 
-@pytest.mark.parametrize(("what", "told"), [(None, "None"), (((0.0, -4.0),) * 3, r"an array of shape \(3, 2\)")])
-def test_an_invalid_prediction_is_refused_with_the_shape_and_the_units(played, what, told):
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [(None, "None"), (((0.0, -4.0),) * 3, r"an array of shape \(3, 2\)")],
+)
+def test_an_invalid_prediction_is_refused_with_the_shape_and_the_units(
+    played, what, told
+):
     game, state = played("merger")
-    with pytest.raises(ValueError, match=rf"model 'says' predicts {told}.*; predict numbers \(5, 2\): curvature \[1/m"):
+    with pytest.raises(
+        ValueError,
+        match=rf"model 'says' predicts {told}.*; predict numbers \(5, 2\): curvature \[1/m",
+    ):
         plan(Says(what), game, state)

@@ -36,7 +36,9 @@ def start(state, last, humans):
 def earned(state, robot):
     """What the robot's plan earns where others keep their velocity."""
     others = move_all(GAME, state[1:], constant_velocity(GAME, state[1:]))
-    return GAME.payoff.total(move(GAME, state[0], robot), others) - discomfort(GAME, state[0], robot)
+    return GAME.payoff.total(move(GAME, state[0], robot), others) - discomfort(
+        GAME, state[0], robot
+    )
 
 
 def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lane():
@@ -49,20 +51,26 @@ def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lan
     assert last + 5.0 < ahead_of_last < first - 5.0
     assert ahead_of_all > first + 5.0
     assert behind_all < last - 5.0
-    np.testing.assert_allclose([y[3], speed[3]], [0.0, SPEED], atol=0.01)  # in the own lane, where nobody drives
+    np.testing.assert_allclose(
+        [y[3], speed[3]], [0.0, SPEED], atol=0.01
+    )  # in the own lane, where nobody drives
 
 
 def test_a_plan_that_is_good_enough_is_kept_and_one_that_collides_or_is_not_finite_is_replaced():
     state = traffic(-30.0, 30.0)
     kept, humans = cold_start(GAME, state)
     first = start(state, kept, humans)
-    assert earned(state, first) > earned(state, kept) + RESTART_MARGIN  # it changes lanes
+    assert (
+        earned(state, first) > earned(state, kept) + RESTART_MARGIN
+    )  # it changes lanes
     np.testing.assert_array_equal(start(state, first, humans), first)
 
     blocked = state.copy()
     blocked[1] = [-30.0, 0.0, 0.0, 5.0]
     assert earned(blocked, kept) < -100
-    assert earned(blocked, start(blocked, kept, constant_velocity(GAME, blocked[1:]))) > 0
+    assert (
+        earned(blocked, start(blocked, kept, constant_velocity(GAME, blocked[1:]))) > 0
+    )
 
     lost = np.full_like(kept, np.nan)
     assert np.isfinite(start(state, lost, humans)).all()
@@ -72,7 +80,9 @@ def test_a_plan_that_is_good_enough_is_kept_and_one_that_collides_or_is_not_fini
 def test_a_car_that_stands_before_an_obstacle_leaves_its_lane_once_the_other_is_free():
     """At standstill, steering costs no comfort: a curve without speed is none."""
     before = float(GAME.scene.obstacles[:, 0].min()) - 8.0
-    state = np.float32([[before, 0.0, 0.0, 0.0], *[[before + 167.0, TARGET, 0.0, SPEED]] * 2])
+    state = np.float32(
+        [[before, 0.0, 0.0, 0.0], *[[before + 167.0, TARGET, 0.0, SPEED]] * 2]
+    )
     path = np.asarray(move(GAME, state[0], start(state, *cold_start(GAME, state))))
     assert path[1, -1] < TARGET / 2
     assert path[4, -1] > 5.0

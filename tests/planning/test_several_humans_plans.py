@@ -9,7 +9,11 @@ from driving import Brakes
 
 from ms_highway.game.game import move, move_all, pair, swap_roles
 from ms_highway.numerics.solvers import Ascent
-from ms_highway.planning.compiled_plans import CompiledPlans, assigned_responders, checked_state
+from ms_highway.planning.compiled_plans import (
+    CompiledPlans,
+    assigned_responders,
+    checked_state,
+)
 from ms_highway.planning.joint import mixed_bends, trajectories_around
 from ms_highway.planning.ladders import PACKAGE_MODELS, ladder
 from ms_highway.planning.plans import cold_start
@@ -24,7 +28,9 @@ def three(played):
     """Dense Merge with three humans, whose rewards differ, and plans of half a second."""
     game, state = played("dense_merge", humans=3)
     weights = game.humans.weights * np.float32([[1.0], [1.5], [0.5]])
-    return replace(game, humans=replace(game.humans, weights=weights)), checked_state(state)
+    return replace(game, humans=replace(game.humans, weights=weights)), checked_state(
+        state
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +48,16 @@ def test_one_compilation_serves_all_assignments(three, plans):
     function = plans.call(state, [NAIVE] * 3)[0]
     plans.plan(state, [NAIVE] * 3)  # whose numbers are placed
     sizes = function._cache_size()
-    drawn = [np.random.default_rng(seed).integers(0, len(LADDER), 3) for seed in range(5)]
+    drawn = [
+        np.random.default_rng(seed).integers(0, len(LADDER), 3) for seed in range(5)
+    ]
     found = [plans.plan(state, rungs)[0].plan.robot for rungs in drawn]
     assert np.isfinite(found).all()
     assert abs(np.diff(found, axis=0)).max() > 1e-3
-    bolder = CompiledPlans(replace(game, humans=replace(game.humans, weights=game.humans.weights * 1.1)), LADDER)
+    bolder = CompiledPlans(
+        replace(game, humans=replace(game.humans, weights=game.humans.weights * 1.1)),
+        LADDER,
+    )
     first, _ = plans.plan(state, [TOM] * 3)
     again, _ = bolder.plan(state, [TOM] * 3, first.plan)
     assert np.isfinite(again.plan.robot).all()
@@ -62,22 +73,32 @@ def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
     @jax.vmap
     def with_and_without(human):
         start = cold_start(game, state)
-        robot, humans = move(game, state[0], start.robot), move_all(game, state[1:4], start.humans)
+        robot, humans = (
+            move(game, state[0], start.robot),
+            move_all(game, state[1:4], start.humans),
+        )
         own = swap_roles(game, human)
         around = trajectories_around(human, robot, humans)
-        return own.payoff.second_order(humans[human], around).partner, mixed_bends(own, humans[human], around)
+        return own.payoff.second_order(humans[human], around).partner, mixed_bends(
+            own, humans[human], around
+        )
 
     wanted, bends = with_and_without(np.arange(3))
     np.testing.assert_allclose(bends, wanted, rtol=1e-3, atol=1e-4)
     assert np.abs(wanted).max() > 0.1
 
 
-def test_each_human_is_predicted_in_the_game_of_the_robot_with_this_human_alone(three, plans):
+def test_each_human_is_predicted_in_the_game_of_the_robot_with_this_human_alone(
+    three, plans
+):
     game, state = three
     rungs, scale = [TURN, IDM, BRAKES], game.planner.control_scale
     found = plans.plan(state, rungs)[0].plan.humans
     for human, rung in enumerate(rungs[:2]):
-        close(found[human], jit_quickly(LADDER[rung].predict)(*pair(game, state, human)) / scale)
+        close(
+            found[human],
+            jit_quickly(LADDER[rung].predict)(*pair(game, state, human)) / scale,
+        )
     close(found[2, :, 1], (0.2 * state[3, 3] - 3.0) / scale[1])  # predicted in SI units
 
 
@@ -95,7 +116,10 @@ def test_the_order_of_humans_changes_nothing(three, plans):
     game, state = three
     rungs, order = np.array([TOM, TURN, NAIVE]), np.array([2, 0, 1])
     expected = plans.plan(state, rungs)[0].plan
-    reordered = CompiledPlans(replace(game, humans=replace(game.humans, weights=game.humans.weights[order])), LADDER)
+    reordered = CompiledPlans(
+        replace(game, humans=replace(game.humans, weights=game.humans.weights[order])),
+        LADDER,
+    )
     plan = reordered.plan(state[[0, *(1 + order)]], rungs[order])[0].plan
     close(plan.robot, expected.robot)
     close(plan.humans, expected.humans[order])
@@ -109,17 +133,25 @@ def test_the_order_of_humans_changes_nothing(three, plans):
         ("naive@2 naive@12 tom", [0, 1, 0], [0, 0, 0], 12),  # nobody responds
     ],
 )
-def test_each_human_responds_in_the_steps_of_its_own_model(three, names, rungs, steps, robot_steps):
+def test_each_human_responds_in_the_steps_of_its_own_model(
+    three, names, rungs, steps, robot_steps
+):
     found = assigned_responders(ladder(names.split()), three[0], np.array(rungs))
     assert found.steps.tolist() == steps
     assert found.robot_steps == robot_steps
 
 
-def test_plans_start_from_zero_controls_or_up_a_smooth_reward_from_constant_velocity(three, plans):
+def test_plans_start_from_zero_controls_or_up_a_smooth_reward_from_constant_velocity(
+    three, plans
+):
     game, state = three
     start = cold_start(game, state)
-    assert start.humans[2, 4] * game.planner.control_scale == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
-    assert {type(part) for part in start} == {np.ndarray}  # computed by NumPy, as its time is not counted
+    assert start.humans[2, 4] * game.planner.control_scale == pytest.approx(
+        [0.0, 0.2 * state[3, 3]], rel=1e-5
+    )
+    assert {type(part) for part in start} == {
+        np.ndarray
+    }  # computed by NumPy, as its time is not counted
     *_, begin = plans.call(state, [TOM] * 3)
     np.testing.assert_array_equal(begin.humans, start.humans)
     papers = replace(game, planner=replace(game.planner, solver=Ascent()))

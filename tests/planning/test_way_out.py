@@ -35,7 +35,9 @@ STEADY = scaled(0.0, 0.0)
 
 @jax.jit
 def robot_collides(state):
-    return features(GAME.scene, GAME.robot, state)[GAME.robot.names.index("collision")] > 0
+    return (
+        features(GAME.scene, GAME.robot, state)[GAME.robot.names.index("collision")] > 0
+    )
 
 
 def moved(state, control):
@@ -49,13 +51,17 @@ def moved(state, control):
 def collides_if_it_wants(state, control, keeps_way_out=True):
     for _ in range(STEPS):
         found = escape(state, control)
-        state, collides = moved(state, found.controls[0] if keeps_way_out and found.replaces else control)
+        state, collides = moved(
+            state, found.controls[0] if keeps_way_out and found.replaces else control
+        )
         if collides:
             return True
     return False
 
 
-@pytest.mark.parametrize("curvature", [0.0, -0.01], ids=["into the cones", "into a human"])
+@pytest.mark.parametrize(
+    "curvature", [0.0, -0.01], ids=["into the cones", "into a human"]
+)
 def test_a_robot_that_would_collide_brakes_in_time_if_the_next_lane_is_taken(curvature):
     state, control = beside(-8.0, 0.0, 8.0), scaled(curvature, 0.0)
     assert collides_if_it_wants(state, control, keeps_way_out=False)
@@ -67,7 +73,10 @@ def test_a_robot_that_is_faster_than_the_limit_brakes_as_soon_as_it_has_to():
 
     A check of bodies that are widened by the clearance would miss that collision.
     """
-    state, touch = beside(-8.0, 0.0, 8.0), (GAME.scene.car_size[0] + GAME.scene.obstacle_size[0]) / 2
+    state, touch = (
+        beside(-8.0, 0.0, 8.0),
+        (GAME.scene.car_size[0] + GAME.scene.obstacle_size[0]) / 2,
+    )
     state[:, 3] = 25.0
     state[:, 0] += GAME.scene.obstacles[:, 0].min() - touch - 25.0**2 / (2 * 8.0) - 1.65
     assert escape(state, STEADY).replaces

@@ -30,7 +30,9 @@ def place(example):
 def printed(tmp_path_factory):
     """Return what each example prints, by name. All run in another process, as they add to the package's registries."""
     names = [name for name in EXAMPLES if name not in ALONE]
-    done = python("-c", PROGRAM, *map(place, names), cwd=tmp_path_factory.mktemp("examples"))
+    done = python(
+        "-c", PROGRAM, *map(place, names), cwd=tmp_path_factory.mktemp("examples")
+    )
     return dict(zip(names, done.stdout.split("----\n")[:-1], strict=True))
 
 
@@ -45,14 +47,29 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
     assert printed["work_zone"].strip().endswith("False")  # nobody has crashed
 
 
-@pytest.mark.parametrize("scenario", ["merger-v1", "dense_merge --set humans=2 --set duration=1"])
-def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_values_and_naive(scenario):
-    _, *lines = python(place(IN_JAX), *f"{scenario} --updates 1 --environments 8".split()).stdout.splitlines()
-    assert [line.split()[0] for line in lines] == ["agent", "random", "learned:1", "naive"]
+@pytest.mark.parametrize(
+    "scenario", ["merger-v1", "dense_merge --set humans=2 --set duration=1"]
+)
+def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_values_and_naive(
+    scenario,
+):
+    _, *lines = python(
+        place(IN_JAX), *f"{scenario} --updates 1 --environments 8".split()
+    ).stdout.splitlines()
+    assert [line.split()[0] for line in lines] == [
+        "agent",
+        "random",
+        "learned:1",
+        "naive",
+    ]
 
 
-def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_every_model_and_learned_values(tmp_path):
-    pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
+def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_every_model_and_learned_values(
+    tmp_path,
+):
+    pytest.importorskip(
+        "stable_baselines3", reason="needs it: pip install stable-baselines3"
+    )
     agent = tmp_path / "agent.zip"
     words = f"merger-v1 --set costs=published --price 10 --environments 8 --steps 320 --episodes 2 --out {agent}"
     done = python(place(LEARNING), *words.split())
@@ -60,16 +77,24 @@ def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_every_mode
     names = ["agent", "random", "naive", "turn", "tom", "learned:10"]
     assert [line.split()[0] for line in lines] == names
     reward, net = (float(cell) for cell in lines[names.index("tom")].split()[1:3])
-    assert net == pytest.approx(reward - 10 * 0.37, abs=0.011)  # the published time of a plan, in every step
+    assert net == pytest.approx(
+        reward - 10 * 0.37, abs=0.011
+    )  # the published time of a plan, in every step
     assert agent.is_file()
 
 
 def test_trained_peers_drive_in_their_own_scene_and_are_refused_in_others(tmp_path):
-    pytest.importorskip("stable_baselines3", reason="needs it: pip install stable-baselines3")
+    pytest.importorskip(
+        "stable_baselines3", reason="needs it: pip install stable-baselines3"
+    )
     python(place(PEERS), *f"merge-v0 --steps 300 --to {tmp_path}".split())
-    agents = [str(tmp_path / f"{algorithm}-merge-v0-0.zip") for algorithm in ("dqn", "ppo")]
+    agents = [
+        str(tmp_path / f"{algorithm}-merge-v0-0.zip") for algorithm in ("dqn", "ppo")
+    ]
     bench, figures = "-m ms_highway bench road", tmp_path / "road.json"
     python(*f"{bench} merge-v0 --seeds 1 --json {figures} --drivers".split(), *agents)
     assert list(json.loads(figures.read_text())["merge-v0"]) == agents
-    refused = python(*f"{bench} intersection-v0 --drivers {agents[0]}".split(), status=2)
+    refused = python(
+        *f"{bench} intersection-v0 --drivers {agents[0]}".split(), status=2
+    )
     assert "the agent's observation space is Box" in refused.stderr

@@ -39,7 +39,9 @@ def drive(env, seed):
 def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
     fence, files = FENCES["replay"], printed(capsys, f"validate {reference}")["files"]
     assert len(files) == fence["files"]
-    decisions = [errors["decisions"] for errors in files.values() if "decisions" in errors]
+    decisions = [
+        errors["decisions"] for errors in files.values() if "decisions" in errors
+    ]
     for counted in ("agree", "all"):
         assert sum(each[counted] for each in decisions) == fence["decisions"]
     for name, errors in files.items():
@@ -49,7 +51,9 @@ def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
         assert errors["human_error"]["q99"] < 1e-4, name
         if kind == "naive":
             assert error["q99"] < 1e-4, name
-        elif kind in ("turn", "tom") and scenario != "stay_back":  # which is chaotic in the reference
+        elif (
+            kind in ("turn", "tom") and scenario != "stay_back"
+        ):  # which is chaotic in the reference
             assert error["q50"] < 1e-6, name
             assert error["q90" if kind == "tom" else "q99"] < 1e-4, name
 
@@ -58,7 +62,9 @@ def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
 def compared(request, tmp_path_factory, optimized):
     """Return a scenario, and the directory with the episodes of its rows in the README's table."""
     scenario, out = request.param, tmp_path_factory.mktemp("compare")
-    run(f"compare {scenario} --controllers {' '.join(FENCES['readme'][scenario])} --seeds 30 --out {out}")
+    run(
+        f"compare {scenario} --controllers {' '.join(FENCES['readme'][scenario])} --seeds 30 --out {out}"
+    )
     return scenario, out
 
 
@@ -83,7 +89,9 @@ def test_live_and_simulated_episodes_earn_the_same(compared, tmp_path):
 
 
 def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
-    env = gym.make("ms-highway/merger-v0", config={"controller": "tom+belief", "yielding": "never"})
+    env = gym.make(
+        "ms-highway/merger-v0", config={"controller": "tom+belief", "yielding": "never"}
+    )
     collisions, fence = 0, FENCES["belief"]
     for seed in range(fence["starts"]):
         env.reset(seed=seed)
@@ -103,14 +111,19 @@ def test_robots_in_stock_scenes_earn_their_usual_reward_and_crash_no_more_often(
 
 
 def test_the_recorded_problem_that_ships_is_solved():
-    env, fence = gym.make("ms-highway/recorded-v0", config={"ego": "problem"}), FENCES["recorded"]
+    env, fence = (
+        gym.make("ms-highway/recorded-v0", config={"ego": "problem"}),
+        FENCES["recorded"],
+    )
     reward, info = drive(ms_highway.drive(env), 0)
     assert info["recorded"]["success"]
     assert reward == pytest.approx(fence["reward"], abs=fence["tolerance"])
 
 
 @drives_long
-def test_recorded_problems_are_solved_as_often_as_the_results_say(us101_directory, tmp_path):
+def test_recorded_problems_are_solved_as_often_as_the_results_say(
+    us101_directory, tmp_path
+):
     file = tmp_path / "road.json"
     run(f"bench road recorded --drivers priced --data {us101_directory} --json {file}")
     driven = json.loads(file.read_text())["recorded"]["priced"]
@@ -119,8 +132,14 @@ def test_recorded_problems_are_solved_as_often_as_the_results_say(us101_director
 
 
 @pytest.mark.slow
-def test_the_shipped_drivers_predict_real_drivers_as_well_as_the_results_say(us101_directory, capsys):
-    predictors = printed(capsys, f"irl evaluate --theta us101 --data {us101_directory}")["predictors"]
+def test_the_shipped_drivers_predict_real_drivers_as_well_as_the_results_say(
+    us101_directory, capsys
+):
+    predictors = printed(
+        capsys, f"irl evaluate --theta us101 --data {us101_directory}"
+    )["predictors"]
     for name, errors in FENCES["fde"].items():
         for horizon, error in errors.items():
-            assert predictors[name]["fde"][horizon] == pytest.approx(error, rel=FENCES["fde_tolerance"]), name
+            assert predictors[name]["fde"][horizon] == pytest.approx(
+                error, rel=FENCES["fde_tolerance"]
+            ), name

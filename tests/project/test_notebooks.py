@@ -36,7 +36,10 @@ SKIPPED = "skipped: no data"
 
 def texts(cell):
     """Return the text that a cell prints and shows."""
-    return "".join(output.get("text", "") + output.get("data", {}).get("text/plain", "") for output in cell.outputs)
+    return "".join(
+        output.get("text", "") + output.get("data", {}).get("text/plain", "")
+        for output in cell.outputs
+    )
 
 
 def kinds(cell):
@@ -47,15 +50,27 @@ def kinds(cell):
 
 @drives_long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_the_committed_one(path, tmp_path):
+def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_the_committed_one(
+    path, tmp_path
+):
     notebook, committed = (nbformat.read(path, as_version=4) for _ in range(2))
-    (cell,) = (cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", []))
-    own = {target.id for statement in ast.parse(cell.source).body for target in statement.targets}
+    (cell,) = (
+        cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", [])
+    )
+    own = {
+        target.id
+        for statement in ast.parse(cell.source).body
+        for target in statement.targets
+    }
     quick = QUICK | {"RESULTS": str(tmp_path / "results")}
     assert own & {*quick}
     cell.source += "".join(f"\n{name} = {quick[name]!r}" for name in own & {*quick})
-    client = NotebookClient(notebook, timeout=1200, resources={"metadata": {"path": str(path.parent)}})
-    places = dict.fromkeys(("HOME", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_RUNTIME_DIR"), str(tmp_path))
+    client = NotebookClient(
+        notebook, timeout=1200, resources={"metadata": {"path": str(path.parent)}}
+    )
+    places = dict.fromkeys(
+        ("HOME", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_RUNTIME_DIR"), str(tmp_path)
+    )
     client.execute(env={**os.environ, **places})
     for cell, before in zip(notebook.cells, committed.cells, strict=True):
         if cell.cell_type == "code" and SKIPPED not in texts(cell):
@@ -71,5 +86,7 @@ def test_committed_notebooks_are_executed_and_small_and_name_no_place_on_the_mac
         cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
         for number, cell in enumerate(cells, 1):
             assert cell.execution_count == number, path
-            assert not {"error", "stderr"} & {output.get("name", output.output_type) for output in cell.outputs}, path
+            assert not {"error", "stderr"} & {
+                output.get("name", output.output_type) for output in cell.outputs
+            }, path
             assert not re.search(f"{SKIPPED}|{MACHINE}", texts(cell)), texts(cell)

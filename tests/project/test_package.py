@@ -31,7 +31,11 @@ def test_an_import_registers_all_environments_but_loads_public_names_only_when_t
 
 def test_the_package_is_found_from_the_directory_above_a_checkout_of_its_name(tmp_path):
     (tmp_path / "ms_highway" / "ms_highway").mkdir(parents=True)
-    python("-c", "import ms_highway; assert ms_highway.__file__, 'it is a namespace'", cwd=tmp_path)
+    python(
+        "-c",
+        "import ms_highway; assert ms_highway.__file__, 'it is a namespace'",
+        cwd=tmp_path,
+    )
 
 
 @pytest.fixture
@@ -41,7 +45,11 @@ def checkout_without_links(tmp_path):
     The directory has the package's name, as that of a clone may have.
     """
     source = tmp_path / "ms_highway"
-    shutil.copytree(ROOT / "ms_highway", source / "ms_highway", ignore=lambda folder, names: {"envs", "__pycache__"})
+    shutil.copytree(
+        ROOT / "ms_highway",
+        source / "ms_highway",
+        ignore=lambda folder, names: {"envs", "__pycache__"},
+    )
     shutil.copytree(ROOT / "envs", source / "envs")
     (source / "ms_highway" / "envs").write_text("../envs")
     for name in ("pyproject.toml", "README.md", "LICENSE"):
@@ -50,18 +58,26 @@ def checkout_without_links(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout_without_links, tmp_path):
+def test_the_wheel_works_from_another_directory_without_the_source_tree(
+    checkout_without_links, tmp_path
+):
     source, installed = checkout_without_links, tmp_path / "installed"
     install(installed, source)
     shutil.rmtree(source)
     (metadata,) = installed.glob("*.dist-info")
-    assert "Copyright (c) 2026 the ms_highway authors" in (metadata / "licenses" / "LICENSE").read_text()
+    assert (
+        "Copyright (c) 2026 the ms_highway authors"
+        in (metadata / "licenses" / "LICENSE").read_text()
+    )
     assert Distribution.at(metadata).metadata["License-Expression"] == "MIT"
     package = installed / "ms_highway"
     for name in ("py.typed", "__init__.pyi", "data/report.html.jinja"):
         assert (package / name).exists(), name
     packaged = {path.relative_to(package) for path in package.rglob("*.py")}
-    written = {path.relative_to(ROOT / "ms_highway") for path in (ROOT / "ms_highway").rglob("*.py")}
+    written = {
+        path.relative_to(ROOT / "ms_highway")
+        for path in (ROOT / "ms_highway").rglob("*.py")
+    }
     written |= {path.relative_to(ROOT) for path in (ROOT / "envs").glob("*.py")}
     assert packaged == written
     assert "US-101" in (package / "data" / "NOTICE.txt").read_text()
@@ -71,7 +87,9 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(checkout
         f"assert ms_highway.__file__.startswith({str(installed)!r})\n"
         "sys.exit(pytest.main(['-q', '-W', 'error', 'test_drive.py']))"
     )
-    python("-c", program, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(installed)})
+    python(
+        "-c", program, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(installed)}
+    )
 
 
 @pytest.mark.slow
@@ -89,4 +107,6 @@ def test_an_editable_installation_is_found_from_above_its_checkout_and_has_envir
         "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
     )
     alone = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    python("-S", "-c", program, cwd=tmp_path, env=alone)  # `site` would find an editable installation of this checkout
+    python(
+        "-S", "-c", program, cwd=tmp_path, env=alone
+    )  # `site` would find an editable installation of this checkout

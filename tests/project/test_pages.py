@@ -22,7 +22,11 @@ from ms_highway.loop.controller import HUMAN_DRIVERS
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "notebooks"
-README, MAP, RESULTS = ROOT / "README.md", PAGES / "MAP.md", PAGES / "results" / "README.md"
+README, MAP, RESULTS = (
+    ROOT / "README.md",
+    PAGES / "MAP.md",
+    PAGES / "results" / "README.md",
+)
 REFERENCE = PAGES / "REFERENCE.md"
 NOTEBOOKS = sorted(PAGES.glob("*.ipynb"))
 EXAMPLES = {path.stem: path.read_text() for path in sorted(PAGES.glob("examples/*.py"))}
@@ -41,7 +45,11 @@ TEXTS |= {notebook: prose(notebook) for notebook in NOTEBOOKS}
 def fences(page, language):
     """Return a page's blocks of code in a language."""
     tokens = MarkdownIt().parse(TEXTS[page])
-    return [token.content for token in tokens if token.type == "fence" and token.info == language]
+    return [
+        token.content
+        for token in tokens
+        if token.type == "fence" and token.info == language
+    ]
 
 
 def commands():
@@ -49,22 +57,33 @@ def commands():
     texts = [*fences(README, "sh"), *fences(RESULTS, "sh")]
     texts += [ast.get_docstring(ast.parse(source)) for source in EXAMPLES.values()]
     lines = "\n".join(texts).replace("\\\n", " ").splitlines()
-    return [line for line in map(str.strip, lines) if line.startswith("ms-highway ") and "$" not in line]
+    return [
+        line
+        for line in map(str.strip, lines)
+        if line.startswith("ms-highway ") and "$" not in line
+    ]
 
 
 @pytest.mark.parametrize("command", commands())
 def test_every_command_parses(command):
     expanded = ["bash", "-c", f"printf '%s\\n' {command.partition(' > ')[0]}"]
-    words = subprocess.run(expanded, capture_output=True, text=True, check=True).stdout.splitlines()
+    words = subprocess.run(
+        expanded, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     options = parse(words[1:])
     assert callable(options.command.run)
-    assert all((ROOT / f"{module.replace('.', '/')}.py").is_file() for module in options.modules)
+    assert all(
+        (ROOT / f"{module.replace('.', '/')}.py").is_file()
+        for module in options.modules
+    )
 
 
 def test_the_readme_begins_with_an_example_that_the_tests_run():
     (example,) = fences(README, "python")
     _, *statements = ast.parse(EXAMPLES["drive"]).body
-    assert list(map(ast.dump, ast.parse(example).body)) == list(map(ast.dump, statements))
+    assert list(map(ast.dump, ast.parse(example).body)) == list(
+        map(ast.dump, statements)
+    )
 
 
 def test_every_link_has_a_target():
@@ -74,7 +93,10 @@ def test_every_link_has_a_target():
             place, _, anchor = link.partition("#")
             target = (page.parent / place).resolve() if place else page
             headings = re.findall(r"^#+ (.*)", TEXTS.get(target, ""), re.MULTILINE)
-            anchors = [re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings]
+            anchors = [
+                re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+                for heading in headings
+            ]
             if not target.exists() or (anchor and anchor not in anchors):
                 dead.append((page.name, link))
     assert dead == []
@@ -84,34 +106,50 @@ def test_a_text_on_an_example_names_only_options_and_algorithms_that_it_has():
     for text in [*TEXTS.values(), *EXAMPLES.values()]:
         for options in re.finditer(r"examples/(\w+)\.py((?: [^`\s]+)*)", text):
             source = EXAMPLES.get(options[1], "")
-            assert all(word in source for word in re.findall(r"--[a-z-]+", options[2])), options[0]
+            assert all(
+                word in source for word in re.findall(r"--[a-z-]+", options[2])
+            ), options[0]
         for part in re.split(r"\n\n|\n(?=\|)", text):  # paragraphs and rows
-            sources = [EXAMPLES[name] for name in re.findall(r"examples/(\w+)\.py", part) if name in EXAMPLES]
+            sources = [
+                EXAMPLES[name]
+                for name in re.findall(r"examples/(\w+)\.py", part)
+                if name in EXAMPLES
+            ]
             named = re.findall(r"\b(?:DQN|PPO|SAC|A2C)\b", part)
             assert not sources or all(name in "".join(sources) for name in named), part
 
 
 def test_every_file_and_name_in_a_page_exists():
-    for name in re.findall(r"`(ms_highway(?:\.\w+)+)", "\n".join([*TEXTS.values(), *EXAMPLES.values()])):
+    for name in re.findall(
+        r"`(ms_highway(?:\.\w+)+)", "\n".join([*TEXTS.values(), *EXAMPLES.values()])
+    ):
         resolve_name(name)
     for place in re.findall(r"`([\w/]+(?:\.py|/)|tests/\w+)`", TEXTS[MAP]):
         assert (ROOT / "ms_highway" / place).exists() or (ROOT / place).exists(), place
 
 
 def test_the_map_lists_all_packages_in_the_order_of_their_imports():
-    (contract,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    assert re.findall(r"^\| `(\w+)`", TEXTS[MAP], re.MULTILINE) == contract["layers"][1:]
+    (contract,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"][
+        "importlinter"
+    ]["contracts"]
+    assert (
+        re.findall(r"^\| `(\w+)`", TEXTS[MAP], re.MULTILINE) == contract["layers"][1:]
+    )
 
 
 def test_every_name_in_a_docstring_exists():
     """Names of this package are in single backticks, other code in double ones."""
     names = [found.name for found in walk_packages(ms_highway.__path__, "ms_highway.")]
     dead = []
-    for module in [import_module(name) for name in names if not name.endswith("__main__")]:
+    for module in [
+        import_module(name) for name in names if not name.endswith("__main__")
+    ]:
         own = f"{module.__name__}:"
         for scope in ast.parse(inspect.getsource(module)).body:
             around = f"{own}{scope.name}." if isinstance(scope, ast.ClassDef) else own
-            for name in re.findall(r"(?<!`)`(\w+(?:\.\w+)*)`(?!`)", "\n".join(docstrings(scope))):
+            for name in re.findall(
+                r"(?<!`)`(\w+(?:\.\w+)*)`(?!`)", "\n".join(docstrings(scope))
+            ):
                 if not any(map(resolves, (name, own + name, around + name))):
                     dead.append(own + name)
     assert dead == []
@@ -119,7 +157,11 @@ def test_every_name_in_a_docstring_exists():
 
 def docstrings(scope):
     """Return all texts that are statements."""
-    values = [getattr(node.value, "value", None) for node in ast.walk(scope) if isinstance(node, ast.Expr)]
+    values = [
+        getattr(node.value, "value", None)
+        for node in ast.walk(scope)
+        if isinstance(node, ast.Expr)
+    ]
     return [value for value in values if isinstance(value, str)]
 
 

@@ -14,12 +14,18 @@ PROGRAM = SimpleNamespace(**runpy.run_path(str(REFERENCE.with_name("reference.py
 
 
 def test_the_page_agrees_with_the_classes():
-    assert REFERENCE.read_text() == PROGRAM.page(), "run `python notebooks/reference.py`"
+    assert REFERENCE.read_text() == PROGRAM.page(), (
+        "run `python notebooks/reference.py`"
+    )
 
 
 def test_exactly_the_keys_of_info_are_explained():
     told = set()
-    for name, controller in (("stay_back", "naive"), ("merger", "naive+belief"), ("dense_merge", "naive")):
+    for name, controller in (
+        ("stay_back", "naive"),
+        ("merger", "naive+belief"),
+        ("dense_merge", "naive"),
+    ):
         env = make(name, controller)
         env.reset(seed=0)
         told |= {*env.step(0)[-1]}

@@ -24,13 +24,20 @@ def kept_texts():
 
 
 def summaries(run, scenario):
-    return COLLECTED.comparison(run).summaries.query(f"scenario == '{scenario}'").set_index("controller")
+    return (
+        COLLECTED.comparison(run)
+        .summaries.query(f"scenario == '{scenario}'")
+        .set_index("controller")
+    )
 
 
 def test_every_named_table_agrees_with_the_files():
     tables = COLLECTED.tables()
     for name, table in tables.items():
-        assert f"<!-- table: {name} -->\n{table}\n\n" in TEXTS[README if name == "physical" else RESULTS]
+        assert (
+            f"<!-- table: {name} -->\n{table}\n\n"
+            in TEXTS[README if name == "physical" else RESULTS]
+        )
     assert (TEXTS[README] + TEXTS[RESULTS]).count("<!-- table:") == len(tables)
 
 
@@ -40,15 +47,28 @@ def test_every_run_has_settings_and_commands_and_is_kept_until_it_is_repeated(tm
     assert list(made) == list(COLLECTED.RUNS)
     for run in made.values():
         assert run["settings"]["semantics"] in ("paper", "physical", "released")
-        assert all(one["command"].startswith("ms-highway ") for one in run["provenance"])
+        assert all(
+            one["command"].startswith("ms-highway ") for one in run["provenance"]
+        )
     COLLECTED.collect(tmp_path)  # without any run
     assert kept_texts() == before
 
 
 def test_sentences_on_shares_of_reward_and_planning_agree_with_the_summaries():
     for scenario, names in {
-        "merger": ["learned:1", "schedule:tom=7,naive", "switching:0.02", "switching:0.1", "switching:0.01"],
-        "give_way": ["learned:1", "schedule:tom=10,naive", "switching:0.002", "switching:0.01"],
+        "merger": [
+            "learned:1",
+            "schedule:tom=7,naive",
+            "switching:0.02",
+            "switching:0.1",
+            "switching:0.01",
+        ],
+        "give_way": [
+            "learned:1",
+            "schedule:tom=10,naive",
+            "switching:0.002",
+            "switching:0.01",
+        ],
     }.items():
         rows = summaries("curve", scenario)[["reward", "counted_ms"]]
         for _, share in (100 * rows.loc[names] / rows.loc["tom"]).iterrows():
@@ -58,7 +78,10 @@ def test_sentences_on_shares_of_reward_and_planning_agree_with_the_summaries():
 def test_sentences_on_switching_agree_with_the_summaries():
     merger = summaries("compare", "merger")
     gains = merger["reward"] - merger["reward"]["naive"]
-    kept, effort = 100 * gains / gains["tom"], 100 * merger["counted_ms"] / merger["counted_ms"]["tom"]
+    kept, effort = (
+        100 * gains / gains["tom"],
+        100 * merger["counted_ms"] / merger["counted_ms"]["tom"],
+    )
     for name, sentence in {
         "learned:1": "keeps {:.0f} % of what theory of mind gains over `naive`, for {:.0f} % of its planning",
         "switching:0.1": "`switching`, keeps {:.0f} % for {:.0f} % in Merger",
@@ -67,22 +90,43 @@ def test_sentences_on_switching_agree_with_the_summaries():
 
 
 def test_learned_values_have_the_small_regret_that_the_text_says():
-    behind = COLLECTED.kept_table("regrets", "frontier").set_index(["scenario", "price", "controller"]).sort_index()
+    behind = (
+        COLLECTED.kept_table("regrets", "frontier")
+        .set_index(["scenario", "price", "controller"])
+        .sort_index()
+    )
     for scenario in ("merger", "give_way"):
         for price, share in ((0.1, 0.01), (1.0, 0.01), (10.0, 0.042)):
             own = behind.loc[scenario, price]
             learned = own["regret"][f"learned:{price:g}"]
             assert learned < share * own["reward"]["tom"]
-            assert learned < own.loc[own["kind"].isin(["switching", "horizon"]), "regret"].min()
-    assert "by at most 1 % of always-tom's reward at prices of 0.1 and 1, and 4.2 % at 10" in FLOWING
+            assert (
+                learned
+                < own.loc[own["kind"].isin(["switching", "horizon"]), "regret"].min()
+            )
+    assert (
+        "by at most 1 % of always-tom's reward at prices of 0.1 and 1, and 4.2 % at 10"
+        in FLOWING
+    )
 
 
 def test_the_glossary_explains_exactly_the_columns_of_all_csv_files():
     glossary = TEXTS[RESULTS].partition("## Columns of CSV files")[2]
     explained = "".join(re.findall(r"^\|( `[^|]*)", glossary, re.MULTILINE))
     kept = [pd.read_csv(KEPT / f"{name}.csv", nrows=0) for name in COLLECTED.TABLES]
-    block = Block("recorded", "idm", "replay", (RecordedStart("name", "file", "problem"),))
+    block = Block(
+        "recorded", "idm", "replay", (RecordedStart("name", "file", "problem"),)
+    )
     road = set(row(block, run_episode(Block("highway-fast-v0", "idm"), 0)))
-    found = {*chain(*kept), *Comparison({"dense_merge": []}).columns(), *INDEX, *KEPT_COLUMNS, "meta_reward", *road}
-    columns_of_models = {re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found}
+    found = {
+        *chain(*kept),
+        *Comparison({"dense_merge": []}).columns(),
+        *INDEX,
+        *KEPT_COLUMNS,
+        "meta_reward",
+        *road,
+    }
+    columns_of_models = {
+        re.sub("^(gain|share|humans)_.*", r"\1_MODEL", name) for name in found
+    }
     assert columns_of_models == set(re.findall(r"`(\w+)`", explained))

@@ -24,13 +24,30 @@ from recordings import (
 
 from ms_highway.recorded.commonroad import read_scenario
 
-HOSTILE = ["", "x", "nan", "inf", "-1", "0", "1e9", "1e400", "9" * 5000, "0.5", "7", "100", "²", "<>\n"]
+HOSTILE = [
+    "",
+    "x",
+    "nan",
+    "inf",
+    "-1",
+    "0",
+    "1e9",
+    "1e400",
+    "9" * 5000,
+    "0.5",
+    "7",
+    "100",
+    "²",
+    "<>\n",
+]
 
 
 def damage(root, chance):
     """Damage one element of a file; every kind of element has the same chance."""
     kind = chance.choice(sorted({element.tag for element in root.iter()} - {root.tag}))
-    parent, element = chance.choice([(one, child) for one in root.iter() for child in one if child.tag == kind])
+    parent, element = chance.choice(
+        [(one, child) for one in root.iter() for child in one if child.tag == kind]
+    )
     how = chance.choice(["remove", "rename", "text", "attribute"])
     if how == "remove":
         parent.remove(element)
@@ -44,15 +61,27 @@ def damage(root, chance):
 
 def varied():
     """A scenario with an element of each kind."""
-    times = "<time><intervalStart>20</intervalStart><intervalEnd>30</intervalEnd></time>"
+    times = (
+        "<time><intervalStart>20</intervalStart><intervalEnd>30</intervalEnd></time>"
+    )
     goals = f'<goalState><position><lanelet ref="2"/></position>{times}</goalState></planningP'
-    lanes = two_lanes(points=6).replace("<laneletType>", '<trafficSignRef ref="50"/><laneletType>', 1)
+    lanes = two_lanes(points=6).replace(
+        "<laneletType>", '<trafficSignRef ref="50"/><laneletType>', 1
+    )
     walk = lanelet(9, -7.0, straight(0, 200, 6)).replace("highway", "sidewalk")
     moving = car(100, 60, 0, 5) + pedestrian(102, 120, 5)
-    corners = "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in ((0, 50), (9, 50), (9, 70)))
-    static = standing(103, RECTANGLE, *place(180, 3.5)) + standing(104, f"<polygon>{corners}</polygon>", 0, 0)
-    problems = problem(speeds=(5.0, 20.0), headings=(0.0, 1.0)).replace("</planningP", goals)
-    return scenario(lanelets=lanes + sign(50, 13.9) + walk, cars=moving + static, problems=problems)
+    corners = "".join(
+        f"<point><x>{x}</x><y>{y}</y></point>" for x, y in ((0, 50), (9, 50), (9, 70))
+    )
+    static = standing(103, RECTANGLE, *place(180, 3.5)) + standing(
+        104, f"<polygon>{corners}</polygon>", 0, 0
+    )
+    problems = problem(speeds=(5.0, 20.0), headings=(0.0, 1.0)).replace(
+        "</planningP", goals
+    )
+    return scenario(
+        lanelets=lanes + sign(50, 13.9) + walk, cars=moving + static, problems=problems
+    )
 
 
 def test_commonroads_own_reader_finds_the_same_lanelets_states_and_problems(tmp_path):
@@ -62,25 +91,46 @@ def test_commonroads_own_reader_finds_the_same_lanelets_states_and_problems(tmp_
     found = read_scenario(path)
     for lane in found.lanelets:
         same = scene.lanelet_network.find_lanelet_by_id(lane.number)
-        np.testing.assert_array_equal([lane.left, lane.right], [same.left_vertices, same.right_vertices])
-        assert [list(lane.before), list(lane.after)] == [same.predecessor, same.successor]
+        np.testing.assert_array_equal(
+            [lane.left, lane.right], [same.left_vertices, same.right_vertices]
+        )
+        assert [list(lane.before), list(lane.after)] == [
+            same.predecessor,
+            same.successor,
+        ]
         assert lane.beside == (same.adj_left, same.adj_right)
     for track in found.tracks[:2]:
         obstacle = scene.obstacle_by_id(track.number)
         states = [obstacle.initial_state, *obstacle.prediction.trajectory.state_list]
-        rows = [[state.time_step, *state.position, state.orientation, state.velocity] for state in states]
+        rows = [
+            [state.time_step, *state.position, state.orientation, state.velocity]
+            for state in states
+        ]
         np.testing.assert_allclose(track.samples, rows, atol=1e-9)
     car = scene.obstacle_by_id(100).obstacle_shape
     assert found.tracks[0].size == (car.length, car.width)
     (start,) = problems.planning_problem_dict.values()
-    assert found.problems[0].start == (*start.initial_state.position, start.initial_state.orientation, 12.0)
+    assert found.problems[0].start == (
+        *start.initial_state.position,
+        start.initial_state.orientation,
+        12.0,
+    )
 
 
 def test_200_damaged_files_are_read_or_refused_by_file_and_element(tmp_path):
-    path, whole, wrong, survived = tmp_path / "damaged.xml", ElementTree.fromstring(varied()), {}, 0
-    names = "|".join(sorted({element.tag for element in whole.iter()} | {"planning problem"}))
+    path, whole, wrong, survived = (
+        tmp_path / "damaged.xml",
+        ElementTree.fromstring(varied()),
+        {},
+        0,
+    )
+    names = "|".join(
+        sorted({element.tag for element in whole.iter()} | {"planning problem"})
+    )
     path.write_text(varied())
-    env = gym.make("ms-highway/recorded-v0", config={"recording": str(path), "traffic": "replay"}).unwrapped
+    env = gym.make(
+        "ms-highway/recorded-v0", config={"recording": str(path), "traffic": "replay"}
+    ).unwrapped
     for seed in range(200):
         root = copy.deepcopy(whole)
         damage(root, random.Random(seed))

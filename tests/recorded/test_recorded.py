@@ -52,8 +52,15 @@ def idle(*_):
 
 def begun(file, traffic="replay", ego="problem"):
     """The environment of a file in its first episode, and the ``info`` of its `reset`."""
-    config = {"recording": str(file), "traffic": traffic, "ego": ego, "action": {"type": "ContinuousAction"}}
-    env = gym.make("ms-highway/recorded-v0", render_mode="rgb_array", config=config).unwrapped
+    config = {
+        "recording": str(file),
+        "traffic": traffic,
+        "ego": ego,
+        "action": {"type": "ContinuousAction"},
+    }
+    env = gym.make(
+        "ms-highway/recorded-v0", render_mode="rgb_array", config=config
+    ).unwrapped
     return env, env.reset(seed=0)[1]["recorded"]
 
 
@@ -71,7 +78,9 @@ def braking(env):
     ego = env.vehicle
     along, right = ego.lane.local_coordinates(ego.position)
     turned = np.sin(ego.heading - ego.lane.heading_at(along))
-    return np.array([-min(3.0, ego.speed / 0.1) / 5, np.clip(-0.2 * right - 4 * turned, -1, 1)])
+    return np.array(
+        [-min(3.0, ego.speed / 0.1) / 5, np.clip(-0.2 * right - 4 * turned, -1, 1)]
+    )
 
 
 def others(env):
@@ -81,7 +90,11 @@ def others(env):
 
 def state(env, vehicle):
     """Position and orientation in the map, and speed, of a vehicle."""
-    return *env.axes.points(vehicle.position), float(env.axes.headings(vehicle.heading)), vehicle.speed
+    return (
+        *env.axes.points(vehicle.position),
+        float(env.axes.headings(vehicle.heading)),
+        vehicle.speed,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -99,12 +112,19 @@ def test_replayed_vehicles_are_where_they_were_recorded_at_each_step():
     env, told = begun(SHIPPED)
     tracks = {track.number: track for track in env.scenario.tracks}
     for step in range(env.task.last + 1):
-        rows = {n: row for n, track in tracks.items() for row in track.samples if row[0] == step}
+        rows = {
+            n: row
+            for n, track in tracks.items()
+            for row in track.samples
+            if row[0] == step
+        }
         assert told["step"] == step
         assert others(env).keys() == rows.keys()
         for number, vehicle in others(env).items():
             x, y, orientation, speed = state(env, vehicle)
-            np.testing.assert_allclose([x, y, speed], rows[number][[1, 2, 4]], rtol=0, atol=1e-6)
+            np.testing.assert_allclose(
+                [x, y, speed], rows[number][[1, 2, 4]], rtol=0, atol=1e-6
+            )
             assert abs(np.exp(1j * orientation) - np.exp(1j * rows[number][3])) < 1e-9
             assert tracks[number].size == (vehicle.LENGTH, vehicle.WIDTH)
         told = env.step(idle())[-1]["recorded"]
@@ -112,55 +132,95 @@ def test_replayed_vehicles_are_where_they_were_recorded_at_each_step():
 
 
 @pytest.mark.parametrize("traffic", ["replay", "learned"])
-def test_the_vehicle_behind_a_standing_ego_hits_it_in_replay_and_brakes_in_learned_traffic(traffic):
+def test_the_vehicle_behind_a_standing_ego_hits_it_in_replay_and_brakes_in_learned_traffic(
+    traffic,
+):
     env, _ = begun(SHIPPED, traffic)
     *_, (*_, info) = steps(env, braking)
     told = info["recorded"]
     assert told["collision"] == (traffic == "replay")
     if traffic == "learned":
         assert told["step"] == env.task.last
-        along = [(*env.vehicle.lane.local_coordinates(one.position), one.speed) for one in env.road.vehicles]
-        behind = [(x, speed) for x, y, speed in along if abs(y) < 1.5 and x < along[0][0]]
+        along = [
+            (*env.vehicle.lane.local_coordinates(one.position), one.speed)
+            for one in env.road.vehicles
+        ]
+        behind = [
+            (x, speed) for x, y, speed in along if abs(y) < 1.5 and x < along[0][0]
+        ]
         assert max(behind)[1] < 3.0
 
 
 @pytest.mark.parametrize("traffic", ["learned", "idm"])
 def test_drivers_brake_for_a_standing_object_in_their_lane(traffic, tmp_path):
-    pillar = moving(102, [(step, *place(95, 0), TURN, 0.0) for step in range(61)], "pillar")
-    env, _ = begun(written(tmp_path, CARS + pillar, problem(goal=190, times=(0, 60), speed=0.0)), traffic)
+    pillar = moving(
+        102, [(step, *place(95, 0), TURN, 0.0) for step in range(61)], "pillar"
+    )
+    env, _ = begun(
+        written(tmp_path, CARS + pillar, problem(goal=190, times=(0, 60), speed=0.0)),
+        traffic,
+    )
     *_, (*_, info) = steps(env)
     assert info["recorded"]["step"] == 60
-    assert not any(overlap(one, other) for one, other in combinations(env.road.others, 2))
+    assert not any(
+        overlap(one, other) for one, other in combinations(env.road.others, 2)
+    )
     assert others(env)[100].speed < 6.0
 
 
 def test_a_car_whose_place_is_taken_waits_and_enters_there_later(tmp_path):
     late = car(102, 20, 0, samples=60, first=5)
-    env, told = begun(written(tmp_path, CARS + late, problem(speed=0.0, goal=190, times=(0, 60))), "learned")
+    env, told = begun(
+        written(tmp_path, CARS + late, problem(speed=0.0, goal=190, times=(0, 60))),
+        "learned",
+    )
     assert told["waiting"].tolist() == [False, False, False]
-    for *_, info in steps(env, lambda env: np.array([0.0 if env.steps < 12 else 1.0, 0.0])):
-        told, gap = info["recorded"], env.vehicle.position[0] - env.axes.positions(place(20, 0))[0]
+    for *_, info in steps(
+        env, lambda env: np.array([0.0 if env.steps < 12 else 1.0, 0.0])
+    ):
+        told, gap = (
+            info["recorded"],
+            env.vehicle.position[0] - env.axes.positions(place(20, 0))[0],
+        )
         if 102 in others(env):
             break
         assert told["waiting"].tolist() == [False, False, told["step"] >= 5]
     assert told["step"] > 12
     assert gap > 4.5
     assert not told["waiting"].any()
-    np.testing.assert_allclose(env.axes.points(others(env)[102].position), place(20, 0), atol=0.1)
+    np.testing.assert_allclose(
+        env.axes.points(others(env)[102].position), place(20, 0), atol=0.1
+    )
 
 
 def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     from commonroad.common.reader.file_reader_xml import XMLFileReader
     from commonroad.scenario.state import CustomState
 
-    (theirs,) = XMLFileReader(BytesIO(read_xml(us("29_1")))).open()[1].planning_problem_dict.values()
+    (theirs,) = (
+        XMLFileReader(BytesIO(read_xml(us("29_1"))))
+        .open()[1]
+        .planning_problem_dict.values()
+    )
     task = problem_of(open_recording(str(us("29_1"))), "problem")
     (goal,) = task.goals
     rng, found = np.random.default_rng(0), []
-    middle = [*goal.area.mean(axis=0), np.mean(goal.headings), np.mean(goal.speeds), 43.0]
+    middle = [
+        *goal.area.mean(axis=0),
+        np.mean(goal.headings),
+        np.mean(goal.speeds),
+        43.0,
+    ]
     reach = [2.0, 2.0, np.ptp(goal.headings) / 2, np.ptp(goal.speeds) / 2, 6.0]
-    for x, y, orientation, speed, step in middle + rng.uniform(-1.1, 1.1, (400, 5)) * reach:
-        state = CustomState(position=np.array([x, y]), orientation=orientation, velocity=speed, time_step=round(step))
+    for x, y, orientation, speed, step in (
+        middle + rng.uniform(-1.1, 1.1, (400, 5)) * reach
+    ):
+        state = CustomState(
+            position=np.array([x, y]),
+            orientation=orientation,
+            velocity=speed,
+            time_step=round(step),
+        )
         found.append(bool(theirs.goal.is_reached(state)))
         assert task.is_reached(round(step), (x, y), orientation, speed) == found[-1]
     assert 30 < sum(found) < 370
@@ -170,9 +230,23 @@ def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     ("cars", "problems", "steering", "step", "ends", "earned"),
     [
         # At 20 m + 17 1.2 m = 40.4 m, the first step in the region from 40 m to 60 m.
-        (CARS, problem(speeds=(11.0, 13.0), headings=(TURN - 0.1, TURN + 0.1)), 0.0, 17, ["success"], 1.0),
+        (
+            CARS,
+            problem(speeds=(11.0, 13.0), headings=(TURN - 0.1, TURN + 0.1)),
+            0.0,
+            17,
+            ["success"],
+            1.0,
+        ),
         (CARS, problem(goal_right=WIDTH), 0.0, 40, [], 0.0),
-        (car(100, 27, 0), problem(speed=25.0, goal=32.0, times=(2, 40)), 0.0, 2, ["collision"], -1.0),  # in the region
+        (
+            car(100, 27, 0),
+            problem(speed=25.0, goal=32.0, times=(2, 40)),
+            0.0,
+            2,
+            ["collision"],
+            -1.0,
+        ),  # in the region
         (car(100, 150, 0), problem(goal=190), -0.5, 9, ["off_road"], -1.0),
     ],
 )
@@ -183,13 +257,20 @@ def test_an_episode_ends_at_the_goal_or_by_a_collision_or_off_the_road_or_at_its
     outcomes, corners_off = [], []
     for outcome in steps(env, lambda _: np.array([0.0, steering])):
         outcomes.append(outcome)
-        rights = env.axes.points(env.vehicle.polygon()[:-1]) @ [np.sin(TURN), -np.cos(TURN)]
-        corners_off.append(((rights < -WIDTH / 2 - SEAM) | (rights > WIDTH * 1.5 + SEAM)).sum())
+        rights = env.axes.points(env.vehicle.polygon()[:-1]) @ [
+            np.sin(TURN),
+            -np.cos(TURN),
+        ]
+        corners_off.append(
+            ((rights < -WIDTH / 2 - SEAM) | (rights > WIDTH * 1.5 + SEAM)).sum()
+        )
     _, reward, terminated, truncated, info = outcomes[-1]
     told = info["recorded"]
     assert [name for name in ("success", "collision", "off_road") if told[name]] == ends
     assert (told["step"], terminated, truncated) == (step, bool(ends), not ends)
-    assert reward == pytest.approx(earned + 0.002 * 0.1 * env.vehicle.speed, abs=1e-4 if steering else 1e-6)
+    assert reward == pytest.approx(
+        earned + 0.002 * 0.1 * env.vehicle.speed, abs=1e-4 if steering else 1e-6
+    )
     assert not any(corners_off[:-1])
     assert 0 <= corners_off[-1] < 4
     assert (corners_off[-1] > 0) == ("off_road" in ends)
@@ -199,27 +280,41 @@ def test_each_of_several_planning_problems_can_be_driven(tmp_path):
     second = problem(30.0).replace('planningProblem id="7"', 'planningProblem id="8"')
     path = written(tmp_path, problems=PROBLEM + second)
     egos = "problem", "problem:7", "problem:8"
-    first, seventh, eighth = (begun(path, ego=ego)[0].vehicle.position[0] for ego in egos)
+    first, seventh, eighth = (
+        begun(path, ego=ego)[0].vehicle.position[0] for ego in egos
+    )
     assert first == seventh == pytest.approx(eighth - 10)
-    assert [start.ego for start in starts_of(tmp_path, "problem")] == ["problem:7", "problem:8"]
+    assert [start.ego for start in starts_of(tmp_path, "problem")] == [
+        "problem:7",
+        "problem:8",
+    ]
 
 
 def turned(states, angle):
     """A recorded car that stands at another angle."""
-    return [(step, x, y, orientation + angle, speed) for step, x, y, orientation, speed in states]
+    return [
+        (step, x, y, orientation + angle, speed)
+        for step, x, y, orientation, speed in states
+    ]
 
 
 @pytest.mark.parametrize("traffic", ["replay", "learned", "idm"])
-def test_the_ego_takes_the_place_of_the_vehicle_that_its_planning_problem_is_about(traffic, tmp_path):
+def test_the_ego_takes_the_place_of_the_vehicle_that_its_planning_problem_is_about(
+    traffic, tmp_path
+):
     """The vehicle of another planning problem stays, and so does a car at the ego's bumper."""
-    second = problem(40.0, WIDTH).replace('planningProblem id="7"', 'planningProblem id="8"')
+    second = problem(40.0, WIDTH).replace(
+        'planningProblem id="7"', 'planningProblem id="8"'
+    )
     cars = car(100, 21, 0.2) + car(101, 40, WIDTH) + car(102, 26, 0)
     path = written(tmp_path, cars, PROBLEM + second)
     for ego, own in (("problem:7", 100), ("problem:8", 101)):
         env, told = begun(path, traffic, ego)
         assert told["replaced"] == env.task.track == own
         assert others(env).keys() == {100, 101, 102} - {own}
-        assert env.vehicle.position == pytest.approx(env.axes.positions(env.task.start[:2]))
+        assert env.vehicle.position == pytest.approx(
+            env.axes.positions(env.task.start[:2])
+        )
         assert not env.step(idle())[4]["recorded"]["collision"]
     assert begun(path, traffic, 102)[1]["replaced"] == 102
     assert begun(written(tmp_path), traffic)[1]["replaced"] == -1
@@ -238,10 +333,15 @@ STILL = [(step, *place(20, 0), TURN, 0.0) for step in range(20)]
         standing(102, RECTANGLE, *place(20, 0)),
     ],
 )
-def test_an_obstacle_that_overlaps_the_start_is_refused_unless_it_is_the_ego(there, tmp_path):
+def test_an_obstacle_that_overlaps_the_start_is_refused_unless_it_is_the_ego(
+    there, tmp_path
+):
     path = written(tmp_path, CARS + there)
     for start in (lambda: begun(path), lambda: starts_of(tmp_path, "problem")):
-        with pytest.raises(ValueError, match=r"small\.xml: the start of the ego, .* overlaps obstacle 102; mend"):
+        with pytest.raises(
+            ValueError,
+            match=r"small\.xml: the start of the ego, .* overlaps obstacle 102; mend",
+        ):
             start()
 
 
@@ -257,35 +357,60 @@ def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position():
     env, told = begun(SHIPPED, ego=298)
     track = env.scenario.track(298)
     first, last = track.samples[[0, -1]]
-    np.testing.assert_allclose([told["step"], *state(env, env.vehicle)], first, atol=1e-6)
+    np.testing.assert_allclose(
+        [told["step"], *state(env, env.vehicle)], first, atol=1e-6
+    )
     assert track.size == (env.vehicle.LENGTH, env.vehicle.WIDTH)
     for late, right in ((0, True), (20, True), (21, False)):
-        assert env.task.is_reached(int(last[0]) + late, last[1:3], last[3], last[4]) == right
+        assert (
+            env.task.is_reached(int(last[0]) + late, last[1:3], last[3], last[4])
+            == right
+        )
     for _ in range(5):
         env.step(idle())
         assert 298 not in others(env)
 
 
-def test_an_impossible_episode_is_refused_with_the_remedy_and_the_old_one_goes_on(tmp_path):
+def test_an_impossible_episode_is_refused_with_the_remedy_and_the_old_one_goes_on(
+    tmp_path,
+):
     env, _ = begun(written(tmp_path))
     before = dict(env.config)
-    with pytest.raises(ValueError, match=r"config\['ego'\] is 7, .*; choose one of 100, 101"):
+    with pytest.raises(
+        ValueError, match=r"config\['ego'\] is 7, .*; choose one of 100, 101"
+    ):
         env.reset(options={"config": {"traffic": "idm", "ego": 7}})
     assert env.config == before
     assert env.step(idle())[4]["recorded"]["step"] == 1
-    with pytest.raises(ValueError, match=r"small.xml: there is no lanelet under the start, \(39.1, -21.7\)"):
+    with pytest.raises(
+        ValueError,
+        match=r"small.xml: there is no lanelet under the start, \(39.1, -21.7\)",
+    ):
         begun(written(tmp_path, problems=problem(right=40.0)))
 
 
 def test_lanes_go_on_smoothly_over_joints_and_within_themselves(us):
     for name in ("17_1", "14_1"):  # the second road has exits
         network = begun(us(name))[0].road.network
-        joints = [(lane.shape, other.shape) for lane in road_map(network).lanes.values() for other in lane.following()]
+        joints = [
+            (lane.shape, other.shape)
+            for lane in road_map(network).lanes.values()
+            for other in lane.following()
+        ]
         assert len(joints) == 6
         for one, other in joints:
-            assert np.linalg.norm(one.position(one.length, 0) - other.position(0, 0)) < 0.05
+            assert (
+                np.linalg.norm(one.position(one.length, 0) - other.position(0, 0))
+                < 0.05
+            )
             assert abs(one.heading_at(one.length) - other.heading_at(0)) < 0.02
-        assert max(np.abs(np.diff(lane.curve.heading)).max() for lane in network.lanes_list()) < 0.02
+        assert (
+            max(
+                np.abs(np.diff(lane.curve.heading)).max()
+                for lane in network.lanes_list()
+            )
+            < 0.02
+        )
 
 
 GRIP = 4.9  # m/s^2, of a robot
@@ -295,13 +420,25 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
     """Drive through a bend on an empty road; the largest offsets of a corner and of the robot's middle [m]."""
     slowest = min(speed, np.sqrt(0.8 * GRIP * radius))
     seconds = 40 / speed + (radius * angle + 15) / slowest
-    there = problem(0.0, speed=speed, goal=None, times=(round(10 * seconds), round(10 * seconds) + 1))
-    far = moving(100, [(step, *place(-200, 100), TURN, 0.0) for step in range(2)], "pillar")
+    there = problem(
+        0.0,
+        speed=speed,
+        goal=None,
+        times=(round(10 * seconds), round(10 * seconds) + 1),
+    )
+    far = moving(
+        100, [(step, *place(-200, 100), TURN, 0.0) for step in range(2)], "pillar"
+    )
     path = directory / "bend.xml"
     before = 40.0 if speed**2 < 160 else 120.0
     road = lanelet(1, 0.0, bend(radius, side, angle, before, after=80.0))
     path.write_text(scenario(lanelets=road, cars=far, problems=there))
-    env = drive(gym.make("ms-highway/recorded-v0", config={"recording": str(path), "traffic": "replay"}))
+    env = drive(
+        gym.make(
+            "ms-highway/recorded-v0",
+            config={"recording": str(path), "traffic": "replay"},
+        )
+    )
     env.reset(seed=0)
     inner = env.unwrapped
     (lane,) = inner.road.network.lanes_list()
@@ -320,7 +457,9 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
 
 
 @pytest.mark.parametrize("radius", [7, 12, 60])
-def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brakes_in_time_for_others(radius, tmp_path):
+def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brakes_in_time_for_others(
+    radius, tmp_path
+):
     limit = np.sqrt(GRIP * radius)
     for side, speed in ((1, limit), (-1, limit), (-1, 2 * limit)):
         corner, middle = driven_through(tmp_path, radius, side, speed)
@@ -331,8 +470,16 @@ def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brake
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("radius", [7, 12, 30, 60, 150, 300])
-def test_the_robot_stays_in_its_lane_in_bends_of_all_radii_at_all_speeds(radius, side, tmp_path):
+def test_the_robot_stays_in_its_lane_in_bends_of_all_radii_at_all_speeds(
+    radius, side, tmp_path
+):
     limit = np.sqrt(GRIP * radius)
     for speed in np.array([0.5, 0.85, 1.0, 2.0]) * limit:
-        corner, _ = driven_through(tmp_path, radius, side, min(speed, 35.0), np.pi if radius < 50 else np.pi / 2)
+        corner, _ = driven_through(
+            tmp_path,
+            radius,
+            side,
+            min(speed, 35.0),
+            np.pi if radius < 50 else np.pi / 2,
+        )
         assert corner < WIDTH / 2

@@ -22,20 +22,31 @@ CUT_IN = np.minimum(-4 + 2 * TIMES, 0)  # lateral positions
 
 def robot_from(place, d=0.0, acceleration=0.0):
     """Trajectory of the robot on a straight road, at 20 m/s at first."""
-    s, speed = place + 20 * TIMES + acceleration * TIMES**2 / 2, 20 + acceleration * TIMES
+    s, speed = (
+        place + 20 * TIMES + acceleration * TIMES**2 / 2,
+        20 + acceleration * TIMES,
+    )
     return np.stack(np.broadcast_arrays(s, d, 0.0, speed)).astype(np.float32)
 
 
 def keeping_velocity(scene):
     """Trajectories of others that keep their velocity on a straight road."""
-    x, y = (field[:, round(BEHIND / SPACING), None] for field in (scene.paths.x, scene.paths.y))
+    x, y = (
+        field[:, round(BEHIND / SPACING), None]
+        for field in (scene.paths.x, scene.paths.y)
+    )
     speeds = scene.states[:, 3:]
-    return np.stack(np.broadcast_arrays(x + speeds * TIMES, y, 0.0, speeds), axis=1).astype(np.float32)
+    return np.stack(
+        np.broadcast_arrays(x + speeds * TIMES, y, 0.0, speeds), axis=1
+    ).astype(np.float32)
 
 
 @jit_quickly
 def respond(scene, robot, others):
-    return ACCELERATION_UNIT * commuter_among(scene, PLANNING, 0, robot, others).best_response()
+    return (
+        ACCELERATION_UNIT
+        * commuter_among(scene, PLANNING, 0, robot, others).best_response()
+    )
 
 
 def response(scene, robot):
@@ -45,12 +56,25 @@ def response(scene, robot):
 
 def test_the_reward_is_that_of_commuters_on_a_straight_road_and_its_derivatives_are_exact():
     learned = linear_reward(commuter_weights(), 30.0)
-    road = Scene(np.zeros(1), 4.0, np.zeros((0, 2)), np.ones(2), np.array([5.0, 2.0]), 0.5, 0.0, PAPER_UNIT)
-    scene = scene_of(cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)])
+    road = Scene(
+        np.zeros(1),
+        4.0,
+        np.zeros((0, 2)),
+        np.ones(2),
+        np.array([5.0, 2.0]),
+        0.5,
+        0.0,
+        PAPER_UNIT,
+    )
+    scene = scene_of(
+        cars=[(0.0, 0, 22.0), (30.0, 0, 18.0), (-25.0, 0, 25.0), (5.0, 1, 20.0)]
+    )
 
     @jit_quickly
     def rewards_and_derivatives(first, second):
-        human = commuter_among(scene, PLANNING, 0, robot_from(8, CUT_IN), keeping_velocity(scene))
+        human = commuter_among(
+            scene, PLANNING, 0, robot_from(8, CUT_IN), keeping_velocity(scene)
+        )
 
         def earned(scaled):
             a = scaled * ACCELERATION_UNIT
@@ -62,9 +86,15 @@ def test_the_reward_is_that_of_commuters_on_a_straight_road_and_its_derivatives_
 
         gradient, hessian = human.expand(first)
         found = human.earned(first) - human.earned(second), gradient, hessian @ second
-        return found, (earned(first) - earned(second), *jax.jvp(jax.grad(earned), (first,), (second,)))
+        return found, (
+            earned(first) - earned(second),
+            *jax.jvp(jax.grad(earned), (first,), (second,)),
+        )
 
-    first, second = np.random.default_rng(0).normal(size=(2, PLANNING.steps)).astype(np.float32) / 10
+    first, second = (
+        np.random.default_rng(0).normal(size=(2, PLANNING.steps)).astype(np.float32)
+        / 10
+    )
     (difference, *derivatives), (exact, *true) = rewards_and_derivatives(first, second)
     assert abs(difference) > 10
     assert difference == pytest.approx(float(exact), rel=1e-3)
@@ -75,7 +105,9 @@ def test_the_reward_is_that_of_commuters_on_a_straight_road_and_its_derivatives_
 def test_a_human_brakes_behind_a_braking_robot_and_slows_for_a_robot_that_cuts_in():
     scene = scene_of(cars=[(0.0, 0, 20.0)])
     assert response(scene, robot_from(20, acceleration=-4.0)).mean() < -1.0
-    cut_in, beside = (response(scene, robot_from(10, d))[:5].mean() for d in (CUT_IN, -4.0))
+    cut_in, beside = (
+        response(scene, robot_from(10, d))[:5].mean() for d in (CUT_IN, -4.0)
+    )
     assert -6.0 < cut_in < beside - 0.5
 
 

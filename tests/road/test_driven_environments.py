@@ -9,7 +9,12 @@ from episodes import form
 from gymnasium.envs.registration import registry
 
 import ms_highway
-from ms_highway.benchmarks.road.episodes import Block, check_driver, run_episode, summary
+from ms_highway.benchmarks.road.episodes import (
+    Block,
+    check_driver,
+    run_episode,
+    summary,
+)
 from ms_highway.envs.viewer import PAPER, model_color
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.loop.controller import HUMAN_DRIVERS
@@ -36,13 +41,20 @@ def driven(name, driver="fixed:naive", **options):
 
 def forms(road):
     """Structure of an ``info``, type and shape of each entry, which recorders such as Minari's want to be constant."""
-    return jax.tree.structure(road), [(type(value), np.shape(value)) for value in jax.tree.leaves(road)]
+    return jax.tree.structure(road), [
+        (type(value), np.shape(value)) for value in jax.tree.leaves(road)
+    ]
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_interface(name):
+def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_interface(
+    name,
+):
     stock, env = gym.make(name), ms_highway.drive(gym.make(name))
-    assert (env.action_space, env.observation_space) == (stock.action_space, stock.observation_space)
+    assert (env.action_space, env.observation_space) == (
+        stock.action_space,
+        stock.observation_space,
+    )
     observation, told = env.reset(seed=1)
     np.testing.assert_equal(observation, stock.reset(seed=1)[0])
     first = told["road"]
@@ -54,11 +66,21 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_
     assert form(info) == form(told)
     assert env.observation_space.contains(observation)
     assert road["action"] is None or env.action_space.contains(road["action"])
-    assert np.isfinite([road["planning_seconds"], road["decision_seconds"], road["jerk"], *np.atleast_1d(reward)]).all()
+    assert np.isfinite(
+        [
+            road["planning_seconds"],
+            road["decision_seconds"],
+            road["jerk"],
+            *np.atleast_1d(reward),
+        ]
+    ).all()
     assert not np.any(terminated)
     for robot in env.robots:
         assert robot.last_step.source in ("proposal", "last plan", "braking")
-        assert len(robot.actions) == rates["simulation_frequency"] // rates["policy_frequency"]
+        assert (
+            len(robot.actions)
+            == rates["simulation_frequency"] // rates["policy_frequency"]
+        )
         assert 0.0 <= max(robot.accelerations) <= 5.0
 
 
@@ -68,8 +90,14 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_
     [
         ("roundabout-v1", 1),  # a car that braked for others was predicted to go on
         ("roundabout-v0", 75),  # a crashed car was predicted to lie along its lane
-        ("roundabout-v0", 1014),  # a plan passed a wreck more closely than steps of 0.2 s resolve
-        ("two-way-v0", 59),  # a plan could not drop behind a car beside it to let an oncoming car pass
+        (
+            "roundabout-v0",
+            1014,
+        ),  # a plan passed a wreck more closely than steps of 0.2 s resolve
+        (
+            "two-way-v0",
+            59,
+        ),  # a plan could not drop behind a car beside it to let an oncoming car pass
     ],
 )
 def test_the_robot_no_longer_crashes_where_it_did(name, seed):
@@ -99,12 +127,19 @@ def test_actions_are_ignored_and_a_time_limit_in_steps_is_kept():
 
 def test_the_reported_action_repeats_the_step_of_the_robot_or_is_nan():
     """In a turn, tyres change the control within some of the steps, which have three frames."""
-    env, stock = driven("intersection-v0", config=CONTINUOUS), gym.make("intersection-v0", config=CONTINUOUS)
+    env, stock = (
+        driven("intersection-v0", config=CONTINUOUS),
+        gym.make("intersection-v0", config=CONTINUOUS),
+    )
     stock.reset(seed=0)
     copy, own, possible = stock.unwrapped.vehicle, env.unwrapped.vehicle, []
     for _ in range(40):
         stock.unwrapped.road.vehicles = [copy]
-        copy.position, copy.heading, copy.speed = own.position.copy(), own.heading, own.speed
+        copy.position, copy.heading, copy.speed = (
+            own.position.copy(),
+            own.heading,
+            own.speed,
+        )
         action = env.step(None)[4]["road"]["action"]
         stock.step(action)
         possible.append(env.action_space.contains(action))
@@ -121,7 +156,9 @@ def test_a_step_without_a_reset_of_the_wrapper_is_refused():
         env.step(None)
     env.reset(seed=0)
     env.env.reset(seed=1)
-    with pytest.raises(gym.error.ResetNeeded, match="call reset of the driven environment"):
+    with pytest.raises(
+        gym.error.ResetNeeded, match="call reset of the driven environment"
+    ):
         env.step(None)
 
 
@@ -137,11 +174,16 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
 
 
 def test_vector_environments_collect_infos_although_episodes_end_at_different_times():
-    envs = gym.vector.SyncVectorEnv([lambda: driven("intersection-v0", config={"duration": 2})] * 2)
+    envs = gym.vector.SyncVectorEnv(
+        [lambda: driven("intersection-v0", config={"duration": 2})] * 2
+    )
     envs.reset(seed=[1, 2])
     envs.envs[1].unwrapped.config["duration"] = 3
     infos = [envs.step(envs.action_space.sample())[4]["road"] for _ in range(4)]
-    assert all(len(road["models"][0]) == TRAFFIC and road["gains"]["idm"].shape == (2, TRAFFIC) for road in infos)
+    assert all(
+        len(road["models"][0]) == TRAFFIC and road["gains"]["idm"].shape == (2, TRAFFIC)
+        for road in infos
+    )
 
 
 class Follows:
@@ -155,7 +197,9 @@ class Follows:
         aside, heading = state[0, 1:3]
         curvature = 0.02 * (float(game.scene.target_lane) - aside) - 0.5 * heading
         free = state[1, 0] < 0 or state[1, 0] - state[0, 0] > self.distance
-        return keep_velocity(game.world, state[0]) + np.array([curvature, 0.0 if free else -4.0])
+        return keep_velocity(game.world, state[0]) + np.array(
+            [curvature, 0.0 if free else -4.0]
+        )
 
 
 @pytest.fixture
@@ -194,9 +238,13 @@ def test_a_driver_of_ones_own_is_measured_on_stock_roads_under_its_name():
     assert figures["sources"] == {"driver": 1.0}
     assert figures["label"] == ""  # within its grip
     assert figures["p50_ms"] > 0
-    with pytest.raises(ValueError, match=r"unknown driver 'folows'.*a name of add_driver or add_agent"):
+    with pytest.raises(
+        ValueError, match=r"unknown driver 'folows'.*a name of add_driver or add_agent"
+    ):
         check_driver("folows")
-    with pytest.raises(ValueError, match=r"config\['driver'\] is 'never'"):  # which drives humans beside a robot
+    with pytest.raises(
+        ValueError, match=r"config\['driver'\] is 'never'"
+    ):  # which drives humans beside a robot
         ms_highway.drive(gym.make("merge-v0"), {"driver": "never"})
 
 
@@ -204,7 +252,11 @@ def test_a_driver_of_ones_own_is_measured_on_stock_roads_under_its_name():
 def test_the_module_that_adds_a_planner_serves_paper_scenes_and_stock_roads(tmp_path):
     """A planner of the example drives in both under the same name."""
     asks = "--import notebooks.examples.agents"
-    run(f"{asks} bench road merge-v0 --drivers merges --seeds 1 --json {tmp_path / 'road.json'}")
-    run(f"{asks} compare merger-v1 --controllers merges --seeds 1 --out {tmp_path / 'own'}")
+    run(
+        f"{asks} bench road merge-v0 --drivers merges --seeds 1 --json {tmp_path / 'road.json'}"
+    )
+    run(
+        f"{asks} compare merger-v1 --controllers merges --seeds 1 --out {tmp_path / 'own'}"
+    )
     assert (tmp_path / "own" / "summary.csv").is_file()
     assert (tmp_path / "road.json").is_file()

@@ -46,26 +46,51 @@ def test_a_random_destination_is_the_end_of_the_route():
 def test_robots_replace_all_controlled_vehicles_and_are_observed_as_these_were(name):
     stock, driven = made(name).unwrapped, ms_highway.drive(gym.make(name))
     observed, _ = driven.reset(seed=0)
-    base, actions, observations = driven.unwrapped, driven.unwrapped.action_type, driven.unwrapped.observation_type
+    base, actions, observations = (
+        driven.unwrapped,
+        driven.unwrapped.action_type,
+        driven.unwrapped.observation_type,
+    )
     np.testing.assert_equal(observations.observe(), observed)
-    controlled = [part.controlled_vehicle for part in getattr(actions, "agents_action_types", [actions])]
-    observers = [part.observer_vehicle for part in getattr(observations, "agents_observation_types", [observations])]
+    controlled = [
+        part.controlled_vehicle
+        for part in getattr(actions, "agents_action_types", [actions])
+    ]
+    observers = [
+        part.observer_vehicle
+        for part in getattr(observations, "agents_observation_types", [observations])
+    ]
     assert driven.robots == base.controlled_vehicles == controlled == observers
     for robot, old in zip(driven.robots, stock.controlled_vehicles, strict=True):
         assert robot in base.road.vehicles
-        assert (robot.speed, robot.heading, robot.route) == (old.speed, old.heading, getattr(old, "route", None))
+        assert (robot.speed, robot.heading, robot.route) == (
+            old.speed,
+            old.heading,
+            getattr(old, "route", None),
+        )
 
 
 def test_side_effects_of_an_intersection_on_highway_envs_drivers_are_undone_in_other_scenes():
-    for name, expected in (("intersection-v0", [7, 6, -3]), ("merge-v0", [10.0, 3.0, -5.0])):
+    for name, expected in (
+        ("intersection-v0", [7, 6, -3]),
+        ("merge-v0", [10.0, 3.0, -5.0]),
+    ):
         ms_highway.drive(gym.make(name)).reset(seed=0)
-        assert expected == [IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN]
+        assert expected == [
+            IDMVehicle.DISTANCE_WANTED,
+            IDMVehicle.COMFORT_ACC_MAX,
+            IDMVehicle.COMFORT_ACC_MIN,
+        ]
 
 
 @pytest.mark.parametrize(
     ("name", "config", "message"),
     [
-        ("merge-v0", {"prize": 1.0}, "unknown key 'prize' in config; did you mean 'price'"),
+        (
+            "merge-v0",
+            {"prize": 1.0},
+            "unknown key 'prize' in config; did you mean 'price'",
+        ),
         (
             "merge-v0",
             {"driver": "fixed:tom", "ladder": ("naive", "idm")},
@@ -74,6 +99,8 @@ def test_side_effects_of_an_intersection_on_highway_envs_drivers_are_undone_in_o
         ("parking-v0", {}, r"parking-v0.*the robot drives highway, merge, roundabout"),
     ],
 )
-def test_an_impossible_configuration_is_refused_and_so_is_a_scene_without_a_road_to_follow(name, config, message):
+def test_an_impossible_configuration_is_refused_and_so_is_a_scene_without_a_road_to_follow(
+    name, config, message
+):
     with pytest.raises(ValueError, match=message):
         ms_highway.drive(gym.make(name), config)

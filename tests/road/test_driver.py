@@ -15,15 +15,24 @@ from ms_highway.road.driver import decided, proposed_for
 from ms_highway.road.plan import no_plan
 from ms_highway.road.settings import RoadSettings
 
-SCENE = scene_of(robot=(0.0, 0.0, 0.0, 18.0), cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)])
+SCENE = scene_of(
+    robot=(0.0, 0.0, 0.0, 18.0),
+    cars=[(45.0, 0, 12.0), (-12.0, 1, 22.0), (30.0, -1, 15.0)],
+)
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
 
 
 def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_prediction():
     """The goal asks for the lane in which a car comes from behind."""
-    scene = scene_of(robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)])
-    scene = replace(scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0))
-    proposed = proposed_for(scene, PLANNING, WEIGHTS, np.zeros(TRAFFIC, np.int32), no_plan(PLANNING))
+    scene = scene_of(
+        robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)]
+    )
+    scene = replace(
+        scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0)
+    )
+    proposed = proposed_for(
+        scene, PLANNING, WEIGHTS, np.zeros(TRAFFIC, np.int32), no_plan(PLANNING)
+    )
     first, *others = np.asarray(proposed.worth)
     assert first > 0
     assert not any(others)
@@ -32,20 +41,26 @@ def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_pre
 def chosen(driver, costs, gains, spent=0.0):
     """Numbers of the models that a driver's rule chooses."""
     rule = deciding_in(RoadSettings.read({"driver": driver}).rule(costs), lambda: spent)
-    rungs = decided(rule, first_memory(rule, TRAFFIC), gains.astype(np.float32)).memory.rungs
+    rungs = decided(
+        rule, first_memory(rule, TRAFFIC), gains.astype(np.float32)
+    ).memory.rungs
     return np.array([MODELS.index(rule.ladder[rung].name) for rung in rungs])
 
 
 def test_a_higher_price_never_buys_a_more_expensive_model():
     costs = Costs(0.004, np.array([0.0, 0.0001, 0.003]), MODELS)
     gains = np.geomspace(1e-3, 30.0, TRAFFIC)
-    found = np.array([chosen(f"priced:{price}", costs, gains) for price in np.geomspace(1, 1e6, 30)])
+    found = np.array(
+        [chosen(f"priced:{price}", costs, gains) for price in np.geomspace(1, 1e6, 30)]
+    )
     assert (np.diff(found, axis=0) <= 0).all()
     assert len(np.unique(found[:, -1])) == len(MODELS)
 
 
 def test_models_at_a_price_do_not_depend_on_those_in_use_which_may_be_of_other_cars():
-    settings = RoadSettings.read({"driver": "priced:1", "costs": {"idm": 0.1, "tom": 0.2}})
+    settings = RoadSettings.read(
+        {"driver": "priced:1", "costs": {"idm": 0.1, "tom": 0.2}}
+    )
     rule = settings.rule(Costs(0.0, np.array([0.0, 0.0001, 0.0002]), MODELS))
     memory = first_memory(rule, TRAFFIC)
     bounds = np.full(TRAFFIC, 5.0, np.float32)
@@ -69,7 +84,9 @@ def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
 
 
 def driver(name="fixed:naive", planning=PLANNING):
-    return RoadSettings.read({"driver": name, "costs": {"idm": 0.1, "tom": 3.0}}).build(planning)
+    return RoadSettings.read({"driver": name, "costs": {"idm": 0.1, "tom": 3.0}}).build(
+        planning
+    )
 
 
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
@@ -81,7 +98,9 @@ def test_a_plan_beyond_its_budget_is_followed_a_step_later():
     ]
     assert not any(step.failed for step in steps)
     executed = [step.control for step in steps]
-    np.testing.assert_array_equal(executed, [[0.0, -PLANNING.grip], first.plan[1], second.plan[1]])
+    np.testing.assert_array_equal(
+        executed, [[0.0, -PLANNING.grip], first.plan[1], second.plan[1]]
+    )
 
 
 def test_nothing_compiles_after_the_first_step(caplog):
@@ -94,18 +113,31 @@ def test_nothing_compiles_after_the_first_step(caplog):
             other.weights = RoadWeights(speed=2.0)
             other.step(scene_of(cars=[(20.0, 0, 10.0)]))
             other.step(scene_of(bend=1 / 50, robot=(0.0, 0.0, 0.0, 10.0)))
-    assert not [record for record in caplog.records if "compilation" in record.getMessage()]
+    assert not [
+        record for record in caplog.records if "compilation" in record.getMessage()
+    ]
 
 
 def test_if_plans_are_not_finite_the_robot_follows_the_rest_of_the_last_plan_and_then_brakes():
-    unknown = np.where(np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states)
+    unknown = np.where(
+        np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states
+    )
     robot = driver()
     assert robot.step(BLIND).source == "braking"
     first = robot.step(SCENE)
-    steps = [robot.step(blind) for blind in (*[BLIND] * PLANNING.steps, *[replace(SCENE, states=unknown)] * 2)]
-    assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + ["braking"] * 3
+    steps = [
+        robot.step(blind)
+        for blind in (*[BLIND] * PLANNING.steps, *[replace(SCENE, states=unknown)] * 2)
+    ]
+    assert [step.source for step in steps] == ["last plan"] * (PLANNING.steps - 1) + [
+        "braking"
+    ] * 3
     assert not first.failed
-    assert all(step.failed and not any(step.models) and len(step.path) == 0 for step in steps)
+    assert all(
+        step.failed and not any(step.models) and len(step.path) == 0 for step in steps
+    )
     braking = [[0.0, -PLANNING.grip]] * 3
-    np.testing.assert_allclose([step.control for step in steps], [*first.plan[1:], *braking], atol=1e-6)
+    np.testing.assert_allclose(
+        [step.control for step in steps], [*first.plan[1:], *braking], atol=1e-6
+    )
     assert robot.step(SCENE).source in ("proposal", "last plan")

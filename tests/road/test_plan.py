@@ -18,37 +18,66 @@ UNHURRIED = replace(PLANNING, desired_speed=10.0)
 def planned(scene, model="idm", planning=PLANNING, last=None):
     """The best plan if one model predicts everybody."""
     models = np.full(TRAFFIC, MODELS.index(model), np.int32)
-    return jax.tree.map(np.asarray, plan_of(scene, planning, WEIGHTS, models, last or no_plan(PLANNING)))
+    return jax.tree.map(
+        np.asarray, plan_of(scene, planning, WEIGHTS, models, last or no_plan(PLANNING))
+    )
 
 
 def between(scene, left, right):
     """The scene, on a road with these edges, in lanes."""
-    return replace(scene, edges=np.tile(np.float32([[left * LANE], [right * LANE]]), KNOTS))
+    return replace(
+        scene, edges=np.tile(np.float32([[left * LANE], [right * LANE]]), KNOTS)
+    )
 
 
 def asked(*cars):
     """A road on which the goal asks for the right lane."""
-    return replace(scene_of(cars=cars), changes=np.float32([2.0, 1.0, 0.0]), room=np.float32(60.0))
+    return replace(
+        scene_of(cars=cars), changes=np.float32([2.0, 1.0, 0.0]), room=np.float32(60.0)
+    )
 
 
-SLOW, BESIDE = (25.0, 0, 12.0), [(place, lane, 14.0) for place in (0.0, 12.0) for lane in (-1, 1)]
-CIRCLE = scene_of(bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)])
+SLOW, BESIDE = (
+    (25.0, 0, 12.0),
+    [(place, lane, 14.0) for place in (0.0, 12.0) for lane in (-1, 1)],
+)
+CIRCLE = scene_of(
+    bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)]
+)
 ONCOMING = coming(scene_of(cars=[SLOW, (120, -1, 20.0)]), 1)
 SCENES = {  # with the final lane of the robot, counted to the right, and its final speed
     "a free road": (scene_of(), 0, 29.2),
     "a slow car ahead": (scene_of(cars=[SLOW]), 1, 29.9),
-    "a slow car ahead and cars on both sides": (scene_of(cars=[SLOW, *BESIDE]), 0, 14.3),
+    "a slow car ahead and cars on both sides": (
+        scene_of(cars=[SLOW, *BESIDE]),
+        0,
+        14.3,
+    ),
     "a slow car ahead, and an oncoming car": (between(ONCOMING, -1.5, 0.5), 0, 19.8),
-    "a slow car ahead, and no oncoming car": (between(scene_of(cars=[SLOW]), -1.5, 0.5), -1, 29.9),
+    "a slow car ahead, and no oncoming car": (
+        between(scene_of(cars=[SLOW]), -1.5, 0.5),
+        -1,
+        29.9,
+    ),
     "a goal to the right": (asked(), 1, 29.2),
-    "a goal to the right among others": (asked(*((place, 1, 20.0) for place in (-12.0, 0.0, 12.0))), 0, 29.2),
-    "standing cars in all lanes": (scene_of(cars=[(70.0, lane, 0.0) for lane in (-1, 0, 1)]), 0, 14.3),
+    "a goal to the right among others": (
+        asked(*((place, 1, 20.0) for place in (-12.0, 0.0, 12.0))),
+        0,
+        29.2,
+    ),
+    "standing cars in all lanes": (
+        scene_of(cars=[(70.0, lane, 0.0) for lane in (-1, 0, 1)]),
+        0,
+        14.3,
+    ),
     "a circle": (CIRCLE, None, None),
 }
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_under_every_model_plans_reach_the_right_lane_within_the_limits_of_the_car(name):
+def test_under_every_model_plans_reach_the_right_lane_within_the_limits_of_the_car(
+    name,
+):
     scene, lane, speed = SCENES[name]
     for model in MODELS:
         plan = planned(scene, model)
@@ -77,7 +106,9 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
     cut_in = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
     kept = -14.0 + 26.0 * PLANNING.steps * PLANNING.time_step
     assert final_place(cut_in, "naive") == pytest.approx(kept, abs=0.05)
-    observed = np.where(np.arange(TRAFFIC) == 0, -6.0, 0.0).astype(np.float32)  # as its model predicts
+    observed = np.where(np.arange(TRAFFIC) == 0, -6.0, 0.0).astype(
+        np.float32
+    )  # as its model predicts
     braking = final_place(replace(cut_in, accelerations=observed), "tom")
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
@@ -85,8 +116,18 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_the_robot_passes_an_obstacle_in_a_bend_on_the_shorter_side_and_returns_to_its_lane(side):
-    scene = wrecked(scene_of(bend=1 / 60, robot=(0.0, 0.0, 0.0, 8.0), cars=[(24.0, -0.5 * side, 0.0)], limit=10.0), 0)
+def test_the_robot_passes_an_obstacle_in_a_bend_on_the_shorter_side_and_returns_to_its_lane(
+    side,
+):
+    scene = wrecked(
+        scene_of(
+            bend=1 / 60,
+            robot=(0.0, 0.0, 0.0, 8.0),
+            cars=[(24.0, -0.5 * side, 0.0)],
+            limit=10.0,
+        ),
+        0,
+    )
     scene, driven, last = replace(scene, open=ONE_LANE), [], None
     for _ in range(30):
         plan = planned(scene, "naive", UNHURRIED, last)

@@ -19,7 +19,9 @@ from ms_highway.runtime.compilation import jit_quickly
 GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
 FOLLOWING, NOBODY = np.ones(TRAFFIC, bool), np.zeros(TRAFFIC, bool)
 KEEPING, HARD = (0.0, 0.0), (0.0, -4.9)
-LENGTHS = 5.0 + 2.5  # m, from a centre to the rear axle of the car behind where the bumpers touch
+LENGTHS = (
+    5.0 + 2.5
+)  # m, from a centre to the rear axle of the car behind where the bumpers touch
 PLANS = Profiles(*map(np.array, zip(*PROFILES, strict=True)))
 GIVEN = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS), PLANS)
 OWN, RIGHT = 1, 2
@@ -40,16 +42,25 @@ def judged(scene, controls, plans=PLANS, follows=NOBODY, acceleration=0.0):
     Others follow by IDM or have an acceleration.
     """
     nothing = np.zeros((PROPOSALS, TRAFFIC, STEPS), np.float32)
-    others = Behaviour(follows, nothing + np.float32(acceleration), nothing[0], nothing[0] + np.float32(np.inf))
+    others = Behaviour(
+        follows,
+        nothing + np.float32(acceleration),
+        nothing[0],
+        nothing[0] + np.float32(np.inf),
+    )
     controls = np.resize(np.asarray(controls, np.float32), (PROPOSALS, STEPS, 2))
-    return jax.tree.map(np.asarray, driven_and_judged(scene, others, plans._replace(controls=controls)))
+    return jax.tree.map(
+        np.asarray, driven_and_judged(scene, others, plans._replace(controls=controls))
+    )
 
 
 @pytest.mark.parametrize(
     "scene",
     [
         scene_of(robot=(0.0, 0.0, 0.0, 0.0)),
-        scene_of(robot=(0.0, 0.5, -0.05, 38.0), cars=[(30.0, 0, 10.0), (-15.0, 1, 30.0)]),
+        scene_of(
+            robot=(0.0, 0.5, -0.05, 38.0), cars=[(30.0, 0, 10.0), (-15.0, 1, 30.0)]
+        ),
         scene_of(bend=-1 / 15, robot=(0.0, 1.0, 0.2, 11.0), cars=[(20.0, 0, 5.0)]),
     ],
     ids=["standing", "fast in traffic", "circle"],
@@ -57,13 +68,18 @@ def judged(scene, controls, plans=PLANS, follows=NOBODY, acceleration=0.0):
 def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(scene):
     wild = np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.3, 10]
     rollouts, *_ = judged(scene, wild, follows=FOLLOWING)
-    states, (curvature, acceleration) = rollouts.states, np.moveaxis(rollouts.controls, -1, 0)
+    states, (curvature, acceleration) = (
+        rollouts.states,
+        np.moveaxis(rollouts.controls, -1, 0),
+    )
     before = np.insert(states[:, :-1, 3], 0, scene.robot[3], axis=1)
     assert np.hypot(before**2 * curvature, acceleration).max() <= GRIP + 1e-4
     assert np.abs(curvature).max() <= PLANNING.curvature
     assert states[..., 3].min() > -1e-6
     for found, controls in zip(states, rollouts.controls, strict=True):
-        np.testing.assert_allclose(found, execute(scene, PLANNING, controls)[0], atol=0.02)
+        np.testing.assert_allclose(
+            found, execute(scene, PLANNING, controls)[0], atol=0.02
+        )
 
 
 @pytest.mark.parametrize(("gap", "speed"), [(20.0, 20.0), (10.0, 10.0)])
@@ -79,11 +95,17 @@ def theirs(speed, distance, ahead):
     road = Road(RoadNetwork.straight_road_network(1, speed_limit=50.0))
     car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=speed)
     other = IDMVehicle(road, [100.0 + distance, 0.0], 0.0, ahead)
-    return np.clip(car.acceleration(car, other), -IDMVehicle.ACC_MAX, IDMVehicle.COMFORT_ACC_MAX)
+    return np.clip(
+        car.acceleration(car, other), -IDMVehicle.ACC_MAX, IDMVehicle.COMFORT_ACC_MAX
+    )
 
 
-@pytest.mark.parametrize(("speed", "ahead", "distance"), [(25.0, 22.0, 60.0), (22.0, 25.0, 30.0)])
-def test_followers_are_predicted_as_highway_env_moves_them_behind_others_and_behind_the_robot(speed, ahead, distance):
+@pytest.mark.parametrize(
+    ("speed", "ahead", "distance"), [(25.0, 22.0, 60.0), (22.0, 25.0, 30.0)]
+)
+def test_followers_are_predicted_as_highway_env_moves_them_behind_others_and_behind_the_robot(
+    speed, ahead, distance
+):
     led = scene_of(cars=[(40.0, 1, speed), (40.0 + distance, 1, ahead)])
     led.leaders[0], led.gaps[0] = 1, distance
     behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
@@ -95,7 +117,10 @@ def test_followers_are_predicted_as_highway_env_moves_them_behind_others_and_beh
 
 def changing(curvature):
     """Controls that turn for 1.2 s and turn back."""
-    return np.pad(np.repeat([[curvature, 0.0], [-curvature, 0.0]], 6, axis=0), ((0, STEPS - 12), (0, 0)))
+    return np.pad(
+        np.repeat([[curvature, 0.0], [-curvature, 0.0]], 6, axis=0),
+        ((0, STEPS - 12), (0, 0)),
+    )
 
 
 def before(place):
@@ -113,7 +138,9 @@ def crossing():
 
 CLOSED, TWICE = scene_of(), [changing(0.004)] * 2
 CLOSED.open[RIGHT] = False
-PURSUED = scene_of(robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, lane, 18.5) for lane in (0, 1)])
+PURSUED = scene_of(
+    robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, lane, 18.5) for lane in (0, 1)]
+)
 
 
 @pytest.mark.parametrize(
@@ -121,14 +148,26 @@ PURSUED = scene_of(robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, lane, 18.5) for la
     [
         (scene_of(), (KEEPING, (0.01, 0.0)), OWN, False),  # stays on the road
         (CLOSED, TWICE, RIGHT, False),  # changes to no closed lane
-        (PURSUED, (KEEPING, changing(0.008)), RIGHT, False),  # does not cut in, though it is rear-ended
+        (
+            PURSUED,
+            (KEEPING, changing(0.008)),
+            RIGHT,
+            False,
+        ),  # does not cut in, though it is rear-ended
         (crossing(), (HARD, KEEPING), OWN, False),  # stops before a crossing car
         (before(75.0), (HARD, KEEPING), OWN, False),  # keeps room to stop
         (before(14.0), ((0.0, -1.0), KEEPING), OWN, True),  # hits more softly
-        (before(22.5), (HARD, (0.03, 0.0)), OWN, True),  # hits softly rather than leaves the road
+        (
+            before(22.5),
+            (HARD, (0.03, 0.0)),
+            OWN,
+            True,
+        ),  # hits softly rather than leaves the road
     ],
 )
-def test_the_first_of_two_plans_is_preferred_as_the_second_breaks_a_constraint(scene, controls, other_lane, broken):
+def test_the_first_of_two_plans_is_preferred_as_the_second_breaks_a_constraint(
+    scene, controls, other_lane, broken
+):
     """Target lanes are the robot's and the other lane; the first plan may be broken, too."""
     controls = [np.broadcast_to(each, (STEPS, 2)) for each in controls]
     lanes = np.resize([OWN, other_lane], PROPOSALS)

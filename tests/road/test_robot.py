@@ -15,12 +15,21 @@ from ms_highway.road.robot import GRIP, RoadRobot, steering_of
 
 def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_a_bent_road():
     """The rear axle of the car of highway-env is at the origin at first."""
-    turns = np.stack([np.linspace(0.12, -0.06, 800), np.linspace(1.0, -2.0, 800)], axis=-1).astype(np.float32)
+    turns = np.stack(
+        [np.linspace(0.12, -0.06, 800), np.linspace(1.0, -2.0, 800)], axis=-1
+    ).astype(np.float32)
     scene = scene_of(1 / 20, robot=(0.0, 0.0, 0.0, 6.0))
-    states, held, centres = map(np.asarray, execute(scene, replace(PLANNING, time_step=0.005), turns))
+    states, held, centres = map(
+        np.asarray, execute(scene, replace(PLANNING, time_step=0.005), turns)
+    )
     car, poses, speeds = Vehicle(None, [Vehicle.LENGTH / 2, 0.0], 0.0, 6.0), [], []
     for curvature, acceleration in held.tolist():
-        car.act({"steering": steering_of(curvature, car.LENGTH), "acceleration": acceleration})
+        car.act(
+            {
+                "steering": steering_of(curvature, car.LENGTH),
+                "acceleration": acceleration,
+            }
+        )
         car.step(0.005)
         poses.append([*car.position, car.heading])
         speeds.append(car.speed)
@@ -33,10 +42,23 @@ def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_a_bent_road():
 
 @pytest.mark.parametrize("frequency", [5, 15])
 @pytest.mark.parametrize("speed", [0.0, 3.0, 16.0, 30.0])
-def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(speed, frequency):
-    robot = RoadRobot(Road(RoadNetwork.straight_road_network(3, length=10_000)), [100.0, 4.0], 0.0, speed)
+def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(
+    speed, frequency
+):
+    robot = RoadRobot(
+        Road(RoadNetwork.straight_road_network(3, length=10_000)),
+        [100.0, 4.0],
+        0.0,
+        speed,
+    )
     random, last = np.random.default_rng(0), None
-    robot.drive_with(SimpleNamespace(step=lambda _: SimpleNamespace(control=random.uniform(-1, 1, 2) * [0.5, 20.0])))
+    robot.drive_with(
+        SimpleNamespace(
+            step=lambda _: SimpleNamespace(
+                control=random.uniform(-1, 1, 2) * [0.5, 20.0]
+            )
+        )
+    )
     for _ in range(100):
         robot.act()
         before, start = robot.velocity, robot.position.copy()

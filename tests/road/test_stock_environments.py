@@ -13,12 +13,22 @@ from ms_highway.vehicle import CommuterVehicle
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 
 IDLE = 1
-STOCK = ["highway-fast", "merge-generic", "two-way", "u-turn", "roundabout", "intersection", "exit"]
+STOCK = [
+    "highway-fast",
+    "merge-generic",
+    "two-way",
+    "u-turn",
+    "roundabout",
+    "intersection",
+    "exit",
+]
 
 
 def commuters_in(name, seed=0, **config):
     """A stock environment, just reset, among commuters."""
-    environment = gym.make(name, config={"other_vehicles_type": TRAFFIC["commuter"]} | config).unwrapped
+    environment = gym.make(
+        name, config={"other_vehicles_type": TRAFFIC["commuter"]} | config
+    ).unwrapped
     environment.reset(seed=seed)
     if name == "merge-v0":  # the ego would drive at 30 m/s and brake for nobody
         environment.vehicle.speed = environment.vehicle.target_speed = 20.0
@@ -29,7 +39,9 @@ def drive(environment, steps):
     """Drive with an idle ego until the episode ends, and yield the commuters after each step."""
     for _ in range(steps):
         _, _, terminated, truncated, _ = environment.step(IDLE)
-        yield [car for car in environment.road.vehicles if isinstance(car, CommuterVehicle)]
+        yield [
+            car for car in environment.road.vehicles if isinstance(car, CommuterVehicle)
+        ]
         if terminated or truncated:
             return
 
@@ -40,13 +52,17 @@ def test_a_commuter_on_a_ramp_merges_before_it_ends():
         environment = commuters_in("merge-v0", seed)
         merging = environment.road.vehicles[-1]
         *_, _ = drive(environment, 25)
-        assert merging.position[0] > 320.0  # past the obstacle at the end of the ramp, at 310 m
+        assert (
+            merging.position[0] > 320.0
+        )  # past the obstacle at the end of the ramp, at 310 m
         assert merging.lane_index[:2] == ("c", "d")
         assert not merging.crashed
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_in_every_stock_environment_commuters_brake_within_tyres_never_reverse_and_can_be_copied(name):
+def test_in_every_stock_environment_commuters_brake_within_tyres_never_reverse_and_can_be_copied(
+    name,
+):
     environment = commuters_in(f"{name}-v0", policy_frequency=5)
     environment.step(IDLE)
     twin = deepcopy(environment)
@@ -63,11 +79,20 @@ def test_in_every_stock_environment_commuters_brake_within_tyres_never_reverse_a
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["highway-fast-v0", "merge-v1", "roundabout-v1", "intersection-v2", "exit-v1"])
-def test_commuters_among_themselves_collide_no_more_often_than_highway_envs_drivers(scene):
+@pytest.mark.parametrize(
+    "scene",
+    ["highway-fast-v0", "merge-v1", "roundabout-v1", "intersection-v2", "exit-v1"],
+)
+def test_commuters_among_themselves_collide_no_more_often_than_highway_envs_drivers(
+    scene,
+):
     collisions = {}
     for kind in ("idm", "commuter"):
-        episodes = [run_episode(Block(scene, kind, kind), seed) for seed in range(200, 206)]
+        episodes = [
+            run_episode(Block(scene, kind, kind), seed) for seed in range(200, 206)
+        ]
         collisions[kind] = sum(episode["collided"] for episode in episodes)
-        assert all(episode["others_speed"] > 1.0 for episode in episodes)  # a car that stands never collides
+        assert all(
+            episode["others_speed"] > 1.0 for episode in episodes
+        )  # a car that stands never collides
     assert collisions["commuter"] <= collisions["idm"]

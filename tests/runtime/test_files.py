@@ -15,7 +15,9 @@ def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
     file = tmp_path / "summary.csv"
     file.write_text("before")
     usual, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    refused = pytest.raises(OSError, match=r"summary\.csv cannot be written: File too large")
+    refused = pytest.raises(
+        OSError, match=r"summary\.csv cannot be written: File too large"
+    )
     with refused, replacing(file) as path:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, most))
         try:
@@ -42,19 +44,35 @@ def test_several_may_write_the_same_file_and_readers_find_it_whole(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(tmp_path):
+def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(
+    tmp_path,
+):
     directory = tmp_path / "out"
     (directory / "steps").mkdir(parents=True)
-    for name in (LOCK, f"steps/.part.{16 * 'a'}.settings.json", ".part.notes.txt", "download.part"):
+    for name in (
+        LOCK,
+        f"steps/.part.{16 * 'a'}.settings.json",
+        ".part.notes.txt",
+        "download.part",
+    ):
         (directory / name).touch()  # the lock of a killed command holds nothing
     with held(directory):
         tidy(directory)
         assert not list((directory / "steps").iterdir())
-        with pytest.raises(ValueError, match=f"another command is writing to {directory}; wait"), held(directory):
+        with (
+            pytest.raises(
+                ValueError, match=f"another command is writing to {directory}; wait"
+            ),
+            held(directory),
+        ):
             pass
     with held(directory), held(tmp_path / "other"):
         pass
-    assert {path.name for path in directory.iterdir()} == {"steps", ".part.notes.txt", "download.part"}
+    assert {path.name for path in directory.iterdir()} == {
+        "steps",
+        ".part.notes.txt",
+        "download.part",
+    }
     assert not (tmp_path / "other").exists()
 
 
@@ -94,5 +112,10 @@ def test_any_name_gives_a_file_in_its_directory_and_each_one_another(tmp_path):
         with replacing(file) as path:
             path.touch()
     assert len(list(tmp_path.iterdir())) == len(NAMES)
-    plain = "USA_US101-3_1_T-1", "merge-v0_idm_success_5", "tom@6+warm", "Stra\N{LATIN SMALL LETTER SHARP S}e"
+    plain = (
+        "USA_US101-3_1_T-1",
+        "merge-v0_idm_success_5",
+        "tom@6+warm",
+        "Stra\N{LATIN SMALL LETTER SHARP S}e",
+    )
     assert list(map(file_name, plain)) == list(plain)

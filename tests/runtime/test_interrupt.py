@@ -20,7 +20,9 @@ def begin(words):
     """A process of Python that reacts to interrupts, even if this one ignores them."""
     heeded = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        return subprocess.Popen([sys.executable, *words.split()], stderr=subprocess.PIPE, text=True)
+        return subprocess.Popen(
+            [sys.executable, *words.split()], stderr=subprocess.PIPE, text=True
+        )
     finally:
         signal.signal(signal.SIGINT, heeded)
 
@@ -36,7 +38,9 @@ def interrupted(process):
     return said.splitlines()[-1], process.returncode
 
 
-def test_an_interrupt_while_a_command_imports_what_it_needs_ends_it_with_one_sentence(tmp_path):
+def test_an_interrupt_while_a_command_imports_what_it_needs_ends_it_with_one_sentence(
+    tmp_path,
+):
     process = begin(f"{SCRIPT} {SWEEP} {tmp_path}")
     while "numpy" not in Path(f"/proc/{process.pid}/maps").read_text():
         time.sleep(0.01)
@@ -50,7 +54,10 @@ def test_an_interrupt_while_a_batch_is_computed_ends_the_command_at_once(tmp_pat
         time.sleep(0.05)
     time.sleep(0.5)
     assert interrupted(process) == ENDED
-    assert {file.name for file in tmp_path.rglob("*")} == {"settings.json", "provenance.json"}  # parts take longer
+    assert {file.name for file in tmp_path.rglob("*")} == {
+        "settings.json",
+        "provenance.json",
+    }  # parts take longer
 
 
 LONG = """

@@ -80,5 +80,9 @@ assert main(["sweep", "merger", "--controllers", "tom", "--seeds", "2", "--out",
 
 
 @pytest.mark.slow
-def test_everything_drives_in_single_precision_where_a_program_computes_in_double(tmp_path):
-    python("-c", DOUBLE_PRECISION, cwd=tmp_path, env={**os.environ, "JAX_ENABLE_X64": "1"})
+def test_everything_drives_in_single_precision_where_a_program_computes_in_double(
+    tmp_path,
+):
+    python(
+        "-c", DOUBLE_PRECISION, cwd=tmp_path, env={**os.environ, "JAX_ENABLE_X64": "1"}
+    )

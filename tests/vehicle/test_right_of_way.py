@@ -28,8 +28,12 @@ def roundabout(*cars, route="nxs"):
 
 def test_exactly_one_of_two_vehicles_goes_first():
     _, one, other = roundabout((ENTRANCE, 0.0, 8.0), (RING, 0.0, 12.0))
-    kinds = list(product((0.0, 3.0, 30.0), ((0.0, True), (0.0, False), (1.0, True)), (0.0, 12.0)))
-    for (own_distance, own_rank, speed), (distance, rank, other_speed) in product(kinds, kinds):
+    kinds = list(
+        product((0.0, 3.0, 30.0), ((0.0, True), (0.0, False), (1.0, True)), (0.0, 12.0))
+    )
+    for (own_distance, own_rank, speed), (distance, rank, other_speed) in product(
+        kinds, kinds
+    ):
         one.speed, other.speed = speed, other_speed
         approach = Approach(one, own_distance, 5.0, own_rank, 0)
         others = Approach(other, distance, 5.0, rank, 1)

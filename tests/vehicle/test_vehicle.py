@@ -7,12 +7,20 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.utils import are_polygons_intersecting
 
 from ms_highway.game.dynamics import step
-from ms_highway.vehicle import BicycleVehicle, CommuterVehicle, HumanVehicle, ScriptedVehicle
+from ms_highway.vehicle import (
+    BicycleVehicle,
+    CommuterVehicle,
+    HumanVehicle,
+    ScriptedVehicle,
+)
 
 
 def road_with(*cars, lanes=2):
     """A straight road with cars, each given by class, position, speed and, optionally, heading."""
-    road = Road(RoadNetwork.straight_road_network(lanes, speed_limit=20.0), np_random=np.random.RandomState(0))
+    road = Road(
+        RoadNetwork.straight_road_network(lanes, speed_limit=20.0),
+        np_random=np.random.RandomState(0),
+    )
     for kind, position, speed, *heading in cars:
         road.vehicles.append(kind(road, list(position), *(heading or [0.0]), speed))
     return road, *road.vehicles
@@ -35,17 +43,23 @@ def test_the_bicycle_vehicle_moves_like_the_games_dynamics_and_converts_curvatur
     assert car.action == pytest.approx({"steering": 0.05, "acceleration": 2.0})
     car.act(car.action)
     car.step(0.1)
-    np.testing.assert_allclose(car.state, step(car.dynamics, before, control), atol=1e-12)
+    np.testing.assert_allclose(
+        car.state, step(car.dynamics, before, control), atol=1e-12
+    )
     assert car.state.dtype == np.float64
 
 
 def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_overlap():
     random, still, hits = np.random.default_rng(0), np.zeros(2), []
     for _ in range(100):
-        car = BicycleVehicle(None, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0)
+        car = BicycleVehicle(
+            None, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0
+        )
         other = BicycleVehicle(None, random.uniform(-5, 5, 2), random.uniform(-4, 4))
         car.solid = other.solid = False
-        overlap, *_ = are_polygons_intersecting(car.polygon(), other.polygon(), still, still)
+        overlap, *_ = are_polygons_intersecting(
+            car.polygon(), other.polygon(), still, still
+        )
         car.handle_collisions(other, 0.1)
         assert car.hit == other.hit == overlap
         assert not car.crashed
@@ -54,14 +68,21 @@ def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_ove
 
 
 @pytest.mark.parametrize(
-    ("start", "leader_speed", "gaps"),  # between bumpers; at 20 m/s, the quartiles of drivers on US-101
+    (
+        "start",
+        "leader_speed",
+        "gaps",
+    ),  # between bumpers; at 20 m/s, the quartiles of drivers on US-101
     [
         (35.0, 0.0, (1, 6)),
         (35.0, 20.0, (16.9, 34.8)),
     ],
 )
 def test_commuters_keep_their_distance_behind_a_car(start, leader_speed, gaps):
-    cars = (CommuterVehicle, (0.0, 0.0), 20.0), (ScriptedVehicle, (start, 0.0), leader_speed)
+    cars = (
+        (CommuterVehicle, (0.0, 0.0), 20.0),
+        (ScriptedVehicle, (start, 0.0), leader_speed),
+    )
     road, car, leader = road_with(*cars, lanes=1)
     drive(road, 250)
     assert not car.crashed
@@ -81,7 +102,10 @@ def test_a_commuter_that_must_stop_brakes_within_its_grip_and_stands_until_it_ma
 
 
 def test_a_commuter_that_stands_far_behind_a_standing_car_drives_up_to_it():
-    cars = (CommuterVehicle, (0.0, 0.0), 0), (ScriptedVehicle, (35.0, 0.0), 0)  # whole numbers of m/s
+    cars = (
+        (CommuterVehicle, (0.0, 0.0), 0),
+        (ScriptedVehicle, (35.0, 0.0), 0),
+    )  # whole numbers of m/s
     road, car, leader = road_with(*cars, lanes=1)
     car.target_speed = 20
     drive(road, 150, 1 / 15)
@@ -90,10 +114,14 @@ def test_a_commuter_that_stands_far_behind_a_standing_car_drives_up_to_it():
 
 def test_a_human_that_nobody_drives_says_who_does_on_any_road():
     road, _ = road_with((HumanVehicle, (0.0, 0.0), 15.0))
-    with pytest.raises(ValueError, match=r"drive_with, or use ms_highway.vehicle.CommuterVehicle"):
+    with pytest.raises(
+        ValueError, match=r"drive_with, or use ms_highway.vehicle.CommuterVehicle"
+    ):
         road.act()
     config = {"other_vehicles_type": "ms_highway.vehicle.HumanVehicle"}
     environment = gym.make("highway-fast-v0", config=config)
     environment.reset(seed=0)
-    with pytest.raises(ValueError, match=r"CommuterVehicle, which drives on any highway-env road"):
+    with pytest.raises(
+        ValueError, match=r"CommuterVehicle, which drives on any highway-env road"
+    ):
         environment.step(1)

@@ -7,8 +7,23 @@ import re
 from collections.abc import Iterable
 
 SCENES = (
-    *("highway-fast-v0", "merge-v1", "merge-v0", "roundabout-v1", "roundabout-v0", "exit-v1", "exit-v0"),
-    *("intersection-v2", "intersection-v1", "intersection-v0", "two-way-v0", "u-turn-v1", "u-turn-v0"),
+    *(
+        "highway-fast-v0",
+        "merge-v1",
+        "merge-v0",
+        "roundabout-v1",
+        "roundabout-v0",
+        "exit-v1",
+        "exit-v0",
+    ),
+    *(
+        "intersection-v2",
+        "intersection-v1",
+        "intersection-v0",
+        "two-way-v0",
+        "u-turn-v1",
+        "u-turn-v0",
+    ),
     *("racetrack-v1", "racetrack-v0"),
 )
 """Stock scenes that are measured by default: all versions, the newest first."""
@@ -47,13 +62,20 @@ def known_scenes(names: Iterable[str]) -> list[str]:
     """
     scenes, every = [], (*SCENES, *OTHER_SCENES, RECORDED)
     for name in names:
-        known = [scene for scene in every if name in (scene, re.sub(r"-v\d+$", "", scene))]
+        known = [
+            scene for scene in every if name in (scene, re.sub(r"-v\d+$", "", scene))
+        ]
         if not known:
-            raise ValueError(f"unknown scene {name!r}; the scenes are {', '.join(every)}")
+            raise ValueError(
+                f"unknown scene {name!r}; the scenes are {', '.join(every)}"
+            )
         scenes += known
     return list(dict.fromkeys(scenes))
 
 
 def driver_config(name: str) -> dict:
     """Return the configuration that `ms_highway.drive` takes for a driver's name, such as ``priced:2+intentions``."""
-    return {"driver": name.removesuffix(INTENTIONS), "intentions": name.endswith(INTENTIONS)}
+    return {
+        "driver": name.removesuffix(INTENTIONS),
+        "intentions": name.endswith(INTENTIONS),
+    }

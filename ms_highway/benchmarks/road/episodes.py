@@ -14,10 +14,24 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from ms_highway.benchmarks.road import HUMAN, INTENTIONS, RECORDED, RECORDED_ID, TRAFFIC, driver_config
+from ms_highway.benchmarks.road import (
+    HUMAN,
+    INTENTIONS,
+    RECORDED,
+    RECORDED_ID,
+    TRAFFIC,
+    driver_config,
+)
 from ms_highway.benchmarks.road.export import Drive
 from ms_highway.benchmarks.road.measures import Watch
-from ms_highway.benchmarks.road.peers import Agent, Commuter, Human, Idm, Peer, RecordedStart
+from ms_highway.benchmarks.road.peers import (
+    Agent,
+    Commuter,
+    Human,
+    Idm,
+    Peer,
+    RecordedStart,
+)
 from ms_highway.envs.agents import AGENTS, is_agent, policy_of
 from ms_highway.road import drive
 from ms_highway.road.graphics import show
@@ -73,9 +87,17 @@ def check_driver(name: str) -> None:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
             known = ", ".join(
-                [*OTHERS, *DRIVERS, f"DRIVER[{INTENTIONS}]", "AGENT.zip", "a name of add_driver or add_agent"]
+                [
+                    *OTHERS,
+                    *DRIVERS,
+                    f"DRIVER[{INTENTIONS}]",
+                    "AGENT.zip",
+                    "a name of add_driver or add_agent",
+                ]
             )
-            raise ValueError(f"unknown driver {name!r}; the drivers are {known} ({error})") from None
+            raise ValueError(
+                f"unknown driver {name!r}; the drivers are {known} ({error})"
+            ) from None
 
 
 def make_driver(block: Block, **options: Any) -> gym.Env:
@@ -87,7 +109,10 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
     """
     scene, config = block.scene, {"other_vehicles_type": TRAFFIC.get(block.traffic)}
     if scene == RECORDED:
-        scene, config = RECORDED_ID, {"traffic": block.traffic, **block.starts[0].config}
+        scene, config = (
+            RECORDED_ID,
+            {"traffic": block.traffic, **block.starts[0].config},
+        )
     if block.driver in AGENTS:
         config |= AGENTS[block.driver].config
     with warnings.catch_warnings():
@@ -95,13 +120,22 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
         env = gym.make(scene, config=config, disable_env_checker=True, **options)
     if is_agent(block.driver):
         return Agent(env, block.driver)
-    return OTHERS[block.driver](env) if block.driver in OTHERS else drive(env, driver_config(block.driver))
+    return (
+        OTHERS[block.driver](env)
+        if block.driver in OTHERS
+        else drive(env, driver_config(block.driver))
+    )
 
 
 _kept_driver = cache(make_driver)
 
 
-def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Callable[[], None] | None = None) -> dict:
+def run_episode(
+    block: Block,
+    seed: int,
+    env: gym.Env | None = None,
+    then: Callable[[], None] | None = None,
+) -> dict:
     """Drive one episode.
 
     Success means: no crash, and the goal is reached at the end, see `ms_highway.road.stock.success`; in scenes without
@@ -124,7 +158,10 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
           what drove, if the driver tells; ``rungs``, how many cars each rung predicted, summed over decisions.
     """
     env = env or _kept_driver(block)
-    env.reset(seed=seed, options={"config": block.starts[seed].config} if block.starts else None)
+    env.reset(
+        seed=seed,
+        options={"config": block.starts[seed].config} if block.starts else None,
+    )
     inner: Any = env.unwrapped
     exported = Drive(inner) if block.exports else None
     watch = Watch(inner, *filter(None, (then, exported.see if exported else None)))
@@ -136,14 +173,19 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         roads.append(info["road"])
         done = terminated or truncated or inner.time >= longest
     off_at_end = terminated and not watch.crashed and not inner.vehicle.on_road
-    off_road = inner.off_road if block.scene == RECORDED else bool(watch.off_road or off_at_end)
+    off_road = (
+        inner.off_road
+        if block.scene == RECORDED
+        else bool(watch.off_road or off_at_end)
+    )
     reached = success(inner)
     if exported and block.exports:
         directory = block.exports / block.traffic / file_name(block.driver)
         exported.write(directory, file_name(block.name(seed)))
     return {
         "seed": seed,
-        "success": not watch.crashed and bool(not off_road if reached is None else reached),
+        "success": not watch.crashed
+        and bool(not off_road if reached is None else reached),
         "crashed": watch.crashed,
         "at_fault": watch.at_fault,
         "off_road": off_road,
@@ -151,15 +193,24 @@ def run_episode(block: Block, seed: int, env: gym.Env | None = None, then: Calla
         "reward": sum(rewards),
         **watch.motion(),
         **watch.others.figures(),
-        "decisions": [seconds for road in roads for seconds in road["decisions"] if seconds >= 0],
+        "decisions": [
+            seconds for road in roads for seconds in road["decisions"] if seconds >= 0
+        ],
         "late": sum(road.get("late", 0) for road in roads),
-        "sources": Counter(source for road in roads for source in road.get("sources", ()) if source),
-        "rungs": sum((Counter(road.get("model_counts", {})) for road in roads), Counter[str]()),
+        "sources": Counter(
+            source for road in roads for source in road.get("sources", ()) if source
+        ),
+        "rungs": sum(
+            (Counter(road.get("model_counts", {})) for road in roads), Counter[str]()
+        ),
     }
 
 
 def run_blocks(
-    blocks: Sequence[Block], seeds: Sequence[int], films: Path | None = None, modules: Sequence[str] = ()
+    blocks: Sequence[Block],
+    seeds: Sequence[int],
+    films: Path | None = None,
+    modules: Sequence[str] = (),
 ) -> Iterator[tuple[Block, list[dict]]]:
     """Drive the same starts in all blocks; yield each block with its episodes, in the order of blocks and seeds.
 
@@ -210,7 +261,11 @@ def film(block: Block, seed: int, path: Path) -> None:
     from ms_highway.visualization.video import scaled, write
 
     env: Any = make_driver(block, render_mode="rgb_array")
-    frequency, pictures, frames = env.unwrapped.config["simulation_frequency"], [], count()
+    frequency, pictures, frames = (
+        env.unwrapped.config["simulation_frequency"],
+        [],
+        count(),
+    )
     every = max(1, round(frequency / FRAMES_PER_SECOND))
 
     def picture() -> None:
@@ -221,7 +276,11 @@ def film(block: Block, seed: int, path: Path) -> None:
     run_episode(block._replace(exports=None), seed, env, picture)
     env.close()
     height, width = pictures[0].shape[:2]
-    write(scaled(pictures, width * min(MAX_FILM_HEIGHT, height) // height), path, frequency / every)
+    write(
+        scaled(pictures, width * min(MAX_FILM_HEIGHT, height) // height),
+        path,
+        frequency / every,
+    )
 
 
 def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
@@ -275,7 +334,10 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
         "traffic": block.traffic,
         "label": "unphysical" if largest > UNPHYSICAL_ACCELERATION else "",
     }
-    return {name: figure.item() if isinstance(figure, np.generic) else figure for name, figure in figures.items()}
+    return {
+        name: figure.item() if isinstance(figure, np.generic) else figure
+        for name, figure in figures.items()
+    }
 
 
 def _shares(counters: Iterable[Counter[str]]) -> dict[str, float]:
@@ -285,8 +347,17 @@ def _shares(counters: Iterable[Counter[str]]) -> dict[str, float]:
 
 def row(block: Block, episode: Mapping) -> dict:
     """Return an episode as a row of a table."""
-    numbers = {name: value for name, value in episode.items() if name not in ("decisions", "sources", "rungs")}
+    numbers = {
+        name: value
+        for name, value in episode.items()
+        if name not in ("decisions", "sources", "rungs")
+    }
     start = {"start": block.name(episode["seed"])} if block.starts else {}
     times = 1e3 * np.array(episode["decisions"])
     own = {"scene": block.scene, "driver": block.driver, "traffic": block.traffic}
-    return own | start | numbers | {"p50_ms": float(np.median(times)), "max_ms": float(times.max())}
+    return (
+        own
+        | start
+        | numbers
+        | {"p50_ms": float(np.median(times)), "max_ms": float(times.max())}
+    )

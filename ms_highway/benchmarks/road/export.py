@@ -17,7 +17,9 @@ from ms_highway.recorded.commonroad import read_xml
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
 
-WHEELBASE = 2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, which is as large as the ego
+WHEELBASE = (
+    2.578999  # m, of CommonRoad's vehicle 2, a BMW 320i, which is as large as the ego
+)
 EPOCH = "2000-01-01"  # date of a solution if the recording has none
 MIN_STEERING_SPEED = 0.5  # m/s, lowest speed in the computation of steering angles
 
@@ -31,7 +33,9 @@ class Drive:
 
     def __init__(self, env: Any) -> None:
         self._env = env
-        self._states: dict[int | None, list[tuple[float, ...]]] = {}  # by number of the track, None for the ego
+        self._states: dict[
+            int | None, list[tuple[float, ...]]
+        ] = {}  # by number of the track, None for the ego
         self._sizes: dict[int | None, tuple[float, float]] = {}
         self.see()
 
@@ -41,7 +45,9 @@ class Drive:
         everyone = [env.vehicle, *env.road.others]
         points = env.axes.points([vehicle.position for vehicle in everyone])
         orientations = env.axes.headings([vehicle.heading for vehicle in everyone])
-        for vehicle, (x, y), orientation in zip(everyone, points.tolist(), orientations.tolist(), strict=True):
+        for vehicle, (x, y), orientation in zip(
+            everyone, points.tolist(), orientations.tolist(), strict=True
+        ):
             number = None if vehicle is env.vehicle else vehicle.track.number
             states = self._states.setdefault(number, [])
             states.append((env.road.now, x, y, orientation, float(vehicle.speed)))
@@ -68,13 +74,27 @@ class Drive:
             from commonroad.scenario.trajectory import Trajectory
         recording = Path(self._env.config["recording"])
         driven = self._driven(recording)
-        identity = ScenarioID.from_benchmark_id(driven.attrib["benchmarkID"], driven.attrib["commonRoadVersion"])
-        date = datetime.fromisoformat(driven.get("date", EPOCH))  # equal drives give equal files
+        identity = ScenarioID.from_benchmark_id(
+            driven.attrib["benchmarkID"], driven.attrib["commonRoadVersion"]
+        )
+        date = datetime.fromisoformat(
+            driven.get("date", EPOCH)
+        )  # equal drives give equal files
         with replacing(directory / f"{name}.xml") as path:
-            ElementTree.ElementTree(driven).write(path, encoding="utf-8", xml_declaration=True)
+            ElementTree.ElementTree(driven).write(
+                path, encoding="utf-8", xml_declaration=True
+            )
         states = [
-            KSState(int(step), np.array([x, y]), orientation=orientation, velocity=speed, steering_angle=angle)
-            for (step, x, y, orientation, speed), angle in zip(self._states[None], self._steering(), strict=True)
+            KSState(
+                int(step),
+                np.array([x, y]),
+                orientation=orientation,
+                velocity=speed,
+                steering_angle=angle,
+            )
+            for (step, x, y, orientation, speed), angle in zip(
+                self._states[None], self._steering(), strict=True
+            )
         ]
         own = PlanningProblemSolution(
             planning_problem_id=self._env.task.number,
@@ -90,7 +110,9 @@ class Drive:
     def _steering(self) -> list[float]:
         """Return the steering angle of CommonRoad's vehicle at each state, from the yaw rate of the next step [rad]."""
         _, _, _, orientations, speeds = np.array(self._states[None]).T
-        turned = np.diff(np.unwrap(orientations)) / (TIME_STEP * np.maximum(speeds[:-1], MIN_STEERING_SPEED))
+        turned = np.diff(np.unwrap(orientations)) / (
+            TIME_STEP * np.maximum(speeds[:-1], MIN_STEERING_SPEED)
+        )
         angles = np.arctan(WHEELBASE * turned).tolist()
         return [*angles, *(angles[-1:] or [0.0])]
 
@@ -102,9 +124,15 @@ class Drive:
             if number not in self._states:
                 root.remove(obstacle)
                 continue
-            for old in [part for part in obstacle if part.tag in ("shape", "initialState", "trajectory")]:
+            for old in [
+                part
+                for part in obstacle
+                if part.tag in ("shape", "initialState", "trajectory")
+            ]:
                 obstacle.remove(old)
-            length, width = self._sizes[number]  # without an offset: states are those of the centre
+            length, width = self._sizes[
+                number
+            ]  # without an offset: states are those of the centre
             first, *later = (_state(row) for row in self._states[number])
             first.tag = "initialState"
             box = f"<rectangle><length>{length!r}</length><width>{width!r}</width></rectangle>"

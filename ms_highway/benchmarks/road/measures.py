@@ -35,9 +35,14 @@ def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dic
     """
     x, y, heading, speed = np.asarray(states, dtype=float).T
     heading = np.unwrap(heading)
-    acceleration = np.diff(speed * np.stack([np.cos(heading), np.sin(heading)])) / time_step
+    acceleration = (
+        np.diff(speed * np.stack([np.cos(heading), np.sin(heading)])) / time_step
+    )
     turning = np.hypot(np.diff(speed), speed[:-1] * np.diff(heading)) / time_step
-    centre = np.diff(np.diff(np.stack([x, y])[:, : -1 if crashed else None]) / time_step) / time_step
+    centre = (
+        np.diff(np.diff(np.stack([x, y])[:, : -1 if crashed else None]) / time_step)
+        / time_step
+    )
     jerk = np.diff(acceleration) / time_step
     numbers = {
         "frames": len(turning),
@@ -94,12 +99,24 @@ class Watch:
         self._states.append((*ego.position, ego.heading, ego.speed))
         if ego.crashed:
             self.crashed = True
-            others = [one for one in (*road.vehicles, *road.objects) if one is not ego and one.crashed]
+            others = [
+                one
+                for one in (*road.vehicles, *road.objects)
+                if one is not ego and one.crashed
+            ]
             near = [one for one in others if _gap(ego, one) < COLLISION_REACH]
-            self.at_fault = is_at_fault(ego, min(near, key=lambda one: _gap(ego, one), default=None), self._lanes)
+            self.at_fault = is_at_fault(
+                ego,
+                min(near, key=lambda one: _gap(ego, one), default=None),
+                self._lanes,
+            )
             return
         _, offset = ego.lane.local_coordinates(ego.position)
-        self._lanes.append(ego.lane_index if abs(offset) < LANE_OFFSET and ego.speed > STANDING_SPEED else None)
+        self._lanes.append(
+            ego.lane_index
+            if abs(offset) < LANE_OFFSET and ego.speed > STANDING_SPEED
+            else None
+        )
         self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
 
 
@@ -125,7 +142,9 @@ class OthersWatch:
         self._frames = 0
         self._hardest_braking = 0.0
         self._speeds: dict[int, float] = {}
-        self._seen: list[Any] = []  # vehicles that have been seen: keeps their ids unique
+        self._seen: list[
+            Any
+        ] = []  # vehicles that have been seen: keeps their ids unique
         self.see()
 
     def figures(self) -> dict:
@@ -159,7 +178,9 @@ class OthersWatch:
         for vehicle in others:
             self._distance += abs(vehicle.speed)
             self._frames += 1
-            braking = (self._speeds.get(id(vehicle), vehicle.speed) - vehicle.speed) / time_step
+            braking = (
+                self._speeds.get(id(vehicle), vehicle.speed) - vehicle.speed
+            ) / time_step
             if not vehicle.crashed:
                 self._hardest_braking = max(self._hardest_braking, braking)
             if id(vehicle) not in self._speeds:
@@ -173,19 +194,34 @@ class OthersWatch:
         """Return whether the ego collides in this frame, and whether others collide without it."""
         crashed = [vehicle for vehicle in others if vehicle.crashed]
         if ego.crashed:
-            crashed = [vehicle for vehicle in crashed if _gap(ego, vehicle) > COLLISION_REACH]
+            crashed = [
+                vehicle for vehicle in crashed if _gap(ego, vehicle) > COLLISION_REACH
+            ]
         vehicles = [ego, *others]
-        poses = np.array([(*vehicle.position, vehicle.heading) for vehicle in vehicles]).T
+        poses = np.array(
+            [(*vehicle.position, vehicle.heading) for vehicle in vehicles]
+        ).T
         sizes = np.array([(vehicle.LENGTH, vehicle.WIDTH) for vehicle in vehicles])
         first, second = np.triu_indices(len(vehicles), 1)
-        overlap = separation(tuple(poses[:, first]), sizes[first], tuple(poses[:, second]), sizes[second]) < 0
+        overlap = (
+            separation(
+                tuple(poses[:, first]),
+                sizes[first],
+                tuple(poses[:, second]),
+                sizes[second],
+            )
+            < 0
+        )
         ego_touches = ego.crashed or bool(overlap[first == 0].any())
         return ego_touches, bool(crashed) or bool(overlap[first > 0].any())
 
 
 def _gap(one: Any, other: Any) -> float:
     """Return the distance between the circumscribed circles of two cars [m], negative if they overlap."""
-    return float(np.linalg.norm(one.position - other.position) - (one.diagonal + other.diagonal) / 2)
+    return float(
+        np.linalg.norm(one.position - other.position)
+        - (one.diagonal + other.diagonal) / 2
+    )
 
 
 def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
@@ -212,8 +248,16 @@ def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
     across = np.array([-other.direction[1], other.direction[0]])
     away = ego.position - other.position
     half_length, half_width = other.LENGTH / 2, other.WIDTH / 2
-    closest = half_length * other.direction + np.clip(away @ across, -half_width, half_width) * across
-    rear_ended = away @ other.direction > half_length and (closest - away) @ ego.direction < 0
+    closest = (
+        half_length * other.direction
+        + np.clip(away @ across, -half_width, half_width) * across
+    )
+    rear_ended = (
+        away @ other.direction > half_length and (closest - away) @ ego.direction < 0
+    )
     followed = [lane for lane in lanes if lane is not None]
-    changed = any(before[:2] == after[:2] and before != after for before, after in pairwise(followed))
+    changed = any(
+        before[:2] == after[:2] and before != after
+        for before, after in pairwise(followed)
+    )
     return bool(not rear_ended or changed or len(followed) < len(lanes))

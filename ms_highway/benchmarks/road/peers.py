@@ -19,7 +19,12 @@ from highway_env.vehicle.controller import MDPVehicle
 from ms_highway.envs.agents import check_spaces, policy_of
 from ms_highway.recorded.commonroad import scenario_files
 from ms_highway.recorded.environment import RecordedEnv, problem_of
-from ms_highway.recorded.scenario import SHIPPED, RecordedTrack, TrafficRecording, open_recording
+from ms_highway.recorded.scenario import (
+    SHIPPED,
+    RecordedTrack,
+    TrafficRecording,
+    open_recording,
+)
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import ReplayedVehicle
 from ms_highway.road.driven import placeholder_action
@@ -63,7 +68,11 @@ class Peer(gym.Wrapper):
         chosen = self.choose()
         seconds = perf_counter() - start
         self.seen, *outcome, info = super().step(chosen)
-        return self.seen, *outcome, info | {"road": {"decisions": [*self.decisions] or [seconds]}}
+        return (
+            self.seen,
+            *outcome,
+            info | {"road": {"decisions": [*self.decisions] or [seconds]}},
+        )
 
     def begin(self) -> None:
         """Prepare an episode after its reset."""
@@ -132,9 +141,16 @@ class Idm(Peer):
         """Replace the ego by one that drives itself."""
         speed = desired_speed_of(self.env)
         ego: Any = replace_ego(
-            self.env, lambda old: self.ego_type(old.road, old.position, old.heading, old.speed, target_speed=speed)
+            self.env,
+            lambda old: self.ego_type(
+                old.road, old.position, old.heading, old.speed, target_speed=speed
+            ),
         )
-        ego.target_speeds = np.array(self.inner.config["action"].get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS))
+        ego.target_speeds = np.array(
+            self.inner.config["action"].get(
+                "target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS
+            )
+        )
         ego.decisions, goal = self.decisions, destination_of(self.inner)
         if isinstance(self.inner, ExitEnv):
             last = self.inner.config["lanes_count"]
@@ -147,7 +163,9 @@ class Idm(Peer):
         """Let the ego decide; with a timed goal, set the speed that reaches it in time."""
         goal = destination_of(self.inner)
         if isinstance(goal, TimedGoal):
-            self.inner.vehicle.target_speed = goal.desired_speed(self.inner.vehicle, self.inner.time)
+            self.inner.vehicle.target_speed = goal.desired_speed(
+                self.inner.vehicle, self.inner.time
+            )
         return super().choose()
 
 
@@ -168,15 +186,22 @@ class Human(Peer):
         """Replace the ego by a vehicle that moves like the recorded one."""
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
-            raise ValueError("the driver human repeats the drive of a recorded vehicle; say --egos changing")
+            raise ValueError(
+                "the driver human repeats the drive of a recorded vehicle; say --egos changing"
+            )
         track: Any = env.scenario.track(env.task.track)
-        replace_ego(env, lambda old: ReplayedVehicle(old.road, old.road.recorded(track)))
+        replace_ego(
+            env, lambda old: ReplayedVehicle(old.road, old.road.recorded(track))
+        )
 
 
 # Starts in recordings
 
 LONG_ENOUGH = 2.5  # s, shortest track of a vehicle
-CENTRED, CHANGED = 0.45, 0.5  # widths of a lane: largest final offset from its middle, and smallest lateral motion
+CENTRED, CHANGED = (
+    0.45,
+    0.5,
+)  # widths of a lane: largest final offset from its middle, and smallest lateral motion
 
 
 class RecordedStart(NamedTuple):
@@ -215,18 +240,31 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
         scenario = open_recording(recording)
         if egos == "changing":
             for track in filter(partial(_changes_lane, scenario), scenario.tracks):
-                place = tuple(track.samples[0, 1:3].round(2))  # files of the same group may share tracks
-                start = RecordedStart(f"{scenario.name}_{track.number}", recording, track.number, track.number)
+                place = tuple(
+                    track.samples[0, 1:3].round(2)
+                )  # files of the same group may share tracks
+                start = RecordedStart(
+                    f"{scenario.name}_{track.number}",
+                    recording,
+                    track.number,
+                    track.number,
+                )
                 starts.setdefault((scenario.group, track.number, place), start)
             continue
         for problem in scenario.problems:
-            name = scenario.name if len(scenario.problems) == 1 else f"{scenario.name}_{problem.number}"
+            name = (
+                scenario.name
+                if len(scenario.problems) == 1
+                else f"{scenario.name}_{problem.number}"
+            )
             ego = f"problem:{problem.number}"
             try:
                 replaced = problem_of(scenario, ego).track
             except ValueError as error:
                 raise ValueError(f"{recording}: {error}") from error
-            starts[recording, problem.number] = RecordedStart(name, recording, ego, replaced)
+            starts[recording, problem.number] = RecordedStart(
+                name, recording, ego, replaced
+            )
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
         raise ValueError(
@@ -236,7 +274,9 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
     # Recordings may share an id: their files tell such starts apart.
     names = Counter(start.name for start in starts.values())
     return [
-        start if names[start.name] == 1 else start._replace(name=f"{start.name}_{Path(start.recording).name}")
+        start
+        if names[start.name] == 1
+        else start._replace(name=f"{start.name}_{Path(start.recording).name}")
         for start in starts.values()
     ]
 
@@ -248,4 +288,8 @@ def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
         return False
     road = straight_road(scenario)
     begin, end = road.way(track)[[0, -1], 1] / road.lane_width
-    return round(begin) != round(end) and abs(end - round(end)) < CENTRED and abs(end - begin) > CHANGED
+    return (
+        round(begin) != round(end)
+        and abs(end - round(end)) < CENTRED
+        and abs(end - begin) > CHANGED
+    )
