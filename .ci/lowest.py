@@ -1,4 +1,6 @@
-"""Print the lower bounds of all dependencies, the oldest versions that the project claims to run with, for pip."""
+"""Print the lower bounds of all dependencies, the oldest versions that the project
+claims to run with, for pip.
+"""
 
 import re
 import tomllib

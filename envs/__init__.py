@@ -1,8 +1,10 @@
-"""The environments: scenarios of a robot with one human or several, and one to record driving in.
+"""The environments: scenarios of a robot with one human or several, and one to record
+driving in.
 
-``import ms_highway`` registers these ids with Gymnasium: ``ms-highway/stay-back-v1``, ``merger-v1``, ``give-way-v1``,
-``dense-merge-v1`` and ``crossing-crowd-v1``, in which cars keep to what tyres hold; version 0 of each;
-``demonstration-v0``; and those of other packages. Imports `ms_highway.vehicle` and the packages below it.
+``import ms_highway`` registers these ids with Gymnasium: ``ms-highway/stay-back-v1``,
+``merger-v1``, ``give-way-v1``, ``dense-merge-v1`` and ``crossing-crowd-v1``, in which
+cars keep to what tyres hold; version 0 of each; ``demonstration-v0``; and those of
+other packages. Imports `ms_highway.vehicle` and the packages below it.
 """
 
 import sys
@@ -54,25 +56,33 @@ __all__ = [
 
 
 class StayBackEnv(InteractionEnv):
-    """The robot on the left and the human on the right approach cones that only one car at a time can pass."""
+    """The robot on the left and the human on the right approach cones that only one car
+    at a time can pass.
+    """
 
     scenario = STAY_BACK
 
 
 class MergerEnv(InteractionEnv):
-    """The robot on the right wants into the left lane, between a scripted car and the human behind it."""
+    """The robot on the right wants into the left lane, between a scripted car and the
+    human behind it.
+    """
 
     scenario = MERGER
 
 
 class GiveWayEnv(InteractionEnv):
-    """The robot drives in the left lane between two scripted cars; the human beside it wants to merge."""
+    """The robot drives in the left lane between two scripted cars; the human beside it
+    wants to merge.
+    """
 
     scenario = GIVE_WAY
 
 
 class StayBackV1Env(InteractionEnv):
-    """Stay Back within what tyres hold: plans last two seconds, and the human starts ahead of the robot."""
+    """Stay Back within what tyres hold: plans last two seconds, and the human starts
+    ahead of the robot.
+    """
 
     scenario = STAY_BACK_V1
 
@@ -90,25 +100,33 @@ class GiveWayV1Env(InteractionEnv):
 
 
 class DenseMergeEnv(InteractionEnv):
-    """The robot's lane ends; it has to get into a stream of humans in the lane beside it."""
+    """The robot's lane ends; it has to get into a stream of humans in the lane beside
+    it.
+    """
 
     scenario = DENSE_MERGE
 
 
 class DenseMergeV1Env(InteractionEnv):
-    """A careful robot merges into a dense stream of yielding humans; plans last a second, within tyre grip."""
+    """A careful robot merges into a dense stream of yielding humans; plans last a
+    second, within tyre grip.
+    """
 
     scenario = DENSE_MERGE_V1
 
 
 class CrossingCrowdEnv(InteractionEnv):
-    """The robot crosses one stream of humans to join another, so that other humans matter early and late."""
+    """The robot crosses one stream of humans to join another, so that other humans
+    matter early and late.
+    """
 
     scenario = CROSSING_CROWD
 
 
 class CrossingCrowdV1Env(InteractionEnv):
-    """A careful robot crosses a stream of yielding humans and joins another; plans last a second, within tyre grip."""
+    """A careful robot crosses a stream of yielding humans and joins another; plans last
+    a second, within tyre grip.
+    """
 
     scenario = CROSSING_CROWD_V1
 
@@ -128,11 +146,13 @@ PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
-"""The Gymnasium id of the `DemonstrationEnv`; its prefix lets spawned workers find it."""
+"""The Gymnasium id of the `DemonstrationEnv`; its prefix lets spawned workers find it.
+"""
 
 
 def scenario_name(name: str) -> str:
-    """Return the name of the scenario with a name or an id: ``merger`` for ``ms-highway/merger-v0``.
+    """Return the name of the scenario with a name or an id: ``merger`` for
+    ``ms-highway/merger-v0``.
 
     Raises:
         ValueError: for an unknown scenario, and for an id without a version.
@@ -147,7 +167,8 @@ def scenario_name(name: str) -> str:
 
 
 def environment_id(scenario: str) -> str:
-    """Return the Gymnasium id of a scenario; the module prefix lets spawned workers find it.
+    """Return the Gymnasium id of a scenario; the module prefix lets spawned workers
+    find it.
 
     Raises:
         ValueError: for an unknown scenario.
@@ -156,29 +177,36 @@ def environment_id(scenario: str) -> str:
 
 
 def add_scenario(environment: type[InteractionEnv]) -> str:
-    """Add a scenario of one's own by its name, for Gymnasium and for comparisons and videos of this process.
+    """Add a scenario of one's own by its name, for Gymnasium and for comparisons and
+    videos of this process.
 
-    It replaces an added scenario of the same name. The specification of its environments can be written as JSON if its
-    class can be imported from a module.
+    It replaces an added scenario of the same name. The specification of its
+    environments can be written as JSON if its class can be imported from a module.
 
     Args:
-        environment: class of its environments, with a `Scenario` whose name is one word in lower case.
+        environment: class of its environments, with a `Scenario` whose name is one word
+            in lower case.
 
     Returns:
         The Gymnasium id.
 
     Raises:
-        ValueError: if the class is none of such environments; if the package has a scenario of this name, or it is not
-            such a word; and for a scenario that cannot be driven, see `ms_highway.game.scenario.Scenario.check`.
+        ValueError: if the class is none of such environments; if the package has a
+            scenario of this name, or it is not such a word; and for a scenario that
+            cannot be driven, see `ms_highway.game.scenario.Scenario.check`.
     """
     scenario = getattr(environment, "scenario", None)
     if not (isinstance(environment, type) and issubclass(environment, InteractionEnv)):
-        remedy = "give a class derived from ms_highway.InteractionEnv, with an attribute `scenario`"
+        remedy = (
+            "give a class derived from ms_highway.InteractionEnv, with an attribute"
+            " `scenario`"
+        )
         raise ValueError(f"{environment!r} is no class of environments; {remedy}")
     if not isinstance(scenario, Scenario):
         remedy = "make it a ms_highway.Scenario"
         raise ValueError(
-            f"the attribute `scenario` of {environment.__name__} is {scenario!r}; {remedy}"
+            f"the attribute `scenario` of {environment.__name__} is {scenario!r};"
+            f" {remedy}"
         )
     name = scenario.name
     check_name("a scenario", name, PACKAGE_SCENARIOS)

@@ -1,4 +1,6 @@
-"""Let agents and planners of one's own drive instead of a controller, so that both can be compared."""
+"""Let agents and planners of one's own drive instead of a controller, so that both can
+be compared.
+"""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -44,12 +46,16 @@ keep_apart("an agent", lambda: AGENTS)
 
 
 def is_agent(name: str) -> bool:
-    """Return whether a name is an added agent's, or that of a file that stable-baselines3 saves."""
+    """Return whether a name is an added agent's, or that of a file that
+    stable-baselines3 saves.
+    """
     return name in AGENTS or name.endswith(FILE_END)
 
 
 def agent_config(name: str) -> Config:
-    """Return the configuration of environments that an agent drives in, see `ms_highway.add_agent`."""
+    """Return the configuration of environments that an agent drives in, see
+    `ms_highway.add_agent`.
+    """
     config = AGENTS[name].config if name in AGENTS else {}
     space = getattr(_agent(name), "action_space", None)
     chooses = isinstance(space, (spaces.Discrete, spaces.MultiDiscrete))
@@ -65,7 +71,8 @@ def policy_of(name: str) -> Policy:
     """Return the function that chooses the actions of an agent.
 
     Raises:
-        ModuleNotFoundError: for a file, without stable-baselines3 or another package that it needs.
+        ModuleNotFoundError: for a file, without stable-baselines3 or another package
+            that it needs.
         ValueError: if the file is no agent.
     """
     agent = _agent(name)
@@ -80,7 +87,9 @@ def policy_of(name: str) -> Policy:
 
 
 def agent_file(name: str) -> str | None:
-    """Return the path of the file that holds an agent; None for an agent that was added as an object."""
+    """Return the path of the file that holds an agent; None for an agent that was added
+    as an object.
+    """
     source = AGENTS[name].source if name in AGENTS else name
     return fspath(source) if isinstance(source, (str, PathLike)) else None
 
@@ -92,10 +101,12 @@ def _agent(name: str) -> Any:
 
 
 def saved_policy(file: str) -> Any:
-    """Return the policy of an agent that stable-baselines3 has saved; opening the file may run any code in it.
+    """Return the policy of an agent that stable-baselines3 has saved; opening the file
+    may run any code in it.
 
     Raises:
-        ModuleNotFoundError: without stable-baselines3, or another package that the agent needs.
+        ModuleNotFoundError: without stable-baselines3, or another package that the
+            agent needs.
         ValueError: if the file is no such agent.
     """
     if not Path(file).is_file():
@@ -137,7 +148,8 @@ def _saved_policy(file: str, content: str) -> Any:
 
 
 def check_spaces(name: str, env: gym.Env) -> None:
-    """Check that an environment has the spaces that an agent was trained for, if the agent names them.
+    """Check that an environment has the spaces that an agent was trained for, if the
+    agent names them.
 
     Raises:
         ValueError: naming the space that differs.
@@ -151,15 +163,18 @@ def check_spaces(name: str, env: gym.Env) -> None:
                 space.replace("_", " "),
             )
             raise ValueError(
-                f"{name}: the agent's {what} is {known}, that of {scene} {offered}; train one there"
+                f"{name}: the agent's {what} is {known}, that of {scene} {offered};"
+                " train one there"
             )
 
 
 class AgentDrives(gym.Wrapper):
-    """An environment in which an agent drives as a controller does; the only action is 0.
+    """An environment in which an agent drives as a controller does; the only action is
+    0.
 
-    ``info`` has the same keys as under a controller: ``model``, the agent's name or the model that it chooses;
-    ``timing``, whose decision time includes the agent's; and ``gains``, which are empty.
+    ``info`` has the same keys as under a controller: ``model``, the agent's name or the
+    model that it chooses; ``timing``, whose decision time includes the agent's; and
+    ``gains``, which are empty.
 
     Args:
         env: the environment.
@@ -184,7 +199,8 @@ class AgentDrives(gym.Wrapper):
         """Let the agent choose an action, and take it.
 
         Raises:
-            ValueError: if the environment's action space does not contain the agent's action.
+            ValueError: if the environment's action space does not contain the agent's
+                action.
         """
         seen = deepcopy(self._seen)  # which others hold, too
         start = perf_counter()
@@ -196,7 +212,8 @@ class AgentDrives(gym.Wrapper):
             chosen = np.asarray(chosen, self.env.action_space.dtype)
         if not self.env.action_space.contains(chosen):
             raise ValueError(
-                f"the agent {self.name!r} chose {chosen!r}; the actions are {self.env.action_space}"
+                f"the agent {self.name!r} chose {chosen!r}; the actions are"
+                f" {self.env.action_space}"
             )
         self._seen, reward, terminated, truncated, info = self.env.step(chosen)
         described = self._described(info, self.name, "planned", seconds)
@@ -205,7 +222,9 @@ class AgentDrives(gym.Wrapper):
     def _described(
         self, info: Config, model: str, status: str, seconds: float
     ) -> Config:
-        """Return ``info`` with all keys that it has under a controller; the agent's seconds are added to the times."""
+        """Return ``info`` with all keys that it has under a controller; the agent's
+        seconds are added to the times.
+        """
         usual = {
             "model": model,
             "models": (model,),

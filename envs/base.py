@@ -1,4 +1,6 @@
-"""Define the environment of all scenarios: a road, humans, a robot, and what drives them."""
+"""Define the environment of all scenarios: a road, humans, a robot, and what drives
+them.
+"""
 
 from dataclasses import asdict, replace
 from typing import Any, ClassVar
@@ -38,8 +40,8 @@ from ms_highway.runtime.arrays import HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 
 BELIEFS_GONE = (
-    "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several humans the reward that "
-    "theirs are drawn around"
+    "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of"
+    " several humans the reward that theirs are drawn around"
 )
 UNTIL_FIRST: Config = {
     "model": "",
@@ -48,89 +50,117 @@ UNTIL_FIRST: Config = {
     "plan_steps": 0,
     "converged": False,
 }
-"""What ``info`` says of the robot's last step, with the values before the first step."""
+"""What ``info`` says of the robot's last step, with the values before the first step.
+"""
 
 
 class InteractionEnv(GameEnv):
     """A robot among human drivers in a `ms_highway.game.scenario.Scenario`.
 
-    Every human plans for its own reward and believes that all other cars, the robot included, keep their velocity. In
-    scenarios with streams, the humans' rewards are drawn for every episode, so that some humans yield more readily than
-    others. There, the robot succeeds if it ends in the target lane and never collides.
+    Every human plans for its own reward and believes that all other cars, the robot
+    included, keep their velocity. In scenarios with streams, the humans' rewards are
+    drawn for every episode, so that some humans yield more readily than others. There,
+    the robot succeeds if it ends in the target lane and never collides.
 
-    The configuration has highway-env's keys and those below. A default that is not named here is the scenario's.
-    Changes act from the next reset on, and ``config`` describes the current episode until then. Before the first reset
-    and after the end of an episode, ``configure`` changes ``config`` and spaces at once:
+    The configuration has highway-env's keys and those below. A default that is not
+    named here is the scenario's. Changes act from the next reset on, and ``config``
+    describes the current episode until then. Before the first reset and after the end
+    of an episode, ``configure`` changes ``config`` and spaces at once:
 
-    * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller; ``{"type": "HumanModelAction",
-      "lambda": 0.1}``: the agent chooses the model of every human; ``{"type": "ContinuousAction"}``: the agent drives,
-      by accelerations of +-5 m/s^2, front-wheel angles of +-0.1 rad and speeds from 0 to 40 m/s unless
+    * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller;
+      ``{"type": "HumanModelAction", "lambda": 0.1}``: the agent chooses the model of
+      every human; ``{"type": "ContinuousAction"}``: the agent drives, by accelerations
+      of +-5 m/s^2, front-wheel angles of +-0.1 rad and speeds from 0 to 40 m/s unless
       ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise.
-    * ``controller``: chooses a model for every human in every step. ``{"type": "learned", "lambda": 1.0}`` (default)
-      chooses by a learned value of computation, from naive, turn and tom; its ``"values"`` are ``"shipped"`` or a file
-      of ``ms-highway values learn``. ``{"type": "switching", "lambda": 0.1, "cooldown": 3, "trust_radius": 1.5}``
-      chooses by the paper's Algorithm 1 (`ms_highway.choice.quadratic.Quadratic`); ``{"type": "budget",
-      "milliseconds": 20}`` chooses what gains most within this time; ``{"type": "nearest", "count": 2}`` predicts the
-      nearest humans by the top of the ladder. ``{"type": "fixed", "model": "tom"}`` always takes the same model;
-      ``{"type": "schedule", "models": ["tom", "tom", "naive"]}`` takes a model per step and keeps the last one;
+    * ``controller``: chooses a model for every human in every step. ``{"type":
+      "learned", "lambda": 1.0}`` (default) chooses by a learned value of computation,
+      from naive, turn and tom; its ``"values"`` are ``"shipped"`` or a file of
+      ``ms-highway values learn``. ``{"type": "switching", "lambda": 0.1, "cooldown": 3,
+      "trust_radius": 1.5}`` chooses by the paper's Algorithm 1
+      (`ms_highway.choice.quadratic.Quadratic`); ``{"type": "budget", "milliseconds":
+      20}`` chooses what gains most within this time; ``{"type": "nearest", "count":
+      2}`` predicts the nearest humans by the top of the ladder. ``{"type": "fixed",
+      "model": "tom"}`` always takes the same model; ``{"type": "schedule", "models":
+      ["tom", "tom", "naive"]}`` takes a model per step and keeps the last one;
       ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}`` draws them when the
-      episode starts. A short name stands for each, such as ``"tom"`` or ``"learned:1"``, see
-      `ms_highway.envs.registry.controller_config`. With ``"belief": True``, any of them infers from each human's
-      behaviour which model predicts that human (`ms_highway.choice.belief`), and counts on no response that the
-      human does not show.
-    * ``ladder``: names of human models, cheapest first, or ``"best"`` (`ms_highway.planning.ladders`).
-    * ``costs``: T(M), the seconds that count for a plan under model M: ``"published"``, the paper's (default with one
-      human); ``"shipped"``, measured on one core (default with several humans, and in physical scenarios);
-      ``"measured"``, on this machine in the first step; or seconds by model, of which ``tom@8`` takes its share. Among
-      several humans, T(M) is of a plan that predicts one human by M and the others by the first rung, and T is
-      additive. With ``"shipped"``, budgets choose by measured times, so that episodes of one seed may differ.
-    * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within what tyres hold, where a
-      collision is an overlap of bodies (`ms_highway.game.contact`) instead of the paper's indicator; or
-      ``"released"``, the paper's released code; see `ms_highway.game.scenario.build_game`.
-    * ``human_reward``: what humans drive for, in the world and in the robot's models of them: ``"learned"`` from
-      demonstrations; ``"published"``; ``"us101"``, learned from drivers on that highway; weights by name, of
-      `ms_highway.game.reward.weight_names`; or None for the reward of the semantics: published in released semantics,
-      or else learned. Aims of the scenario, such as a human's target lane, stay unless weights name them. A learned
-      reward has no weight of ``collision``, and that of the highway none of leaving the road.
+      episode starts. A short name stands for each, such as ``"tom"`` or
+      ``"learned:1"``, see `ms_highway.envs.registry.controller_config`. With
+      ``"belief": True``, any of them infers from each human's behaviour which model
+      predicts that human (`ms_highway.choice.belief`), and counts on no response that
+      the human does not show.
+    * ``ladder``: names of human models, cheapest first, or ``"best"``
+      (`ms_highway.planning.ladders`).
+    * ``costs``: T(M), the seconds that count for a plan under model M: ``"published"``,
+      the paper's (default with one human); ``"shipped"``, measured on one core (default
+      with several humans, and in physical scenarios); ``"measured"``, on this machine
+      in the first step; or seconds by model, of which ``tom@8`` takes its share. Among
+      several humans, T(M) is of a plan that predicts one human by M and the others by
+      the first rung, and T is additive. With ``"shipped"``, budgets choose by measured
+      times, so that episodes of one seed may differ.
+    * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within
+      what tyres hold, where a collision is an overlap of bodies
+      (`ms_highway.game.contact`) instead of the paper's indicator; or ``"released"``,
+      the paper's released code; see `ms_highway.game.scenario.build_game`.
+    * ``human_reward``: what humans drive for, in the world and in the robot's models of
+      them: ``"learned"`` from demonstrations; ``"published"``; ``"us101"``, learned
+      from drivers on that highway; weights by name, of
+      `ms_highway.game.reward.weight_names`; or None for the reward of the semantics:
+      published in released semantics, or else learned. Aims of the scenario, such as a
+      human's target lane, stay unless weights name them. A learned reward has no weight
+      of ``collision``, and that of the highway none of leaving the road.
     * ``humans``: number of humans, from 2 to 20 in scenarios with streams.
-    * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward; ``"never"``, keep their
-      velocity and never yield; ``"always"``, make room for the robot (`ms_highway.loop.controller`); or
-      ``"mixed"``, one of the last two, drawn for each human when the episode starts.
-    * ``human_driver``: what drives the humans instead of plans for their reward: a name of `ms_highway.add_driver`, or
-      ``"keyboard"``: the arrow keys drive the first human, in a window (``render_mode="human"``).
-    * ``way_out``: whether the robot keeps a way out from humans who do not yield, see `ms_highway.planning.way_out`.
-    * ``control_limit``: bounds on curvature [1/m] and acceleration [m/s^2] of plans; ``"unlimited"``; or None for the
-      scenario's bounds, in released semantics for no bounds.
-    * ``grip``: the total acceleration that tyres hold, across and along [m/s^2], such as
-      `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without reversing; None sets no limit, as
-      in the paper, but stands for ``GRIP`` in physical semantics. It does not apply where the agent drives.
-    * ``solver``: how plans are improved: ``"gradient"``, the paper's steps; or ``"convex_newton"``, for horizons of
-      seconds, on a smooth reward with room to stop (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics,
-      with room between bodies.
+    * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward;
+      ``"never"``, keep their velocity and never yield; ``"always"``, make room for the
+      robot (`ms_highway.loop.controller`); or ``"mixed"``, one of the last two, drawn
+      for each human when the episode starts.
+    * ``human_driver``: what drives the humans instead of plans for their reward: a name
+      of `ms_highway.add_driver`, or ``"keyboard"``: the arrow keys drive the first
+      human, in a window (``render_mode="human"``).
+    * ``way_out``: whether the robot keeps a way out from humans who do not yield, see
+      `ms_highway.planning.way_out`.
+    * ``control_limit``: bounds on curvature [1/m] and acceleration [m/s^2] of plans;
+      ``"unlimited"``; or None for the scenario's bounds, in released semantics for no
+      bounds.
+    * ``grip``: the total acceleration that tyres hold, across and along [m/s^2], such
+      as `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without
+      reversing; None sets no limit, as in the paper, but stands for ``GRIP`` in
+      physical semantics. It does not apply where the agent drives.
+    * ``solver``: how plans are improved: ``"gradient"``, the paper's steps; or
+      ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop
+      (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics, with room
+      between bodies.
     * ``horizon``: number of planned controls, of robot and humans.
     * ``time_step``: duration of a step of plans and of the environment [s].
-    * ``iterations``: number of gradient steps of a plan; None for what suits the horizon.
-    * ``step_size``: length of a gradient step per unit of gradient; None for what suits the horizon; a longer one gives
-      a warning. See `ms_highway.numerics.solvers.PlanningSettings`.
-    * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a collision ends it.
+    * ``iterations``: number of gradient steps of a plan; None for what suits the
+      horizon.
+    * ``step_size``: length of a gradient step per unit of gradient; None for what suits
+      the horizon; a longer one gives a warning. See
+      `ms_highway.numerics.solvers.PlanningSettings`.
+    * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a
+      collision ends it.
 
-    ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an array [cars, 4] of x, y, heading and
-    speed in SI units, of the robot, the humans and the scripted cars in this order. Whole turns of a heading count for
-    nothing: they are left out.
+    ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an
+    array [cars, 4] of x, y, heading and speed in SI units, of the robot, the humans and
+    the scripted cars in this order. Whole turns of a heading count for nothing: they
+    are left out.
 
-    The reward is the robot's r_R after the step. A collision only costs reward, as in the paper: cars neither push each
-    other nor stop. ``notebooks/REFERENCE.md`` lists the keys of ``info``. The executed ``control`` may exceed the
-    default ranges of actions: divided by the ends of wider ranges, such as `ms_highway.envs.demonstration.ACTION`, it
-    is the ``ContinuousAction`` that does the same within ``speed_range``.
+    The reward is the robot's r_R after the step. A collision only costs reward, as in
+    the paper: cars neither push each other nor stop. ``notebooks/REFERENCE.md`` lists
+    the keys of ``info``. The executed ``control`` may exceed the default ranges of
+    actions: divided by the ends of wider ranges, such as
+    `ms_highway.envs.demonstration.ACTION`, it is the ``ContinuousAction`` that does the
+    same within ``speed_range``.
 
     Attributes:
-        game: that the robot believes in; robot and humans play a game that is assigned from the next reset on.
+        game: that the robot believes in; robot and humans play a game that is assigned
+            from the next reset on.
         weights: of every human's own reward.
         costs: T(M), by which rules choose; of no model until it is measured.
         counted: T(M) that episodes are charged for. It differs from ``costs`` only with
             ``"shipped"`` costs and a budget, which chooses by measured times.
         seconds: T(M) of ``costs`` by model [s].
-        history: the record of every step, None where the robot does not plan, and its reward.
+        history: the record of every step, None where the robot does not plan, and its
+            reward.
     """
 
     scenario: ClassVar[Scenario]
@@ -146,16 +176,18 @@ class InteractionEnv(GameEnv):
         return {
             **super().default_config(),
             "observation": {
-                "type": "SceneStates"
-                if scenario.semantics == "physical"
-                else "CarStates"
+                "type": (
+                    "SceneStates" if scenario.semantics == "physical" else "CarStates"
+                )
             },
             "action": {"type": "Autopilot"},
             "controller": {"type": "learned", "lambda": 1.0},
             "ladder": list(scenario.ladder),
-            "costs": "shipped"
-            if several or scenario.semantics == "physical"
-            else "published",
+            "costs": (
+                "shipped"
+                if several or scenario.semantics == "physical"
+                else "published"
+            ),
             "semantics": scenario.semantics,
             "human_reward": None,
             "humans": scenario.humans,
@@ -178,7 +210,9 @@ class InteractionEnv(GameEnv):
     def checked_config(
         cls, changes: Changes | None, config: Changes | None = None
     ) -> Config:
-        """See `GameEnv.checked_config`; also spell out ladder and controller, and check that they fit each other."""
+        """See `GameEnv.checked_config`; also spell out ladder and controller, and check
+        that they fit each other.
+        """
         if "beliefs" in as_dictionary("the configuration", changes or {}):
             raise ValueError(BELIEFS_GONE)
         config = super().checked_config(changes, config)
@@ -192,7 +226,8 @@ class InteractionEnv(GameEnv):
         )
         if config["action"]["type"] == "HumanModelAction" and not controller.predicts:
             raise ValueError(
-                f"{place}, with which no model is chosen; leave it out, or the action HumanModelAction"
+                f"{place}, with which no model is chosen; leave it out, or the action"
+                " HumanModelAction"
             )
         if config["action"]["type"] == "Autopilot":
             start = settings.start(1, np.random.default_rng())
@@ -256,7 +291,9 @@ class InteractionEnv(GameEnv):
 
     @property
     def keys_drive(self) -> bool:
-        """See `ms_highway.envs.configured.ConfiguredEnv.keys_drive`; they may also drive a human."""
+        """See `ms_highway.envs.configured.ConfiguredEnv.keys_drive`; they may also
+        drive a human.
+        """
         return KEYBOARD in self.settings.drivers or super().keys_drive
 
     @property
@@ -265,11 +302,15 @@ class InteractionEnv(GameEnv):
         return 1 + self.settings.humans + len(self.scenario.cars[2:])
 
     def draw_episode(self, random: Random) -> tuple[State, HumansWeights]:
-        """Draw the start of every car in SI units, and the weights of every human's reward."""
+        """Draw the start of every car in SI units, and the weights of every human's
+        reward.
+        """
         return draw_episode(self.scenario, random, self.game.humans)
 
     def draw_drivers(self, random: Random) -> Int[Any, "humans"]:
-        """Return the number of every human's driver, see `ms_highway.loop.records.HUMAN_PLANS`."""
+        """Return the number of every human's driver, see
+        `ms_highway.loop.records.HUMAN_PLANS`.
+        """
         humans = self.settings.humans
         names = self.settings.drivers
         first = HUMAN_PLANS + 1  # number of the first name
@@ -278,7 +319,8 @@ class InteractionEnv(GameEnv):
         if len(names) > 1:
             return first + (random.uniform(size=humans) < 0.5)
 
-        # The only name drives all of them, but the keyboard the first one alone; without a name, they plan.
+        # The only name drives all of them, but the keyboard the first one alone;
+        # without a name, they plan.
         only = HUMAN_PLANS + len(names)
         plans = (np.arange(humans) > 0) & (names == (KEYBOARD,))
         return np.where(plans, HUMAN_PLANS, only)
@@ -316,7 +358,9 @@ class InteractionEnv(GameEnv):
         self.robot.drive_with(driver, self.road.vehicles[1:])
 
     def measure(self) -> None:
-        """Measure T(M) of the ladder with the cars where they are: the median, or the 99 % quantile for budgets."""
+        """Measure T(M) of the ladder with the cars where they are: the median, or the
+        99 % quantile for budgets.
+        """
         settings = self.settings
         quantile = 0.99 if self._budgets else 0.5
         self.costs = measure_costs(
@@ -349,13 +393,19 @@ class InteractionEnv(GameEnv):
 
     @property
     def distance_to_cones(self) -> float:
-        """From the robot's front to the first cone ahead in its lane, infinite without one [m]."""
+        """From the robot's front to the first cone ahead in its lane, infinite without
+        one [m].
+        """
         return float(cone_distances(self.game.scene, self.car_states[:1])[0])
 
     def _simulate(self, action: Any = None) -> None:
-        """Let all cars plan and move, evaluate the robot's new state, and let the agent pay for the model it chose."""
+        """Let all cars plan and move, evaluate the robot's new state, and let the agent
+        pay for the model it chose.
+        """
         if not self.costs.names and isinstance(self.action_type, Autopilot):
-            self.measure()  # not at the reset: JAX must not start before the first step, so that processes can fork
+            # not at the reset: JAX must not start before the first step, so that
+            # processes can fork
+            self.measure()
             if self.robot.controller is not None and self.settings.controller.chooses:
                 self._drive_robot(self.robot.controller.game)
         super()._simulate(action)
@@ -367,7 +417,9 @@ class InteractionEnv(GameEnv):
         self.history.append((step, self._reward(action)))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
-        """Describe the last step, see ``notebooks/REFERENCE.md``; keys, types and shapes are the same after a reset."""
+        """Describe the last step, see ``notebooks/REFERENCE.md``; keys, types and
+        shapes are the same after a reset.
+        """
         info = super()._info(obs, action)
         settings = self.settings
         streams = bool(self.scenario.streams)
@@ -421,7 +473,9 @@ class InteractionEnv(GameEnv):
 
 
 def _status(human: Any) -> str | None:
-    """Return the status of a human's last step: an empty text before the first, None for cars that do not plan."""
+    """Return the status of a human's last step: an empty text before the first, None
+    for cars that do not plan.
+    """
     if not hasattr(human, "last_step"):  # highway-env's vehicles have none
         return None
     return human.last_step.status if human.last_step else ""

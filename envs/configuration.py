@@ -1,7 +1,8 @@
 """Read configurations; every error names the key, its value, its place and a remedy.
 
-msgspec reads configurations into frozen structs. The annotations of their fields state types and limits. The
-``description`` of a `msgspec.Meta` is the remedy: it ends an error such as ``config['grip'] is -1; ...``.
+msgspec reads configurations into frozen structs. The annotations of their fields state
+types and limits. The ``description`` of a `msgspec.Meta` is the remedy: it ends an
+error such as ``config['grip'] is -1; ...``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -63,7 +64,9 @@ Parts = Annotated[
 
 
 def keys_of(kind: type[Any]) -> Config:
-    """Return the keys of one of highway-env's types of actions or observations; it does not restrict their values."""
+    """Return the keys of one of highway-env's types of actions or observations; it does
+    not restrict their values.
+    """
     return dict.fromkeys({*signature(kind).parameters} - {"env", "kwargs"}, Any)
 
 
@@ -85,14 +88,17 @@ TYPES: Types = {
         "TupleObservation": {"observation_configs": Parts},
     },
 }
-"""Types of actions and observations, their keys, and the annotation of each key's values."""
+"""Types of actions and observations, their keys, and the annotation of each key's
+values.
+"""
 
 
 def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> None:
     """Refuse unknown keys.
 
     Raises:
-        ValueError: for the first unknown key; it suggests the most similar known key. For what has no keys.
+        ValueError: for the first unknown key; it suggests the most similar known key.
+            For what has no keys.
     """
     known = sorted(known)
     if not isinstance(given, Iterable):
@@ -111,7 +117,8 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
 
 
 def checked_seed(seed: Any) -> int | None:
-    """Return a seed as Gymnasium takes it, a Python number; None stays None, for a seed that is drawn.
+    """Return a seed as Gymnasium takes it, a Python number; None stays None, for a seed
+    that is drawn.
 
     Raises:
         ValueError: for anything but a whole number that is not negative.
@@ -126,7 +133,8 @@ def checked_seed(seed: Any) -> int | None:
 
 
 def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind:
-    """Return the values of a configuration as a struct; NumPy's numbers and arrays count as Python's.
+    """Return the values of a configuration as a struct; NumPy's numbers and arrays
+    count as Python's.
 
     Args:
         kind: class of the struct; a ValueError of its ``__post_init__`` is passed on.
@@ -165,12 +173,16 @@ def as_dictionary(place: str, values: Any) -> Config:
 
 
 def as_json(values: Any) -> Any:
-    """Convert values to types that JSON has: NumPy's numbers and arrays, mappings and paths to Python's own types."""
+    """Convert values to types that JSON has: NumPy's numbers and arrays, mappings and
+    paths to Python's own types.
+    """
     return to_builtins(values, enc_hook=_builtin)
 
 
 def _builtin(value: Any) -> Any:
-    """Convert a value of NumPy, a mapping or a path; turn any other object into a text, which a check refuses."""
+    """Convert a value of NumPy, a mapping or a path; turn any other object into a text,
+    which a check refuses.
+    """
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -182,7 +194,8 @@ def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
     """Check the value of a key against an annotation.
 
     Raises:
-        ValueError: with the annotation's description, its choices, or else what msgspec expects, as the remedy.
+        ValueError: with the annotation's description, its choices, or else what msgspec
+            expects, as the remedy.
     """
     try:
         convert(value, annotation, strict=strict)
@@ -215,7 +228,9 @@ def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
 
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
-    """Read the keys of a struct from a whole configuration, see `read`; the other keys are highway-env's."""
+    """Read the keys of a struct from a whole configuration, see `read`; the other keys
+    are highway-env's.
+    """
     return read(
         kind,
         "config",

@@ -1,4 +1,6 @@
-"""Define the base of all environments: highway-env's environment with a checked configuration and checked actions."""
+"""Define the base of all environments: highway-env's environment with a checked
+configuration and checked actions.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -59,12 +61,17 @@ SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
 """Annotations of the values of highway-env's own keys, by the type of their default."""
 
 UNUSED = {
-    "other_vehicles_type": "'human_driver' says what drives the humans, and 'traffic' what drives recorded cars",
+    "other_vehicles_type": (
+        "'human_driver' says what drives the humans, and 'traffic' what drives recorded"
+        " cars"
+    ),
     "show_trajectories": "plan and prediction are always drawn",
     "render_agent": "render_mode says whether to draw",
     "neighbour_vehicles_connected_lanes": "all lanes of these roads are one road",
 }
-"""highway-env's own keys that have no effect here, and the reason or a key that has the effect."""
+"""highway-env's own keys that have no effect here, and the reason or a key that has the
+effect.
+"""
 
 USUAL_RANGES = {
     "steering_range": [
@@ -76,10 +83,12 @@ USUAL_RANGES = {
 
 
 class ConfiguredEnv(AbstractEnv):
-    """A highway-env environment that checks its whole configuration before it changes anything.
+    """A highway-env environment that checks its whole configuration before it changes
+    anything.
 
     Attributes:
-        settings: the keys that highway-env does not have, read into the class's ``settings_type``.
+        settings: the keys that highway-env does not have, read into the class's
+            ``settings_type``.
     """
 
     settings_type: ClassVar[Any]
@@ -103,12 +112,15 @@ class ConfiguredEnv(AbstractEnv):
         self, config: Config | None = None, render_mode: str | None = None
     ) -> None:
         super().__init__(config, render_mode)
-        self._running = False  # the episode that highway-env starts in its constructor does not count
+        # the episode that highway-env starts in its constructor does not count
+        self._running = False
         self._made = True
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Gymnasium's specification, whose arguments are converted to types that JSON has."""
+        """Gymnasium's specification, whose arguments are converted to types that JSON
+        has.
+        """
         return self._spec
 
     @spec.setter
@@ -121,10 +133,11 @@ class ConfiguredEnv(AbstractEnv):
     def checked_config(
         cls, changes: Changes | None, config: Changes | None = None
     ) -> Config:
-        """Return the whole configuration after changes of a configuration, by default of the default one.
+        """Return the whole configuration after changes of a configuration, by default
+        of the default one.
 
-        A nested mapping changes only the keys that it names. It replaces the old mapping if its ``type`` differs or if
-        it is the humans' reward.
+        A nested mapping changes only the keys that it names. It replaces the old
+        mapping if its ``type`` differs or if it is the humans' reward.
 
         Raises:
             ValueError: for anything unknown or impossible.
@@ -149,7 +162,8 @@ class ConfiguredEnv(AbstractEnv):
             check(f"config[{key!r}]", whole[key], SCALARS.get(type(default), Any))
             if key in UNUSED and whole[key] != default:
                 raise ValueError(
-                    f"config[{key!r}] is {whole[key]!r}, which has no effect here; {UNUSED[key]}"
+                    f"config[{key!r}] is {whole[key]!r}, which has no effect here;"
+                    f" {UNUSED[key]}"
                 )
         frequency = 1 / whole.get(
             "time_step", TIME_STEP
@@ -159,7 +173,10 @@ class ConfiguredEnv(AbstractEnv):
         )
         for key in ("simulation_frequency", "policy_frequency"):
             if not np.isclose(changes.get(key, frequency), frequency):
-                remedy = f"plans are made of steps of {1 / frequency:g} s, so it must be {frequency:g}"
+                remedy = (
+                    f"plans are made of steps of {1 / frequency:g} s, so it must be"
+                    f" {frequency:g}"
+                )
                 raise ValueError(f"config[{key!r}] is {whole[key]!r}; {remedy}")
             whole[key] = frequency
         for key, known in cls.types.items():
@@ -172,9 +189,11 @@ class ConfiguredEnv(AbstractEnv):
         return whole
 
     def configure(self, config: Config | None) -> None:
-        """Make all changes of the configuration, or none; those made during an episode act from the next reset on.
+        """Make all changes of the configuration, or none; those made during an episode
+        act from the next reset on.
 
-        When no episode runs, the spaces change at once, and the next step needs a reset before it.
+        When no episode runs, the spaces change at once, and the next step needs a reset
+        before it.
 
         Raises:
             ValueError: for an unknown key or an impossible value.
@@ -222,7 +241,9 @@ class ConfiguredEnv(AbstractEnv):
         return bool(self.config["manual_control"]) and self.render_mode == "human"
 
     def define_spaces(self) -> None:
-        """Set types and spaces of observations and actions; an unchanged action space keeps its random generator."""
+        """Set types and spaces of observations and actions; an unchanged action space
+        keeps its random generator.
+        """
         before = self.action_space
         self.action_type = self.type_of(action_factory, self.config["action"])
         if isinstance(self.action_type, ContinuousAction):
@@ -237,7 +258,9 @@ class ConfiguredEnv(AbstractEnv):
         self.observation_space = finite(self.observation_type.space())
 
     def type_of(self, factory: Any, config: Config) -> Any:
-        """Make a type of actions or observations: one of the package, or else by a factory of highway-env."""
+        """Make a type of actions or observations: one of the package, or else by a
+        factory of highway-env.
+        """
         if (
             "observation_shape" in config
         ):  # highway-env needs a tuple; JSON has only lists
@@ -252,11 +275,14 @@ class ConfiguredEnv(AbstractEnv):
 
         Args:
             seed: of all random draws.
-            options: ``"config"``, changes of the configuration, of which all are made or none; the class may have more.
+            options: ``"config"``, changes of the configuration, of which all are made
+                or none; the class may have more.
 
         Raises:
-            ValueError: for an impossible seed, unknown options or an impossible configuration.
-            OSError: if the arrow keys are to drive, and there is no window to press them in.
+            ValueError: for an impossible seed, unknown options or an impossible
+                configuration.
+            OSError: if the arrow keys are to drive, and there is no window to press
+                them in.
         """
         seed = checked_seed(seed)
         self.options = options or {}
@@ -277,7 +303,9 @@ class ConfiguredEnv(AbstractEnv):
         return start
 
     def get_available_actions(self) -> Sequence[Any]:
-        """Return the actions available now: all discrete actions, or highway-env's selection of meta-actions."""
+        """Return the actions available now: all discrete actions, or highway-env's
+        selection of meta-actions.
+        """
         space = self.action_space
         if isinstance(space, spaces.MultiDiscrete):
             return [*np.ndindex(*space.nvec)]
@@ -296,7 +324,8 @@ class ConfiguredEnv(AbstractEnv):
         """
         if self._stale:
             raise ResetNeeded(
-                "the configuration has changed since the last episode; call reset before step"
+                "the configuration has changed since the last episode; call reset"
+                " before step"
             )
         if action is not None and not is_possible(self.action_space, action):
             raise ValueError(

@@ -1,4 +1,5 @@
-"""Read controllers from their configuration: rules, orders of models, functions and agents.
+"""Read controllers from their configuration: rules, orders of models, functions and
+agents.
 
 The configuration of a rule is the rule: the fields of its chooser and its estimator are
 the keys of ``config["controller"]``, see `ms_highway.choice.rule.Part`.
@@ -54,7 +55,10 @@ PLACE = "config['controller']"
 COMMON = ("type", "belief")  # keys of all controllers
 LAMBDA = "lambda"  # key of the field `price`, as no field can have this name
 ROUNDING = 1e-6  # how far a sum of shares may be from 1
-PER_HUMAN = "models per human are gone since 3.0.0; name one model for a step, or choose them by an agent's actions"
+PER_HUMAN = (
+    "models per human are gone since 3.0.0; name one model for a step, or choose them"
+    " by an agent's actions"
+)
 
 Models = Annotated[
     tuple[str, ...], Meta(min_length=1, description="give a list of human models")
@@ -88,7 +92,9 @@ class ModelOrder(Part):
         raise NotImplementedError
 
     def table(self, start: Start) -> np.ndarray:
-        """Return the names of the humans' models in every step, [steps, humans] or, the same for all, [steps, 1]."""
+        """Return the names of the humans' models in every step, [steps, humans] or, the
+        same for all, [steps, 1].
+        """
         return np.array(self.names())[:, None]
 
     def rule(self, start: Start) -> Rule[Any]:
@@ -124,7 +130,9 @@ class Schedule(ModelOrder):
 
 @dataclass(frozen=True)
 class RandomModels(ModelOrder):
-    """A model for every human and step, drawn when the episode starts with given shares."""
+    """A model for every human and step, drawn when the episode starts with given
+    shares.
+    """
 
     shares: Shares
 
@@ -154,7 +162,9 @@ REPEATED = re.compile(
 
 
 def schedule_of(text: str) -> Config:
-    """Read the part of a short name behind its type; ``tom=6,naive`` is tom for six steps and naive for one."""
+    """Read the part of a short name behind its type; ``tom=6,naive`` is tom for six
+    steps and naive for one.
+    """
     models: list[str] = []
     for part in text.split(","):
         repeated = REPEATED.fullmatch(part)
@@ -181,7 +191,9 @@ def shares_of(text: str) -> Config:
 
 
 class Outside(Part):
-    """Base of what stands for a user's drivers and agents, which are known by name: they choose no models."""
+    """Base of what stands for a user's drivers and agents, which are known by name:
+    they choose no models.
+    """
 
     name: str
 
@@ -194,7 +206,10 @@ class DrivenByFunction(Outside):
 
     def __post_init__(self) -> None:
         if self.name not in function_names():
-            remedy = f"add it with ms_highway.add_driver: there are {', '.join(function_names())}"
+            remedy = (
+                "add it with ms_highway.add_driver: there are"
+                f" {', '.join(function_names())}"
+            )
             raise ValueError(f"{PLACE} names the driver {self.name!r}; {remedy}")
 
 
@@ -216,7 +231,8 @@ class ControllerSettings:
         type: of the controller.
         chooser: what chooses the models, names them, or drives without any.
         estimator: what estimates their gains; None if the chooser needs no gains.
-        belief: whether the controller infers which model predicts each human, see `ms_highway.choice.belief`.
+        belief: whether the controller infers which model predicts each human, see
+            `ms_highway.choice.belief`.
     """
 
     type: str
@@ -238,7 +254,8 @@ class ControllerSettings:
         if self.belief and isinstance(self.chooser, Outside):
             name = self.chooser.name
             raise ValueError(
-                f"{PLACE}['belief'] is True, and {name!r} predicts no human; leave the belief out"
+                f"{PLACE}['belief'] is True, and {name!r} predicts no human; leave the"
+                " belief out"
             )
 
     @property
@@ -262,7 +279,9 @@ class ControllerSettings:
         return self.chooser.seconds if isinstance(self.chooser, Knapsack) else None
 
     def without_price(self) -> Self:
-        """Return the settings at a lambda of 0, which are the same for controllers that differ only in lambda."""
+        """Return the settings at a lambda of 0, which are the same for controllers that
+        differ only in lambda.
+        """
         if not isinstance(self.chooser, Priced):
             return self
         return replace(self, chooser=replace(self.chooser, price=0.0))
@@ -276,7 +295,9 @@ class ControllerSettings:
         )
 
     def files(self) -> tuple[str, ...]:
-        """Return the paths of the files that the controller is read from, beside its settings."""
+        """Return the paths of the files that the controller is read from, beside its
+        settings.
+        """
         file = (
             agent_file(self.chooser.name)
             if isinstance(self.chooser, DrivenByAgent)
@@ -314,10 +335,14 @@ class ControllerSettings:
         """Check that the controller can drive the robot.
 
         Raises:
-            ValueError: for an agent, and for a rule that does not fit the ladder, the costs or a belief.
+            ValueError: for an agent, and for a rule that does not fit the ladder, the
+                costs or a belief.
         """
         if isinstance(self.chooser, DrivenByAgent):
-            remedy = "call it yourself, or make the environment with ms_highway.experiments.runner.make_environment"
+            remedy = (
+                "call it yourself, or make the environment with"
+                " ms_highway.experiments.runner.make_environment"
+            )
             raise ValueError(f"an agent acts from outside; {remedy}")
         if self.predicts:
             drivable(self.rule(start), self.belief)
@@ -330,7 +355,8 @@ class ControllerSettings:
         Args:
             game: that the robot believes in.
             start: what is known of the episode.
-            way_out: whether the robot keeps a way out, see `ms_highway.planning.way_out`.
+            way_out: whether the robot keeps a way out, see
+                `ms_highway.planning.way_out`.
             order: used instead of the rule where an agent chooses the models.
         """
         if isinstance(self.chooser, DrivenByFunction):
@@ -343,7 +369,9 @@ class ControllerSettings:
         )
 
     def config(self) -> Config:
-        """Return the configuration that it was read from, without defaults, as JSON has it."""
+        """Return the configuration that it was read from, without defaults, as JSON has
+        it.
+        """
         given: Config = {"type": self.type}
         if self.belief:
             given["belief"] = True
@@ -384,7 +412,9 @@ class Pair(NamedTuple):
         return class_of(self.chooser)
 
     def keys(self) -> dict[str, Field]:
-        """Return the fields of both parts that are keys of the configuration, the chooser's first."""
+        """Return the fields of both parts that are keys of the configuration, the
+        chooser's first.
+        """
         keys = keys_of(self.chooser_class)
         return (
             keys if self.estimator is None else keys | keys_of(class_of(self.estimator))
@@ -419,7 +449,9 @@ def class_of(part: PartMaker) -> type[Part]:
 
 
 def keys_of(part: type[Part]) -> dict[str, Field]:
-    """Return the fields of a part that are keys of the configuration; a field ``price`` is the key ``lambda``."""
+    """Return the fields of a part that are keys of the configuration; a field ``price``
+    is the key ``lambda``.
+    """
     own: tuple[Field, ...] = fields(part) if is_dataclass(part) else ()
     return {
         LAMBDA if each.name == "price" else each.name: each

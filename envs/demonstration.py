@@ -53,13 +53,15 @@ KEYBOARD_ACTION = {
 }
 """Actions for arrow keys; highway-env takes a pressed key for 0.7 of the range.
 
-Without a key, the engine balances the friction at 20 m/s. With one, the car gains or loses 7 m/s^2, or turns at 11
-degrees per second.
+Without a key, the engine balances the friction at 20 m/s. With one, the car gains or
+loses 7 m/s^2, or turns at 11 degrees per second.
 """
 
 
 def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
-    """Build the game of a driver with these weights by name, on three lanes like those of the paper's scenes."""
+    """Build the game of a driver with these weights by name, on three lanes like those
+    of the paper's scenes.
+    """
     lanes = np.arange(LANES) * LANE_WIDTH
     scene = Scene(lanes, LANE_WIDTH, target_lane=lanes[0])
     return driving_game(scene, SPEED_LIMIT, weights, grip=None)
@@ -73,27 +75,36 @@ class DemonstrationSettings(Struct, frozen=True):
 
 
 class DemonstrationEnv(GameEnv):
-    """A car to drive on a road of three lanes, among cars whose routes are fixed when the episode starts.
+    """A car to drive on a road of three lanes, among cars whose routes are fixed when
+    the episode starts.
 
-    The configuration has highway-env's keys and these; changes act from the next reset on:
+    The configuration has highway-env's keys and these; changes act from the next reset
+    on:
 
-    * ``density``: of the traffic, ``sparse``, ``medium`` or ``dense``, see `ms_highway.envs.demonstration.DENSITIES`.
-    * ``action``: ranges of highway-env's ``ContinuousAction``; `KEYBOARD_ACTION` suits a person.
+    * ``density``: of the traffic, ``sparse``, ``medium`` or ``dense``, see
+      `ms_highway.envs.demonstration.DENSITIES`.
+    * ``action``: ranges of highway-env's ``ContinuousAction``; `KEYBOARD_ACTION` suits
+      a person.
     * ``duration``: length of an episode [s].
 
-    With highway-env's ``manual_control`` the arrow keys drive, and ``action_type.last_action`` is what they ask for.
+    With highway-env's ``manual_control`` the arrow keys drive, and
+    ``action_type.last_action`` is what they ask for.
 
-    The reward is the driver's after the step, under `ms_highway.game.scenario.COMMON_WEIGHTS`. A collision only costs
-    reward: cars neither push each other nor stop, and ``info["collision_effect"]`` says so.
+    The reward is the driver's after the step, under
+    `ms_highway.game.scenario.COMMON_WEIGHTS`. A collision only costs reward: cars
+    neither push each other nor stop, and ``info["collision_effect"]`` says so.
 
     Attributes:
         game: of the driver.
-        routes: of the other cars, [others, times, 4]; absent cars stand far behind. They extend beyond the end of the
-            episode by the horizon of a plan.
+        routes: of the other cars, [others, times, 4]; absent cars stand far behind.
+            They extend beyond the end of the episode by the horizon of a plan.
     """
 
     settings_type = DemonstrationSettings
-    types = {"action": {"ContinuousAction": RANGES}, "observation": {"CarTracks": {}}}  # noqa: RUF012
+    types = {
+        "action": {"ContinuousAction": RANGES},
+        "observation": {"CarTracks": {}},
+    }
     cars = 1 + OTHERS
 
     @classmethod
@@ -160,13 +171,17 @@ class DemonstrationEnv(GameEnv):
 
     @property
     def car_states(self) -> State:
-        """``(x, y, heading, speed)`` of the driver and of the others in SI units; absent ones stand far behind."""
+        """``(x, y, heading, speed)`` of the driver and of the others in SI units;
+        absent ones stand far behind.
+        """
         states = np.tile(ABSENT, (self.cars, 1))
         states[: len(self.road.vehicles)] = states_of(self.road.vehicles)
         return states
 
     def action_for(self, control: Control) -> Control:
-        """Return the action that executes a control ``(omega, acceleration)``, clipped to what actions reach."""
+        """Return the action that executes a control ``(omega, acceleration)``, clipped
+        to what actions reach.
+        """
         omega, acceleration = np.asarray(control, dtype=float).tolist()
         wanted = acceleration, atan(omega * BicycleVehicle.LENGTH)
         ranges = self.action_type.acceleration_range, self.action_type.steering_range
@@ -195,10 +210,11 @@ def draw_routes(
     lanes: Vector,
     driver: Car,
 ) -> np.ndarray:
-    """Draw states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear of each other.
+    """Draw states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear
+    of each other.
 
-    At the start, they also keep clear of the driver. Each car follows its lane at its own speed; some change to the
-    adjacent lane along a quintic.
+    At the start, they also keep clear of the driver. Each car follows its lane at its
+    own speed; some change to the adjacent lane along a quintic.
 
     Args:
         random: source of the draws.

@@ -1,4 +1,6 @@
-"""Define the base of environments that play a game: road and cones, car 0's reward by feature, times of a step."""
+"""Define the base of environments that play a game: road and cones, car 0's reward by
+feature, times of a step.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -46,11 +48,13 @@ def straight_road(game: Game) -> RoadNetwork:
 
 @dataclass(frozen=True)
 class Timing:
-    """Measured times of the robot's step. Any two compare equal, so that episodes can be compared without their times.
+    """Measured times of the robot's step. Any two compare equal, so that episodes can
+    be compared without their times.
 
     Attributes:
         planning_seconds: wall time of the plan, compilation excluded.
-        decision_seconds: wall time of choosing the model, compilation excluded; 0 without a choice.
+        decision_seconds: wall time of choosing the model, compilation excluded; 0
+            without a choice.
         compile_seconds: time spent compiling and warming up.
     """
 
@@ -61,7 +65,9 @@ class Timing:
     shape: ClassVar[tuple[int]] = (3,)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """Return the three times as an array, as recorders such as Minari's store them [s]."""
+        """Return the three times as an array, as recorders such as Minari's store them
+        [s].
+        """
         return np.array(
             [self.planning_seconds, self.decision_seconds, self.compile_seconds], dtype
         )
@@ -74,13 +80,16 @@ class Cone(Obstacle):
 
 
 class GameEnv(ConfiguredEnv):
-    """An environment of a fixed duration, whose reward is car 0's in a game after the step, feature by feature.
+    """An environment of a fixed duration, whose reward is car 0's in a game after the
+    step, feature by feature.
 
-    Cars are not solid: a collision only costs reward, as in the paper, and ``info["collision_effect"]`` says so.
+    Cars are not solid: a collision only costs reward, as in the paper, and
+    ``info["collision_effect"]`` says so.
 
     Attributes:
         game: defines car 0's reward.
-        collision: whether car 0 has collided in the last step, by the scene's ``contact``.
+        collision: whether car 0 has collided in the last step, by the scene's
+            ``contact``.
     """
 
     game: Game
@@ -140,8 +149,8 @@ class GameEnv(ConfiguredEnv):
         # The paper's indicator misses overlaps of bodies that highway-env notices.
         crashed = self.collision if self._bodies_collide else bool(self.vehicle.hit)
 
-        # The action with the type of those in the action space; NaN or -1 where none is given. highway-env draws one
-        # for a reset.
+        # The action with the type of those in the action space; NaN or -1 where none is
+        # given. highway-env draws one for a reset.
         given = action if self.steps else None
         space = self.action_space
         if not isinstance(space, spaces.Tuple):

@@ -1,4 +1,6 @@
-"""Draw the road from above with plans and predictions, and a panel that shows what the robot thinks."""
+"""Draw the road from above with plans and predictions, and a panel that shows what the
+robot thinks.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -40,16 +42,21 @@ WORST = -10.0  # lowest reward of the chart, as a collision would dwarf everythi
 
 
 class InteractionViewer(Viewer):
-    """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x ``screen_height``.
+    """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x
+    ``screen_height``.
 
-    Predicted paths have the colours of their models; among several humans, the humans have them, too.
+    Predicted paths have the colours of their models; among several humans, the humans
+    have them, too.
     """
 
     panel_height = 150  # px
-    longest = 0.0  # s, longest planning time of all films that share the scale of planning times
+    # s, longest planning time of all films that share the scale of planning times
+    longest = 0.0
 
     def display(self) -> None:
-        """Draw everything; the view follows the robot along the road, but not to the side."""
+        """Draw everything; the view follows the robot along the road, but not to the
+        side.
+        """
         surface, env, step = self.sim_surface, self.env, self.env.robot.last_step
         lanes, half = (
             np.asarray(env.game.scene.lanes, float),
@@ -92,7 +99,9 @@ class InteractionViewer(Viewer):
         pygame.draw.circle(surface, PAPER, centre, surface.pix(cone.WIDTH / 4))
 
     def _draw_plan(self, step: ControlStep) -> None:
-        """Draw the predicted paths as dots in the colours of their models, and the robot's plan as a line."""
+        """Draw the predicted paths as dots in the colours of their models, and the
+        robot's plan as a line.
+        """
         surface, (own, *others) = self.sim_surface, self.env.robot.last_state
         dynamics = jax.tree.map(float, self.env.game.dynamics)
 
@@ -147,7 +156,9 @@ class InteractionViewer(Viewer):
             self._write(line, MEDIUM, topleft=(MARGIN, top + 46 + 24 * place))
 
     def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
-        """Write the model of a single human and its meaning; for several humans, write how many each model predicts."""
+        """Write the model of a single human and its meaning; for several humans, write
+        how many each model predicts.
+        """
         alone = len(step.models) == 1
         for name in (
             step.models if alone else dict.fromkeys((*step.ladder, *step.models))
@@ -167,7 +178,9 @@ class InteractionViewer(Viewer):
             self._write(model_meaning(step.model), SMALL, topleft=(left, top + 8))
 
     def _thoughts(self, step: ControlStep) -> tuple[str, str]:
-        """Return two lines: times; the reason for a single human's model, the distance to cones, the plan's status."""
+        """Return two lines: times; the reason for a single human's model, the distance
+        to cones, the plan's status.
+        """
         controller, cones, remarks = (
             self.env.settings.controller,
             self.env.distance_to_cones,
@@ -196,7 +209,9 @@ class InteractionViewer(Viewer):
         return ", ".join(taken), "    ".join(remarks)
 
     def _draw_beliefs(self, belief: Belief, top: int) -> None:
-        """Draw a bar for every human, behind its number: the probabilities of the models, side by side."""
+        """Draw a bar for every human, behind its number: the probabilities of the
+        models, side by side.
+        """
         width = (TEXT_WIDTH - 5 * MARGIN) / len(belief)
         for place, shares in enumerate(belief):
             left = start = MARGIN + place * width
@@ -220,7 +235,9 @@ class InteractionViewer(Viewer):
         low: float,
         high: float,
     ) -> list[pygame.Rect]:
-        """Draw a chart's heading, its lowest line and the ends of its scale; return the bar of every step's value."""
+        """Draw a chart's heading, its lowest line and the ends of its scale; return the
+        bar of every step's value.
+        """
         self._write(heading, SMALL, FAINT, topleft=(box.left, box.top - 20))
         for end, y in ((high, box.top), (low, box.bottom)):
             self._write(f"{end:.3g}", SMALL, FAINT, midright=(box.left - 8, y))
@@ -235,7 +252,9 @@ class InteractionViewer(Viewer):
         ]
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
-        """Draw a bar per step in the colours of the humans' models; with one human, its height is the planning time."""
+        """Draw a bar per step in the colours of the humans' models; with one human, its
+        height is the planning time.
+        """
         humans = len(steps[0].models)
         values, heading, high = (
             [float(humans)] * len(steps),
@@ -258,7 +277,9 @@ class InteractionViewer(Viewer):
                 )
 
     def _draw_curve(self, box: pygame.Rect, rewards: Sequence[float]) -> None:
-        """Draw the reward of each step, cut off at `WORST`, and a line at 0 if it is within the chart."""
+        """Draw the reward of each step, cut off at `WORST`, and a line at 0 if it is
+        within the chart.
+        """
         low = max(min(rewards), WORST)
         high = max(*rewards, low + 1.0)
         heading = f"reward of each step, {np.mean(rewards):+.2f} on average"
@@ -281,13 +302,17 @@ class InteractionViewer(Viewer):
         ground: Color | None = None,
         **place: Any,
     ) -> pygame.Rect:
-        """Write a text whose rectangle has a corner, side or centre at this place; return the rectangle."""
+        """Write a text whose rectangle has a corner, side or centre at this place;
+        return the rectangle.
+        """
         label = words(text, size, color, ground)
         return self.sim_surface.blit(label, label.get_rect(**place))
 
 
 def _reason(step: ControlStep) -> str:
-    """Return the reason for this model: the estimated gains over the first one, before the price of planning."""
+    """Return the reason for this model: the estimated gains over the first one, before
+    the price of planning.
+    """
     if step.choice_failed:
         return f"choice failed: {step.model} to be safe"
     first = step.ladder[0]

@@ -1,4 +1,6 @@
-"""Define the controllers that choose models online; find all by type and short name; add rules of one's own."""
+"""Define the controllers that choose models online; find all by type and short name;
+add rules of one's own.
+"""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -45,7 +47,10 @@ EXAMPLES = (
 )
 
 RETIRED = {
-    "period": "write the steps as schedule:MODEL=STEPS,..., or draw them as random:MODEL=SHARE,...",
+    "period": (
+        "write the steps as schedule:MODEL=STEPS,..., or draw them as"
+        " random:MODEL=SHARE,..."
+    ),
 }
 """What to use instead of types of controllers that are gone since 3.0.0."""
 
@@ -79,17 +84,20 @@ keep_apart("a rule", lambda: CONTROLLERS)
 
 
 def add_rule(part: type[Part], estimator: type[Estimator[Any]] | None = None) -> None:
-    """Add a decision rule of one's own by its name, for configurations and commands of this process.
+    """Add a decision rule of one's own by its name, for configurations and commands of
+    this process.
 
-    Its name is the ``tag`` of its class, as in ``class Near(ms_highway.Chooser, tag="near")``. The fields of the class
-    are the keys of its configuration, see `ms_highway.choice.rule.Part`.
+    Its name is the ``tag`` of its class, as in ``class Near(ms_highway.Chooser,
+    tag="near")``. The fields of the class are the keys of its configuration, see
+    `ms_highway.choice.rule.Part`.
 
-    * A class of a chooser chooses the models, and has the short name ``near:6`` with its first field, a number or a
-      text, and ``near`` if all fields have defaults. It sees the gains of an estimator, if one is given. With two
-      fields or more that have no default, it has no short name. If it derives from `ms_highway.choice.choosers.Price`,
-      it chooses at a lambda.
-    * A class of an estimator says what models gain, which are chosen at a lambda: ``mine:0.1``, see
-      `ms_highway.choice.choosers.Price`.
+    * A class of a chooser chooses the models, and has the short name ``near:6`` with
+      its first field, a number or a text, and ``near`` if all fields have defaults. It
+      sees the gains of an estimator, if one is given. With two fields or more that have
+      no default, it has no short name. If it derives from
+      `ms_highway.choice.choosers.Price`, it chooses at a lambda.
+    * A class of an estimator says what models gain, which are chosen at a lambda:
+      ``mine:0.1``, see `ms_highway.choice.choosers.Price`.
 
     A rule replaces an added rule of the same name.
 
@@ -98,8 +106,8 @@ def add_rule(part: type[Part], estimator: type[Estimator[Any]] | None = None) ->
         estimator: class of the estimator of a chooser that needs gains.
 
     Raises:
-        ValueError: if the class is neither, for fields with the key of another one, or if the name is taken or not
-            one word in lower case.
+        ValueError: if the class is neither, for fields with the key of another one, or
+            if the name is taken or not one word in lower case.
     """
     pair = _pair_of(part, estimator)
     name = part.tag
@@ -178,19 +186,24 @@ def _named(part: Any) -> str:
 
 
 def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
-    """Add an agent or a planner by a name, for ``compare``, ``video`` and ``bench road`` of this process.
+    """Add an agent or a planner by a name, for ``compare``, ``video`` and ``bench
+    road`` of this process.
 
-    A file that stable-baselines3 has saved need not be added: every command takes its path as a name.
+    A file that stable-baselines3 has saved need not be added: every command takes its
+    path as a name.
 
     Args:
         name: one word in lower case.
-        agent: a function from an observation to an action; an object with stable-baselines3's ``predict(observation,
-            deterministic=True)``; or the path of a file that stable-baselines3 has saved.
-        config: ``action`` and ``observation`` in the configuration of environments that it drives in. By default, the
-            action suits the agent's action space, and the observation is the environment's default.
+        agent: a function from an observation to an action; an object with
+            stable-baselines3's ``predict(observation, deterministic=True)``; or the
+            path of a file that stable-baselines3 has saved.
+        config: ``action`` and ``observation`` in the configuration of environments that
+            it drives in. By default, the action suits the agent's action space, and the
+            observation is the environment's default.
 
     Raises:
-        ValueError: if the name is taken or not one word in lower case, or for another key of ``config``.
+        ValueError: if the name is taken or not one word in lower case, or for another
+            key of ``config``.
         TypeError: if it is no agent.
     """
     check_own_name("an agent", name)
@@ -199,7 +212,10 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
         or hasattr(agent, "predict")
         or isinstance(agent, (str, PathLike))
     ):
-        remedy = "give a function of the observation, an object with `predict`, or a file of stable-baselines3"
+        remedy = (
+            "give a function of the observation, an object with `predict`, or a file of"
+            " stable-baselines3"
+        )
         raise TypeError(f"the agent {name!r} is {agent!r}; {remedy}")
     refuse_unknown(
         f"the configuration of the agent {name!r}",
@@ -211,35 +227,43 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
 
 
 def add_driver(name: str, driver: DriverFunction | RememberingDriver | type) -> None:
-    """Add a driver of the real humans by a name; `ms_highway.register` adds a model by which the robot predicts them.
+    """Add a driver of the real humans by a name; `ms_highway.register` adds a model by
+    which the robot predicts them.
 
-    It drives every human of an environment with ``config={"human_driver": name}``, in commands with
-    ``--set human_driver=NAME``. It replaces an added driver of the same name. A function also drives the robot, as the
-    controller ``name``: it then takes the game of the robot, and a state in which the humans follow the robot. The same
-    name lets it drive on roads of highway-env (`ms_highway.drive`, ``ms-highway bench road``), straightened as
-    `ms_highway.road.added.AddedRoadDriver` says.
+    It drives every human of an environment with ``config={"human_driver": name}``, in
+    commands with ``--set human_driver=NAME``. It replaces an added driver of the same
+    name. A function also drives the robot, as the controller ``name``: it then takes
+    the game of the robot, and a state in which the humans follow the robot. The same
+    name lets it drive on roads of highway-env (`ms_highway.drive`, ``ms-highway bench
+    road``), straightened as `ms_highway.road.added.AddedRoadDriver` says.
 
     Args:
         name: one word in lower case.
-        driver: a function, a driver that remembers, or a class of highway-env vehicles, such as ``IDMVehicle``.
+        driver: a function, a driver that remembers, or a class of highway-env vehicles,
+            such as ``IDMVehicle``.
 
-            A function takes the game of the human and the state of all cars, [cars, 4], x, y [m], heading [rad] and
-            speed [m/s], itself first, then the robot; no array may be written. It returns its curvature omega [1/m] and
-            its acceleration a before friction [m/s^2], under which the speed v changes by ``v' = a - friction v``;
-            `ms_highway.game.dynamics.keep_velocity` of ``game.world`` makes up for friction. It must be pure: in the
-            same state of the same game it has to return the same control, which is checked during every episode.
-            Written with `jax.numpy`, it also drives in simulations of many episodes (``ms-highway sweep``); the other
-            two kinds do not.
+            A function takes the game of the human and the state of all cars, [cars, 4],
+            x, y [m], heading [rad] and speed [m/s], itself first, then the robot; no
+            array may be written. It returns its curvature omega [1/m] and its
+            acceleration a before friction [m/s^2], under which the speed v changes by
+            ``v' = a - friction v``; `ms_highway.game.dynamics.keep_velocity` of
+            ``game.world`` makes up for friction. It must be pure: in the same state of
+            the same game it has to return the same control, which is checked during
+            every episode. Written with `jax.numpy`, it also drives in simulations of
+            many episodes (``ms-highway sweep``); the other two kinds do not.
 
-            A driver that remembers, or draws random numbers, is an object that is called like a function and has a
-            method ``reset(key)``, or a class of such objects that is made without arguments. For every episode, every
-            car gets a copy of the object as it was added, or a new object of the class. Its ``reset`` then takes a
-            whole number, drawn from the environment's seed for this car and episode, as the seed of its random numbers.
-            So the same seed is the same episode, whatever was driven before. A copy of an environment copies the
-            memory.
+            A driver that remembers, or draws random numbers, is an object that is
+            called like a function and has a method ``reset(key)``, or a class of such
+            objects that is made without arguments. For every episode, every car gets a
+            copy of the object as it was added, or a new object of the class. Its
+            ``reset`` then takes a whole number, drawn from the environment's seed for
+            this car and episode, as the seed of its random numbers. So the same seed is
+            the same episode, whatever was driven before. A copy of an environment
+            copies the memory.
 
     Raises:
-        ValueError: if the name is taken or not one word in lower case, or if the driver is none of these.
+        ValueError: if the name is taken or not one word in lower case, or if the driver
+            is none of these.
     """
     check_own_name("a human driver", name)
     check_driver(name, driver)
@@ -250,7 +274,8 @@ def add_driver(name: str, driver: DriverFunction | RememberingDriver | type) -> 
 def of_package(name: str) -> bool:
     """Return whether a controller's short name stands for code of this package alone.
 
-    Files of learned values hold numbers only. Agents, also those in files, and what users have added run other code.
+    Files of learned values hold numbers only. Agents, also those in files, and what
+    users have added run other code.
     """
     config = controller_config(name)
     if config["type"] == "driver":
@@ -273,7 +298,9 @@ def priced_types() -> list[str]:
 
 
 def fixed_order_types() -> list[str]:
-    """Return the types of the controllers whose models are the same in every episode, step by step."""
+    """Return the types of the controllers whose models are the same in every episode,
+    step by step.
+    """
     return [
         name
         for name, pair in CONTROLLERS.items()
@@ -282,7 +309,9 @@ def fixed_order_types() -> list[str]:
 
 
 def robot_config(name: str) -> Config:
-    """Return the configuration of an environment that a controller or an agent drives; see `controller_config`."""
+    """Return the configuration of an environment that a controller or an agent drives;
+    see `controller_config`.
+    """
     config = controller_config(name)
     return agent_config(name) if config["type"] == "agent" else {"controller": config}
 
@@ -315,7 +344,8 @@ def _read(
 
 
 def _retired(name: object, remedies: Mapping[str, str]) -> str:
-    """Return a sentence that says what to use instead, if a name is retired, or an empty text.
+    """Return a sentence that says what to use instead, if a name is retired, or an
+    empty text.
 
     Args:
         name: in a configuration.
@@ -330,14 +360,19 @@ def controller_config(text: str) -> Config:
     """Return the configuration that a controller's short name stands for.
 
     * ``tom``, ``tom@8+warm``: always this human model.
-    * ``switching:0.1``, ``horizon:0.1``, ``learned:0.1``: choose at a lambda; ``learned:0.1:FILE``: by a file's values.
-    * ``budget:20``, ``budget:20:FILE``: what gains most in so many milliseconds, by shipped or by a file's values.
+    * ``switching:0.1``, ``horizon:0.1``, ``learned:0.1``: choose at a lambda;
+      ``learned:0.1:FILE``: by a file's values.
+    * ``budget:20``, ``budget:20:FILE``: what gains most in so many milliseconds, by
+      shipped or by a file's values.
     * ``nearest:2``: theory of mind about the two nearest humans.
     * ``schedule:tom=6,naive``: tom for six steps, then naive.
-    * ``random:naive=0.7,tom=0.3``: a model drawn with these shares for every human and step.
-    * The name of a function of `ms_highway.add_driver` or of an agent of `add_agent`, or a file of stable-baselines3.
+    * ``random:naive=0.7,tom=0.3``: a model drawn with these shares for every human and
+      step.
+    * The name of a function of `ms_highway.add_driver` or of an agent of `add_agent`,
+      or a file of stable-baselines3.
 
-    With ``+belief`` at the end, such as ``tom+belief``, any of them counts on no response that a human does not show.
+    With ``+belief`` at the end, such as ``tom+belief``, any of them counts on no
+    response that a human does not show.
 
     Raises:
         ValueError: if it stands for none.
@@ -351,8 +386,14 @@ def controller_config(text: str) -> Config:
     elif is_agent(name):
         kind, rest = "agent", name
     if kind not in CONTROLLERS:
-        known = f"name a model ({model_names()}), or one like {EXAMPLES}; the types are {', '.join(CONTROLLERS)}"
-        unknown = f"unknown controller {text!r}; {known}; --import the module that adds your own"
+        known = (
+            f"name a model ({model_names()}), or one like {EXAMPLES}; the types are"
+            f" {', '.join(CONTROLLERS)}"
+        )
+        unknown = (
+            f"unknown controller {text!r}; {known}; --import the module that adds"
+            " your own"
+        )
         raise ValueError(_retired(kind, RETIRED) or unknown)
     config = _short_config(kind, rest) | ({"belief": True} if name != text else {})
     try:
@@ -362,7 +403,9 @@ def controller_config(text: str) -> Config:
 
 
 def _short_config(kind: str, text: str) -> Config:
-    """Return the configuration that the part of a short name behind its type stands for."""
+    """Return the configuration that the part of a short name behind its type stands
+    for.
+    """
     if kind in SHORT_NAMES:
         return SHORT_NAMES[kind](text)
     first = list(CONTROLLERS[kind].keys())[:1]

@@ -56,14 +56,18 @@ YIELDING = {
 
 LADDER_REMEDY = "give a list of human models, cheapest first, or say 'best'"
 COSTS_REMEDY = (
-    "say 'published', 'shipped', 'measured', or give seconds by model, such as {'naive': 0.09, 'turn': 0.17, "
-    "'tom': 0.37}"
+    "say 'published', 'shipped', 'measured', or give seconds by model, such as"
+    " {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
 )
 REWARD_REMEDY = (
-    "say 'learned', 'published', 'us101', or give finite weights by name, such as {'speed': 2, 'lane_alignment': 75}; "
-    "weights that were learned are in ms_highway.game.learned_reward.load(path).weights"
+    "say 'learned', 'published', 'us101', or give finite weights by name, such as"
+    " {'speed': 2, 'lane_alignment': 75}; weights that were learned are in"
+    " ms_highway.game.learned_reward.load(path).weights"
 )
-LIMIT_REMEDY = "give None for the usual limits, 'unlimited', or two positive bounds, (omega, acceleration)"
+LIMIT_REMEDY = (
+    "give None for the usual limits, 'unlimited', or two positive bounds, (omega,"
+    " acceleration)"
+)
 GRIP_REMEDY = (
     "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
 )
@@ -72,7 +76,9 @@ MAX_HORIZON = 100  # steps
 
 
 class Settings(Struct, frozen=True):
-    """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not have; see there."""
+    """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not
+    have; see there.
+    """
 
     controller: Any
     ladder: Annotated[
@@ -123,9 +129,13 @@ class Settings(Struct, frozen=True):
             gradient_steps(self.planning)[0],
         )
         if chosen > MAX_ITERATIONS:
-            why = f"{horizon} steps of {time_step:g} s need {chosen} gradient steps, which take seconds"
+            why = (
+                f"{horizon} steps of {time_step:g} s need {chosen} gradient steps,"
+                " which take seconds"
+            )
             raise ValueError(
-                f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give 'iterations'"
+                f"config['horizon'] is {horizon}: {why}; plan less far ahead, or give"
+                " 'iterations'"
             )
         if self.duration < time_step:
             why = f"an episode has at least one time step of {time_step:g} s"
@@ -135,12 +145,18 @@ class Settings(Struct, frozen=True):
                 name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING
             ]
             if self.human_driver not in known:
-                remedy = f"add it with ms_highway.add_driver, or name one of {', '.join(known)}"
+                remedy = (
+                    "add it with ms_highway.add_driver, or name one of"
+                    f" {', '.join(known)}"
+                )
                 raise ValueError(
                     f"config['human_driver'] is {self.human_driver!r}; {remedy}"
                 )
             if self.yielding != "usual":
-                why = f"humans who are driven by {self.human_driver!r} cannot be told how to yield"
+                why = (
+                    f"humans who are driven by {self.human_driver!r} cannot be told how"
+                    " to yield"
+                )
                 raise ValueError(f"config['yielding'] is {self.yielding!r}; {why}")
         if isinstance(self.human_reward, dict):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
@@ -150,33 +166,48 @@ class Settings(Struct, frozen=True):
             )
         unknown = {model.name for model in self.models} - {*self.counted.names}
         if unknown and self.costs != "measured":
-            why = f"without seconds for {', '.join(sorted(unknown))}; say 'measured' or give them"
+            why = (
+                f"without seconds for {', '.join(sorted(unknown))}; say 'measured' or"
+                " give them"
+            )
             raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
 
     def check(self, scenario: Scenario) -> None:
-        """Check the number of humans against the scenario; warn of gradient steps that overshoot.
+        """Check the number of humans against the scenario; warn of gradient steps that
+        overshoot.
 
         Raises:
             ValueError: for an impossible number of humans.
         """
         fewest, most = HUMANS if scenario.streams else (1, 1)
         if not fewest <= self.humans <= most:
-            remedy = f"{scenario.name} has one human; leave it out, or take a scenario of many, such as dense-merge-v1"
+            remedy = (
+                f"{scenario.name} has one human; leave it out, or take a scenario of"
+                " many, such as dense-merge-v1"
+            )
             if scenario.streams:
-                remedy = f"it must be a whole number from {fewest} to {most} in {scenario.name}"
+                remedy = (
+                    f"it must be a whole number from {fewest} to {most} in"
+                    f" {scenario.name}"
+                )
             raise ValueError(f"config['humans'] is {self.humans}; {remedy}")
         longest = longest_step(self.horizon, self.time_step)
         if self.step_size is not None and self.step_size > longest:
             plans = f"plans of {self.horizon} steps of {self.time_step:g} s"
-            why = f"{plans} overshoot with steps longer than {longest:.2g}; leave it out to have one chosen"
+            why = (
+                f"{plans} overshoot with steps longer than {longest:.2g}; leave it out"
+                " to have one chosen"
+            )
             warn(f"config['step_size'] is {self.step_size:g}: {why}", stacklevel=2)
 
     def warn_of_other_values(self, scenario: Scenario, start: Start) -> None:
-        """Warn of learned values that come from another scene or other humans than they serve here.
+        """Warn of learned values that come from another scene or other humans than they
+        serve here.
 
-        A scene is a scenario with its semantics, solver and horizon. Humans are others if they drive for another
-        reward, or if ``human_driver`` drives them. How humans yield to the robot (``yielding``) is left out, as values
-        are measured among humans who never do.
+        A scene is a scenario with its semantics, solver and horizon. Humans are others
+        if they drive for another reward, or if ``human_driver`` drives them. How humans
+        yield to the robot (``yielding``) is left out, as values are measured among
+        humans who never do.
         """
         values = self.controller.learned(start)
         if values is None:
@@ -211,7 +242,10 @@ class Settings(Struct, frozen=True):
         )
         if driven:
             here += f", where {self.human_driver!r} drives the humans"
-            remedy = "choose another controller, such as tom or switching:0.1, as values are not learned among such humans"
+            remedy = (
+                "choose another controller, such as tom or switching:0.1, as values are"
+                " not learned among such humans"
+            )
         else:
             texts = {
                 name: value if isinstance(value, str) else to_json(value)
@@ -225,7 +259,8 @@ class Settings(Struct, frozen=True):
             )
             remedy = f"learn them with {command}, and say learned:LAMBDA:values.npz"
         warn(
-            f"the values of computation were learned in {there}, not in {here}; {remedy}",
+            f"the values of computation were learned in {there}, not in {here};"
+            f" {remedy}",
             stacklevel=2,
         )
 
@@ -247,7 +282,9 @@ class Settings(Struct, frozen=True):
 
     @property
     def drivers(self) -> tuple[str, ...]:
-        """Names of the human drivers in use, keys of `HUMAN_DRIVERS`; none if all humans plan for their reward."""
+        """Names of the human drivers in use, keys of `HUMAN_DRIVERS`; none if all
+        humans plan for their reward.
+        """
         return (
             YIELDING[self.yielding]
             if self.human_driver is None
@@ -261,12 +298,15 @@ class Settings(Struct, frozen=True):
 
     @property
     def counted(self) -> Costs:
-        """T(M) of the models of ladder and order, as far as it is known; see `costs_of`."""
+        """T(M) of the models of ladder and order, as far as it is known; see
+        `costs_of`.
+        """
         order = map(human_model, self.controller.names())
         return self.costs_of((*self.models, *order))
 
     def costs_of(self, models: Iterable[HumanModel]) -> Costs:
-        """Return T(M) of models, the ladder's first, and of those whose seconds are given.
+        """Return T(M) of models, the ladder's first, and of those whose seconds are
+        given.
 
         Models are left out where T is unknown: all of them if it is to be measured.
         """
@@ -303,13 +343,17 @@ class Settings(Struct, frozen=True):
 
     @property
     def measures(self) -> bool:
-        """Whether rules choose by measured planning times, so that a seed may give different episodes."""
+        """Whether rules choose by measured planning times, so that a seed may give
+        different episodes.
+        """
         return self.costs == "measured" or (
             self.costs == "shipped" and self.controller.budget is not None
         )
 
     def game(self, scenario: Scenario) -> Game:
-        """Build the game of a scenario, in which every human has the reward that the drawn ones vary around."""
+        """Build the game of a scenario, in which every human has the reward that the
+        drawn ones vary around.
+        """
         limit = self.control_limit
         if limit is None and self.semantics != "released":
             limit = scenario.control_limit
@@ -328,9 +372,9 @@ class Settings(Struct, frozen=True):
 def human_weights(reward: str | dict[str, float]) -> Mapping[str, float]:
     """Return the weights of a humans' reward, by name.
 
-    ``learned`` has weights that were learned from simulated demonstrations, ``published`` the paper's. ``us101`` has
-    those that `ms-highway irl fit` learned from drivers on the US-101, without weights of collisions and of leaving the
-    road.
+    ``learned`` has weights that were learned from simulated demonstrations,
+    ``published`` the paper's. ``us101`` has those that `ms-highway irl fit` learned
+    from drivers on the US-101, without weights of collisions and of leaving the road.
     """
     if not isinstance(reward, str):
         return reward

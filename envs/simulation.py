@@ -1,4 +1,6 @@
-"""Simulate environments in JAX: build the loop of their episodes, draw episodes, and step by pure functions."""
+"""Simulate environments in JAX: build the loop of their episodes, draw episodes, and
+step by pure functions.
+"""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -53,21 +55,24 @@ STEP = (
     ),
     *("_is_truncated", "episode_steps", "car_states", "success", "measure"),
 )
-"""Methods and properties of an environment that a simulation does not call, so that no subclass may change them."""
+"""Methods and properties of an environment that a simulation does not call, so that no
+subclass may change them.
+"""
 
 
 def shared_loop(
     environment: InteractionEnv, controllers: Collection[ControllerSettings]
 ) -> Loop:
-    """Return the loop that all episodes of an environment share; a fixed order takes the place of the rule.
+    """Return the loop that all episodes of an environment share; a fixed order takes
+    the place of the rule.
 
     Args:
         environment: what is simulated.
         controllers: of the robot; the loop holds the models that they name.
 
     Raises:
-        ValueError: for environments that override a part of a step, for controllers that do not predict, and for
-            costs that must be measured.
+        ValueError: for environments that override a part of a step, for controllers
+            that do not predict, and for costs that must be measured.
     """
     kind, settings = type(environment), environment.settings
     if own := [
@@ -75,12 +80,19 @@ def shared_loop(
         for name in STEP
         if getattr(kind, name) is not getattr(InteractionEnv, name)
     ]:
-        reason = f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not call"
-        remedy = "change its scenario, its game (in `configure`) or `draw_episode`, or use `compare`"
+        reason = (
+            f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not"
+            " call"
+        )
+        remedy = (
+            "change its scenario, its game (in `configure`) or `draw_episode`, or use"
+            " `compare`"
+        )
         raise ValueError(f"{reason}; {remedy}")
     if not all(each.predicts for each in controllers):
         raise ValueError(
-            "a function or an agent that drives the robot is not simulated; use `compare`"
+            "a function or an agent that drives the robot is not simulated; use"
+            " `compare`"
         )
     if settings.costs == "measured":
         remedy = "say 'shipped', or give seconds by model"
@@ -109,7 +121,8 @@ def draw_start(
     settings: ControllerSettings,
     random: Random,
 ) -> Episodes:
-    """Draw an episode as the environment does at a reset; its arrays have no axis of episodes.
+    """Draw an episode as the environment does at a reset; its arrays have no axis of
+    episodes.
 
     Args:
         environment: what is simulated.
@@ -144,7 +157,8 @@ def stack_episodes(drawn: Sequence[Episodes]) -> Episodes:
 
 
 class EnvState(NamedTuple):
-    """The state of environments, along a first axis of every array; its length is 1 in a `FunctionalEnv`.
+    """The state of environments, along a first axis of every array; its length is 1 in
+    a `FunctionalEnv`.
 
     Attributes:
         now: what every episode carries from step to step.
@@ -158,17 +172,20 @@ class EnvState(NamedTuple):
 
 
 class FunctionalEnv:
-    """One environment as pure functions of JAX, which can be jitted, vmapped and scanned.
+    """One environment as pure functions of JAX, which can be jitted, vmapped and
+    scanned.
 
-    To step a thousand environments, `ms_highway.envs.vector.InteractionVectorEnv` is faster: it computes a human model
-    only for the environments that use it.
+    To step a thousand environments, `ms_highway.envs.vector.InteractionVectorEnv` is
+    faster: it computes a human model only for the environments that use it.
 
-    Numbers are in single precision, also where JAX computes in double precision. There are derivatives in forward mode
-    (`jax.jvp`, `jax.jacfwd`). JAX refuses reverse mode, `jax.grad`, where plans are loops that end when they have
-    converged: with other solvers than ``"gradient"``, such as those of version 1.
+    Numbers are in single precision, also where JAX computes in double precision. There
+    are derivatives in forward mode (`jax.jvp`, `jax.jacfwd`). JAX refuses reverse mode,
+    `jax.grad`, where plans are loops that end when they have converged: with other
+    solvers than ``"gradient"``, such as those of version 1.
 
     Attributes:
-        environment: the environment of Gymnasium that is simulated; it draws the episodes.
+        environment: the environment of Gymnasium that is simulated; it draws the
+            episodes.
         observation_space, action_space: its spaces.
         loop, costs: what its episodes share.
         steps: number of steps of an episode that nothing ends early.
@@ -179,9 +196,10 @@ class FunctionalEnv:
         config: of the environment, see `ms_highway.InteractionEnv`.
 
     Raises:
-        ValueError: for an unknown scenario, a configuration that is not simulated, other actions than ``Autopilot``,
-            ``HumanModelAction`` and a ``ContinuousAction`` of both axes, or other observations than ``CarStates`` and
-            ``SceneStates``.
+        ValueError: for an unknown scenario, a configuration that is not simulated,
+            other actions than ``Autopilot``, ``HumanModelAction`` and a
+            ``ContinuousAction`` of both axes, or other observations than ``CarStates``
+            and ``SceneStates``.
     """
 
     def __init__(
@@ -205,7 +223,8 @@ class FunctionalEnv:
         if not (self.agent_drives or isinstance(kind, Autopilot)):
             known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
             raise ValueError(
-                f"config['action'] is {env.config['action']}; what is simulated is {known}"
+                f"config['action'] is {env.config['action']}; what is simulated is"
+                f" {known}"
             )
         if type(env.observation_type) not in (CarStates, SceneStates):
             place = f"config['observation'] is {env.config['observation']}"
@@ -231,16 +250,19 @@ class FunctionalEnv:
         )
 
     def reset(self, key: jax.Array) -> tuple[EnvState, jax.Array]:
-        """Start an episode that is drawn by a key of `jax.random`; return its state and the observation.
+        """Start an episode that is drawn by a key of `jax.random`; return its state and
+        the observation.
 
         Raises:
             ValueError: for what is no key.
-            AttributeError: if the environment draws by a method that `ms_highway.game.starts.TracedRandom` lacks.
+            AttributeError: if the environment draws by a method that
+                `ms_highway.game.starts.TracedRandom` lacks.
         """
         refuse_after_fork()
         if not isinstance(key, (jax.Array, np.ndarray)):
             raise ValueError(
-                f"the key of reset is {key!r}; give one of JAX, such as jax.random.key(0)"
+                f"the key of reset is {key!r}; give one of JAX, such as"
+                " jax.random.key(0)"
             )
         with single_precision():
             episodes = jax.tree.map(
@@ -261,26 +283,30 @@ class FunctionalEnv:
     ) -> tuple[
         EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]
     ]:
-        """Return state, observation, reward, terminated, truncated and info after an action.
+        """Return state, observation, reward, terminated, truncated and info after an
+        action.
 
-        No episode is reset automatically. Where JAX traces a step, the numbers of the action are not checked: a model
-        beyond the ladder then counts as the nearest rung. There, the reward is NaN if a rule of the user's chose what
-        is no rung.
+        No episode is reset automatically. Where JAX traces a step, the numbers of the
+        action are not checked: a model beyond the ladder then counts as the nearest
+        rung. There, the reward is NaN if a rule of the user's chose what is no rung.
 
         Raises:
-            ValueError: for an action of another shape or type than the action space's, and for one that the space does
-                not contain or that is not finite; controls beyond the ends are clipped. Where JAX does not trace the
-                step, also as `ms_highway.loop.batch.checked_records` does.
+            ValueError: for an action of another shape or type than the action space's,
+                and for one that the space does not contain or that is not finite;
+                controls beyond the ends are clipped. Where JAX does not trace the step,
+                also as `ms_highway.loop.batch.checked_records` does.
         """
         refuse_after_fork()
         action, space = jnp.asarray(action), self.action_space
         if action.shape != space.shape:
             raise ValueError(
-                f"the action has shape {action.shape}; give one of {space}, of shape {space.shape}"
+                f"the action has shape {action.shape}; give one of {space}, of shape"
+                f" {space.shape}"
             )
         if not self.agent_drives and action.dtype.kind not in "biu":
             raise ValueError(
-                f"the action has numbers of type {action.dtype}; give one of {space}, of whole numbers"
+                f"the action has numbers of type {action.dtype}; give one of {space},"
+                " of whole numbers"
             )
         if not isinstance(action, jax.core.Tracer) and not is_possible(
             space, np.asarray(action).astype(space.dtype)
@@ -313,7 +339,8 @@ class FunctionalEnv:
         return state, observation, reward, terminated, truncated, info
 
     def given(self, state: EnvState, actions: Any) -> StepInputs:
-        """Return the models of the humans, or the robot's controls, for a step of n environments.
+        """Return the models of the humans, or the robot's controls, for a step of n
+        environments.
 
         Args:
             state: of the environments, with a first axis of length n.
@@ -334,7 +361,9 @@ class FunctionalEnv:
         return StepInputs(scheduled)
 
     def outcome(self, records: Records, steps: Any) -> tuple[Any, Any, Any, Any]:
-        """Return observations, rewards, terminated and truncated of n environments that have done these steps [n]."""
+        """Return observations, rewards, terminated and truncated of n environments that
+        have done these steps [n].
+        """
         reward = records.reward
         if self._price:
             reward = reward - self._price * self.costs.total(records.planned)
@@ -349,5 +378,7 @@ class FunctionalEnv:
         )
 
     def observe(self, states: State, steps: Any) -> Any:
-        """Return the observations of states [n, cars, 4] of environments that have done these steps [n]."""
+        """Return the observations of states [n, cars, 4] of environments that have done
+        these steps [n].
+        """
         return self.environment.observation_type.of(states, 1 - steps / self.steps)

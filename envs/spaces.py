@@ -1,4 +1,6 @@
-"""Define what an agent observes, all cars in the order of their roles, and which actions it has."""
+"""Define what an agent observes, all cars in the order of their roles, and which
+actions it has.
+"""
 
 from collections.abc import Sequence
 from functools import partial
@@ -21,11 +23,12 @@ SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
 
 
 class CarStates(ObservationType):
-    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6], scaled to about [-1, 1].
+    """``x, y, vx, vy, cos_h, sin_h`` of robot, humans and scripted cars, [cars, 6],
+    scaled to about [-1, 1].
 
-    The robot's row is absolute, the others' positions and velocities are relative to it, as in highway-env's
-    ``Kinematics``; positions are divided by 100 m and 10 m, velocities by 40 m/s. Positions beyond 100 m are not
-    clipped.
+    The robot's row is absolute, the others' positions and velocities are relative to
+    it, as in highway-env's ``Kinematics``; positions are divided by 100 m and 10 m,
+    velocities by 40 m/s. Positions beyond 100 m are not clipped.
     """
 
     REACHED: ClassVar[tuple[float, float]] = (
@@ -43,11 +46,15 @@ class CarStates(ObservationType):
         )
 
     def ends(self, reached: Vector) -> tuple[Any, Any]:
-        """Return the lowest and the highest value of each column, given the scaled values that states reach."""
+        """Return the lowest and the highest value of each column, given the scaled
+        values that states reach.
+        """
         return -reached, reached
 
     def columns(self, states: State, time_left: Any) -> list[Any]:
-        """Return the columns [..., cars] of states [..., cars, 4], given the share of the episode's time left."""
+        """Return the columns [..., cars] of states [..., cars, 4], given the share of
+        the episode's time left.
+        """
         xp = states.__array_namespace__()
         x, y, heading, speed = xp.moveaxis(states, -1, 0)
         cosine, sine = xp.cos(heading), xp.sin(heading)
@@ -72,18 +79,22 @@ class CarStates(ObservationType):
         )
 
     def of(self, states: State, time_left: Any) -> Any:
-        """Return the observations of states [..., cars, 4], in NumPy or JAX, clipped to the bounds of the space."""
+        """Return the observations of states [..., cars, 4], in NumPy or JAX, clipped to
+        the bounds of the space.
+        """
         xp = states.__array_namespace__()
         rows = xp.stack(self.columns(states, time_left), axis=-1)
         return xp.clip(rows, self.low, self.high).astype(np.float32)
 
 
 class SceneStates(CarStates):
-    """Everything that an agent needs to know of a scene, [cars, 9]: robot, humans and scripted cars.
+    """Everything that an agent needs to know of a scene, [cars, 9]: robot, humans and
+    scripted cars.
 
-    ``presence``, 1, or 0 for an absent car; ``x, y, vx, vy, cos_h, sin_h`` as in `CarStates`; ``cone_distance``, from
-    the car's front to the first cone ahead in its lane, divided by 100 m and at most 1; and ``time_left``, the share of
-    the episode's time that is left, the same in all rows.
+    ``presence``, 1, or 0 for an absent car; ``x, y, vx, vy, cos_h, sin_h`` as in
+    `CarStates`; ``cone_distance``, from the car's front to the first cone ahead in its
+    lane, divided by 100 m and at most 1; and ``time_left``, the share of the episode's
+    time that is left, the same in all rows.
     """
 
     REACHED = 80.0, 100.0
@@ -106,7 +117,9 @@ class SceneStates(CarStates):
 
 
 def cone_distances(scene: Scene, states: State) -> Any:
-    """Return the distance from every car's front to the first cone ahead in its lane, infinite without one [m]."""
+    """Return the distance from every car's front to the first cone ahead in its lane,
+    infinite without one [m].
+    """
     xp, cones = states.__array_namespace__(), np.asarray(scene.obstacles, dtype=float)
     ahead = cones[:, 0] - states[..., 0, None]
     aside = xp.abs(cones[:, 1] - states[..., 1, None])
@@ -118,9 +131,11 @@ def cone_distances(scene: Scene, states: State) -> Any:
 
 
 class CarTracks(CarStates):
-    """``presence, x, y, heading, speed`` of the driver and of all other cars, [cars, 5], in SI units, not scaled.
+    """``presence, x, y, heading, speed`` of the driver and of all other cars, [cars,
+    5], in SI units, not scaled.
 
-    There is a row for every car that there may be; rows of absent cars are zero. ``env.present`` says which are there.
+    There is a row for every car that there may be; rows of absent cars are zero.
+    ``env.present`` says which are there.
     """
 
     BOUND = 1e4  # m, rad or m/s; never reached
@@ -146,16 +161,19 @@ class TupleObservation(observations.TupleObservation):
 
 
 def finite(space: spaces.Space) -> spaces.Space:
-    """Replace infinite bounds of a space, which some of highway-env's observations have, by the limits of its dtype.
+    """Replace infinite bounds of a space, which some of highway-env's observations
+    have, by the limits of its dtype.
 
     Raises:
-        ValueError: for the space of a ``TimeToCollision`` without shape, which a car without target speeds causes.
+        ValueError: for the space of a ``TimeToCollision`` without shape, which a car
+            without target speeds causes.
     """
     if isinstance(space, spaces.Tuple):
         return spaces.Tuple([finite(part) for part in space])
     if type(space) is spaces.Space:
         raise ValueError(
-            "TimeToCollision needs a car with target speeds; give the action 'DiscreteMetaAction'"
+            "TimeToCollision needs a car with target speeds; give the action"
+            " 'DiscreteMetaAction'"
         )
     if isinstance(space, spaces.Box):
         return spaces.Box(
@@ -165,7 +183,8 @@ def finite(space: spaces.Space) -> spaces.Space:
 
 
 def is_possible(space: spaces.Space, action: Any) -> bool:
-    """Return whether an environment can take an action: one of its space, or of finite numbers beyond a box's ends.
+    """Return whether an environment can take an action: one of its space, or of finite
+    numbers beyond a box's ends.
 
     highway-env clips these to the ends.
     """
@@ -185,9 +204,11 @@ def is_possible(space: spaces.Space, action: Any) -> bool:
 def limit_speed(
     kind: actions.ContinuousAction, speed_range: Sequence[float] | None
 ) -> None:
-    """Let a type of actions keep its car within a range of speeds [m/s]; None sets no limits.
+    """Let a type of actions keep its car within a range of speeds [m/s]; None sets no
+    limits.
 
-    This changes the object instead of its class, as highway-env's keyboard drives no subclass.
+    This changes the object instead of its class, as highway-env's keyboard drives no
+    subclass.
     """
     kind.speed_range, kind.get_action = speed_range, partial(_limited_action, kind)
 
@@ -195,7 +216,9 @@ def limit_speed(
 def _limited_action(
     kind: actions.ContinuousAction, action: np.ndarray
 ) -> dict[str, float]:
-    """Return the control of an action, whose acceleration is limited to stay within the range of speeds."""
+    """Return the control of an action, whose acceleration is limited to stay within the
+    range of speeds.
+    """
     control = actions.ContinuousAction.get_action(kind, action)
     vehicle = kind.controlled_vehicle
     friction = vehicle.friction if isinstance(vehicle, BicycleVehicle) else 0.0
@@ -223,7 +246,9 @@ def _within_speeds(
 def executed_controls(
     kind: actions.ContinuousAction, dynamics: Dynamics, action: Any, cars: Any
 ) -> Any:
-    """Return the controls (omega, acceleration) [..., 2] that cars [..., 4] execute for actions [..., 2]."""
+    """Return the controls (omega, acceleration) [..., 2] that cars [..., 4] execute for
+    actions [..., 2].
+    """
     xp, speed = cars.__array_namespace__(), cars[..., 3]
     shares = ((xp.clip(action, -1, 1) if kind.clip else action) + 1) / 2
     (slowest, fastest), (left, right) = kind.acceleration_range, kind.steering_range
@@ -248,10 +273,11 @@ class Autopilot(ActionType):
 
 
 class HumanModelAction(Autopilot):
-    """The agent chooses every human's model by its place in ``config["ladder"]``; the robot plans with these models.
+    """The agent chooses every human's model by its place in ``config["ladder"]``; the
+    robot plans with these models.
 
-    The reward is that of the paper's meta-MDP, ``r_R - lambda T(M)``, with ``lambda`` from the configuration of this
-    action and T from ``config["costs"]``.
+    The reward is that of the paper's meta-MDP, ``r_R - lambda T(M)``, with ``lambda``
+    from the configuration of this action and T from ``config["costs"]``.
     """
 
     def space(self) -> spaces.Space:

@@ -32,14 +32,16 @@ from ms_highway.runtime.process import refuse_after_fork
 
 
 class InteractionVectorEnv(VectorEnv):
-    """Many environments of one scenario, simulated in JAX on all cores; each equals an `InteractionEnv` of its seed up
-    to rounding, which chaotic scenes amplify (``notebooks/REFERENCE.md`` says by how much).
+    """Many environments of one scenario, simulated in JAX on all cores; each equals an
+    `InteractionEnv` of its seed up to rounding, which chaotic scenes amplify
+    (``notebooks/REFERENCE.md`` says by how much).
 
-    ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type": "ContinuousAction"}})`` makes one.
-    Episodes end and begin as Gymnasium's autoreset modes say. ``info`` has ``collision``. It also has ``status``,
-    ``model`` (the most expensive of the humans' models) and ``counted_seconds`` unless the agent drives, and
-    ``success`` in scenarios with streams. Every key has a mask, such as ``_collision``. Nothing is rendered: make a
-    single environment for films.
+    ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type":
+    "ContinuousAction"}})`` makes one. Episodes end and begin as Gymnasium's autoreset
+    modes say. ``info`` has ``collision``. It also has ``status``, ``model`` (the most
+    expensive of the humans' models) and ``counted_seconds`` unless the agent drives,
+    and ``success`` in scenarios with streams. Every key has a mask, such as
+    ``_collision``. Nothing is rendered: make a single environment for films.
 
     Attributes:
         episode_steps: number of steps of an episode that nothing ends early.
@@ -52,7 +54,8 @@ class InteractionVectorEnv(VectorEnv):
         render_mode: None.
 
     Raises:
-        ValueError: as `FunctionalEnv` does, and for a render mode, an unknown autoreset mode or an impossible number.
+        ValueError: as `FunctionalEnv` does, and for a render mode, an unknown autoreset
+            mode or an impossible number.
     """
 
     def __init__(
@@ -65,7 +68,8 @@ class InteractionVectorEnv(VectorEnv):
     ) -> None:
         if render_mode is not None:
             raise ValueError(
-                f"render_mode is {render_mode!r}; nothing is rendered here, make a single environment"
+                f"render_mode is {render_mode!r}; nothing is rendered here, make a"
+                " single environment"
             )
         if (
             isinstance(num_envs, bool)
@@ -73,7 +77,8 @@ class InteractionVectorEnv(VectorEnv):
             or num_envs < 1
         ):
             raise ValueError(
-                f"num_envs is {num_envs!r}; give a whole number of environments from 1 on"
+                f"num_envs is {num_envs!r}; give a whole number of environments from"
+                " 1 on"
             )
         known = {
             name: each
@@ -112,15 +117,18 @@ class InteractionVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: Config | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start episodes: of all environments, or of those in ``options["reset_mask"]``.
+        """Start episodes: of all environments, or of those in
+        ``options["reset_mask"]``.
 
         Args:
-            seed: of each environment; a number is the first one's seed, and the others count on from it.
+            seed: of each environment; a number is the first one's seed, and the others
+                count on from it.
             options: ``"reset_mask"``: which environments to reset, an array of bools.
 
         Raises:
-            ValueError: for impossible seeds or another number of them, unknown options, or a mask that is empty, has
-                another shape, or leaves out environments that were never reset.
+            ValueError: for impossible seeds or another number of them, unknown options,
+                or a mask that is empty, has another shape, or leaves out environments
+                that were never reset.
         """
         refuse_after_fork()
         options = options or {}
@@ -133,7 +141,8 @@ class InteractionVectorEnv(VectorEnv):
             )
         if self._state is None and not mask.all():
             raise ValueError(
-                "options['reset_mask'] leaves environments out that were never reset; reset all of them"
+                "options['reset_mask'] leaves environments out that were never reset;"
+                " reset all of them"
             )
         several = (
             seed.ndim > 0
@@ -154,7 +163,8 @@ class InteractionVectorEnv(VectorEnv):
             ]
         if len(seeds) != self.num_envs:
             raise ValueError(
-                f"there are {len(seeds)} seeds for {self.num_envs} environments; give one for each"
+                f"there are {len(seeds)} seeds for {self.num_envs} environments; give"
+                " one for each"
             )
         for place, own in enumerate(seeds):
             if own is not None and mask[place]:
@@ -165,11 +175,12 @@ class InteractionVectorEnv(VectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step all environments; reset those whose episode has ended as the autoreset mode says.
+        """Step all environments; reset those whose episode has ended as the autoreset
+        mode says.
 
         Raises:
-            ValueError: for actions outside the action space, before the first reset, and after the end of an episode in
-                the mode without automatic resets.
+            ValueError: for actions outside the action space, before the first reset,
+                and after the end of an episode in the mode without automatic resets.
         """
         refuse_after_fork()  # the threads of the process before are missing here, too
         if self._ended.any() and (
@@ -253,8 +264,9 @@ class InteractionVectorEnv(VectorEnv):
     def _advance(self, actions: np.ndarray) -> Records:
         """Step all environments, chunk by chunk, on all cores.
 
-        Chunks are sorted by model, as a chunk computes each model that one of its humans uses. The last chunks are
-        filled up with copies of the first environments.
+        Chunks are sorted by model, as a chunk computes each model that one of its
+        humans uses. The last chunks are filled up with copies of the first
+        environments.
         """
         functions, loop, state = self._functions, self._functions.loop, self._state
         given = functions.given(state, actions)
@@ -298,7 +310,9 @@ class InteractionVectorEnv(VectorEnv):
         return info
 
     def _info_at_reset(self) -> dict[str, Any]:
-        """Return the values of ``info`` of environments that have done no step: with the keys and types of `_info`."""
+        """Return the values of ``info`` of environments that have done no step: with
+        the keys and types of `_info`.
+        """
         number = self.num_envs
         humans = self._functions.loop.game.number
         none = np.zeros((number, humans), np.int32)
@@ -333,7 +347,9 @@ def _step_chunks(
 
 
 def __getattr__(name: str) -> Any:
-    """Return what makes a vector environment of an id, such as ``merger-v1``, for Gymnasium's entry points."""
+    """Return what makes a vector environment of an id, such as ``merger-v1``, for
+    Gymnasium's entry points.
+    """
     try:
         return partial(InteractionVectorEnv, ENVIRONMENTS[scenario_name(name)])
     except ValueError:

@@ -1,4 +1,6 @@
-"""Draw environments, with or without a window; draw texts; give human models colours; and read the arrow keys."""
+"""Draw environments, with or without a window; draw texts; give human models colours;
+and read the arrow keys.
+"""
 
 import os
 from contextlib import suppress
@@ -45,10 +47,12 @@ FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
 def words(
     text: str, size: int, color: Color, ground: Color | None = None
 ) -> pygame.Surface:
-    """Draw a line of text in a kerned font of ``size`` px, on a surface whose height is the same for every text.
+    """Draw a line of text in a kerned font of ``size`` px, on a surface whose height is
+    the same for every text.
 
-    The font comes with Matplotlib, so that pictures are the same on every machine. It is opened for every text, as
-    closing any of highway-env's viewers ends the font module.
+    The font comes with Matplotlib, so that pictures are the same on every machine. It
+    is opened for every text, as closing any of highway-env's viewers ends the font
+    module.
     """
     pygame.freetype.init()
     font = pygame.freetype.Font(FONT, size)
@@ -57,9 +61,11 @@ def words(
 
 
 def model_color(name: str | None) -> Color:
-    """Return the colour of a human model, grey without one; added models get colours in their order.
+    """Return the colour of a human model, grey without one; added models get colours in
+    their order.
 
-    A model with an effort has its own shade: fewer steps are lighter, and starting from the last plan is darker.
+    A model with an effort has its own shade: fewer steps are lighter, and starting from
+    the last plan is darker.
     """
     if name is None or not is_model(name):
         return FAINT
@@ -78,18 +84,24 @@ def model_color(name: str | None) -> Color:
 
 
 def model_meaning(name: str) -> str:
-    """Return in a few words what a human model expects of the human; an empty text for added models."""
+    """Return in a few words what a human model expects of the human; an empty text for
+    added models.
+    """
     return (
         MODEL_MEANINGS.get(type(human_model(name)).name, "") if is_model(name) else ""
     )
 
 
 class PictureViewer(EnvViewer):
-    """Draws image observations like highway-env, also under a dummy video driver, and can be copied."""
+    """Draws image observations like highway-env, also under a dummy video driver, and
+    can be copied.
+    """
 
     def __init__(self, env: Any, config: Any) -> None:
         super().__init__(env, config)
-        self.enabled = True  # highway-env does not draw under a dummy video driver, but surfaces need no driver
+        # highway-env does not draw under a dummy video driver, but surfaces need no
+        # driver
+        self.enabled = True
 
     def __reduce__(self) -> Any:
         """Copy and pickle as a new viewer of the copied environment."""
@@ -97,7 +109,9 @@ class PictureViewer(EnvViewer):
 
 
 def enable_pictures(env: Any) -> bool:
-    """Give each image observation of an environment a `PictureViewer`; return whether one has drawn black so far."""
+    """Give each image observation of an environment a `PictureViewer`; return whether
+    one has drawn black so far.
+    """
     kind, black = env.observation_type, False
     parts = getattr(kind, "observation_types", None) or getattr(
         kind, "agents_observation_types", [kind]
@@ -112,7 +126,9 @@ def enable_pictures(env: Any) -> bool:
 
 
 class Viewer(EnvViewer):
-    """Draws like highway-env, also without a display, and beside other viewers of the process."""
+    """Draws like highway-env, also without a display, and beside other viewers of the
+    process.
+    """
 
     # attributes that only `EnvViewer.__init__` sets
     observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = (
@@ -135,7 +151,8 @@ class Viewer(EnvViewer):
             except pygame.error as error:
                 remedy = "use a desktop, or render_mode='rgb_array'"
                 raise OSError(
-                    f"there is no display for the window of render_mode='human' ({error}); {remedy}"
+                    "there is no display for the window of render_mode='human'"
+                    f" ({error}); {remedy}"
                 ) from error
         else:  # without `pygame.display`, which may fail without a screen and which surfaces do not need
             pygame.font.init()  # for labels
@@ -148,7 +165,9 @@ class Viewer(EnvViewer):
         self.enabled = True  # as in `PictureViewer`
 
     def show(self, picture: pygame.Surface) -> None:
-        """Show a picture in the window, if there is one, in real time if the configuration says so."""
+        """Show a picture in the window, if there is one, in real time if the
+        configuration says so.
+        """
         if not self.offscreen:
             self.screen.blit(picture, (0, 0))
             if self.env.config["real_time_rendering"]:
@@ -156,17 +175,22 @@ class Viewer(EnvViewer):
             pygame.display.flip()
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
-        """Copy and pickle as None: a copied environment makes its own viewer when it renders."""
+        """Copy and pickle as None: a copied environment makes its own viewer when it
+        renders.
+        """
         return type(None), ()
 
     def close(self) -> None:
-        """Close the window, if there is one; other environments of the process may still be drawing."""
+        """Close the window, if there is one; other environments of the process may
+        still be drawing.
+        """
         if not self.offscreen:
             pygame.display.quit()
 
 
 def check_display() -> None:
-    """Check that a window would be visible, unless the variable SDL_VIDEODRIVER names a video driver.
+    """Check that a window would be visible, unless the variable SDL_VIDEODRIVER names a
+    video driver.
 
     Raises:
         OSError: without a display.
@@ -177,7 +201,8 @@ def check_display() -> None:
         driver = pygame.display.get_driver()
     if driver in ("dummy", "offscreen") and "SDL_VIDEODRIVER" not in os.environ:
         raise OSError(
-            "there is no display for a person to drive at; use a desktop, or let a program drive"
+            "there is no display for a person to drive at; use a desktop, or let a"
+            " program drive"
         )
 
 
@@ -185,7 +210,8 @@ def check_window(render_mode: str | None = None) -> None:
     """Check that there is, or will be, a window whose keys a person can press.
 
     Args:
-        render_mode: of the environment that is to open it, which only ``"human"`` does; by default, it is open.
+        render_mode: of the environment that is to open it, which only ``"human"`` does;
+            by default, it is open.
 
     Raises:
         OSError: without a display, or without a window.
@@ -194,23 +220,28 @@ def check_window(render_mode: str | None = None) -> None:
         check_display()
     elif not pygame.display.get_init() or pygame.display.get_surface() is None:
         raise OSError(
-            "there is no window to press keys in; make the environment with render_mode='human'"
+            "there is no window to press keys in; make the environment with"
+            " render_mode='human'"
         )
 
 
 KEY_ACCELERATION = 4.0  # m/s^2
-KEY_HEADING = 0.1  # rad, while a key is pressed; without one, the car returns to the direction of the road
+# rad, while a key is pressed; without one, the car returns to the direction of the road
+KEY_HEADING = 0.1
 HEADING_RATE = 0.4  # rad/s
 
 
 class Keyboard:
-    """Drives by the keyboard. It is no function of the state, as pressed keys are not in it."""
+    """Drives by the keyboard. It is no function of the state, as pressed keys are not
+    in it.
+    """
 
     def reset(self, key: int) -> None:
         """Nothing is remembered or drawn."""
 
     def __call__(self, game: Game, state: State) -> Control:
-        """Return the control of car 0 for the pressed keys: up and down for speed, left and right for the heading.
+        """Return the control of car 0 for the pressed keys: up and down for speed, left
+        and right for the heading.
 
         Raises:
             OSError: if there is no window.

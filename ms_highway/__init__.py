@@ -1,7 +1,8 @@
-"""A robot car that decides online which model of the human driver is worth its computation.
+"""A robot car that decides online which model of the human driver is worth its
+computation.
 
-The method is that of Sripathy, Bobu, Brown and Dragan (ICRA 2021), the roads are highway-env's, and what computes is
-JAX. To start::
+The method is that of Sripathy, Bobu, Brown and Dragan (ICRA 2021), the roads are
+highway-env's, and what computes is JAX. To start::
 
     import gymnasium as gym
     import ms_highway  # registers the environments
@@ -12,15 +13,18 @@ JAX. To start::
 
 or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 
-* Environments: ``ms-highway/stay-back-v1``, ``merger-v1`` and ``give-way-v1``, with one human, and ``dense-merge-v1``
-  and ``crossing-crowd-v1``, with several, all within what tyres hold. Version 0 with one human is the paper's scene;
-  version 0 with several is easier, see `InteractionEnv`. Further, ``demonstration-v0``, traffic to record driving in,
-  see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with its planning problems, see
-  `ms_highway.recorded.RecordedEnv`. `drive` lets the robot drive that and highway-env's own.
-* One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a scenario, `add_feature` a
-  feature of rewards, `add_driver` a driver of humans or of the robot, and `add_agent` an agent.
-* Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and `HumanVehicle`, for roads of
-  one's own.
+* Environments: ``ms-highway/stay-back-v1``, ``merger-v1`` and ``give-way-v1``, with one
+  human, and ``dense-merge-v1`` and ``crossing-crowd-v1``, with several, all within what
+  tyres hold. Version 0 with one human is the paper's scene; version 0 with several is
+  easier, see `InteractionEnv`. Further, ``demonstration-v0``, traffic to record driving
+  in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with
+  its planning problems, see `ms_highway.recorded.RecordedEnv`. `drive` lets the robot
+  drive that and highway-env's own.
+* One's own: `register` adds a human model, `add_rule` a decision rule, `add_scenario` a
+  scenario, `add_feature` a feature of rewards, `add_driver` a driver of humans or of
+  the robot, and `add_agent` an agent.
+* Parts: `plan`, one plan; `Driver`, what drives a car by any rule; `RobotVehicle` and
+  `HumanVehicle`, for roads of one's own.
 
 The names in ``__init__.pyi`` are loaded when they are first used.
 """
@@ -29,25 +33,25 @@ from ms_highway.runtime import process
 
 process.watch()  # first of all, as what follows takes seconds
 
-import warnings as _warnings  # noqa: E402
-from importlib.metadata import version  # noqa: E402
-from importlib.util import find_spec as _find_spec  # noqa: E402
-from pathlib import Path as _Path  # noqa: E402
+import warnings as _warnings
+from importlib.metadata import version
+from importlib.util import find_spec as _find_spec
+from pathlib import Path as _Path
 
-import lazy_loader  # noqa: E402
-from gymnasium.envs.registration import register as _register_environment  # noqa: E402
-from gymnasium.envs.registration import registry as _registry  # noqa: E402
+import lazy_loader
+from gymnasium.envs.registration import register as _register_environment
+from gymnasium.envs.registration import registry as _registry
 
-from ms_highway.runtime.names import SCENARIO_CLASSES as _SCENARIO_CLASSES  # noqa: E402
-from ms_highway.runtime.names import versioned as _versioned  # noqa: E402
+from ms_highway.runtime.names import SCENARIO_CLASSES as _SCENARIO_CLASSES
+from ms_highway.runtime.names import versioned as _versioned
 
 if getattr(_find_spec("pygame"), "origin", None) is None:
     raise ImportError(
-        "pygame is not whole: pygame and pygame-ce share a folder, and uninstalling one breaks the other; "
-        "run `pip install --force-reinstall pygame-ce`"
+        "pygame is not whole: pygame and pygame-ce share a folder, and uninstalling one"
+        " breaks the other; run `pip install --force-reinstall pygame-ce`"
     )
 if not process.is_command():  # which loads it when it needs it
-    import highway_env  # noqa: F401  # whose own environments are expected beside ours
+    import highway_env  # whose own environments are expected beside ours
 
 _directory = _Path(__file__).parent
 if not (
@@ -72,7 +76,8 @@ for _name, (_class, _vector) in _ENVIRONMENTS.items():
             f"ms-highway/{_name}", f"ms_highway.{_class}", vector_entry_point=_vector
         )
 
-# Version 0 is the paper's physics, not an older version of the same: Gymnasium's advice to upgrade is wrong there.
+# Version 0 is the paper's physics, not an older version of the same: Gymnasium's advice
+# to upgrade is wrong there.
 _warnings.filterwarnings(
     "ignore", ".*ms-highway/[a-z-]*-v0 is out of date", DeprecationWarning
 )

@@ -1,4 +1,5 @@
-"""Write REFERENCE.md beside this file: what each environment observes, does, rewards and tells, from its classes.
+"""Write REFERENCE.md beside this file: what each environment observes, does, rewards
+and tells, from its classes.
 
 python notebooks/reference.py
 """
@@ -18,28 +19,63 @@ INFO = {
     "crashed": "whether the robot's body overlaps another one after this step",
     "collision": "whether it collides by the reward's measure, see [Reward](#reward)",
     "collision_effect": "what a collision does: it only costs reward",
-    "control": "what the robot did: `acceleration` before friction [m/s²], `steering` of the front wheels [rad]",
+    "control": (
+        "what the robot did: `acceleration` before friction [m/s²], `steering` of the"
+        " front wheels [rad]"
+    ),
     "action": "that was given; NaN or -1 before the first step",
-    "rewards": "terms of the reward by feature; `computation` is -lambda T where the agent chooses models",
-    "model": "the model that predicts the human in the plan that drives; of several humans, their most expensive one",
+    "rewards": (
+        "terms of the reward by feature; `computation` is -lambda T where the agent"
+        " chooses models"
+    ),
+    "model": (
+        "the model that predicts the human in the plan that drives; of several humans,"
+        " their most expensive one"
+    ),
     "models": "name of every human's model in it",
-    "status": "what drives: the step's plan (`planned`); the `previous plan`, where that failed; `braking`, where both "
-    "did; the previous plan again, as the new one came `late`; or a `way out` from humans who do not yield",
+    "status": (
+        "what drives: the step's plan (`planned`); the `previous plan`, where that"
+        " failed; `braking`, where both did; the previous plan again, as the new one"
+        " came `late`; or a `way out` from humans who do not yield"
+    ),
     "choice_failed": "whether a gain that the rule asked for could not be computed",
-    "plan_steps": "number of steps of the ascent that led to this step's plan; 0 if nothing was planned",
+    "plan_steps": (
+        "number of steps of the ascent that led to this step's plan; 0 if nothing was"
+        " planned"
+    ),
     "converged": "whether the last of these steps hardly moved the plan",
-    "timing": "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]",
-    "clocked": "whether measured times had a say in the choice, so that the same seed may be another episode",
-    "gains": "gain per step that the controller expects of each model over the first of the ladder, before the price "
-    "of its time [reward]; the highest over the humans for whom it is estimated; of every model of the ladder, -inf "
-    "where none was estimated; empty where no rule chooses",
+    "timing": (
+        "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]"
+    ),
+    "clocked": (
+        "whether measured times had a say in the choice, so that the same seed may be"
+        " another episode"
+    ),
+    "gains": (
+        "gain per step that the controller expects of each model over the first of the"
+        " ladder, before the price of its time [reward]; the highest over the humans"
+        " for whom it is estimated; of every model of the ladder, -inf where none was"
+        " estimated; empty where no rule chooses"
+    ),
     "counted_seconds": "T of the step's plan [s]",
     "human_status": "a status for each human; None for cars that do not plan",
-    "distance_to_cones": "from the robot's front to the first cone ahead in its lane, infinite without one [m]",
-    "success": "among several humans: whether the robot is in the target lane and has not collided so far",
+    "distance_to_cones": (
+        "from the robot's front to the first cone ahead in its lane, infinite without"
+        " one [m]"
+    ),
+    "success": (
+        "among several humans: whether the robot is in the target lane and has not"
+        " collided so far"
+    ),
     "is_success": "the same, as stable-baselines3 calls it",
-    "humans_idm": "among several humans: number predicted by this model; likewise `humans_turn` and `humans_tom`",
-    "belief": "with a controller's `belief`: probability of naive, idm, turn and tom for every human, [humans, 4]",
+    "humans_idm": (
+        "among several humans: number predicted by this model; likewise `humans_turn`"
+        " and `humans_tom`"
+    ),
+    "belief": (
+        "with a controller's `belief`: probability of naive, idm, turn and tom for"
+        " every human, [humans, 4]"
+    ),
 }
 """What is in `info`, and its unit."""
 
@@ -139,7 +175,7 @@ many steps, and the reward of a step by up to 0.13. So compare means over many e
 Unknown keys are refused; nested ones merge. highway-env's own keys for pictures apply, too.
 
 {}
-"""  # noqa: E501
+"""
 
 
 def first_sentence(text: str) -> str:
@@ -150,7 +186,9 @@ def first_sentence(text: str) -> str:
 
 
 def meanings() -> dict[str, str]:
-    """Return what the documentation of `InteractionEnv` says of each configuration key, in short."""
+    """Return what the documentation of `InteractionEnv` says of each configuration key,
+    in short.
+    """
     items = re.split(
         r"\n\* ",
         inspect.getdoc(ms_highway.InteractionEnv).partition("\n\n``reset`` takes")[0],
@@ -202,7 +240,9 @@ def environment_rows() -> list[str]:
 
 
 def configuration_keys() -> list[str]:
-    """Return the keys that the documentation explains, in the order of the configuration."""
+    """Return the keys that the documentation explains, in the order of the
+    configuration.
+    """
     told = meanings()
     return [key for key in ENVIRONMENTS["merger-v1"].default_config() if key in told]
 

@@ -1,4 +1,6 @@
-"""Fixtures of all tests: games, starts, reference episodes, and one cache of compiled functions for all runs."""
+"""Fixtures of all tests: games, starts, reference episodes, and one cache of compiled
+functions for all runs.
+"""
 
 import os
 import resource
@@ -41,13 +43,20 @@ CACHE = (
 LARGEST = 500e6  # bytes of the cache
 MAX_MEMORY = 3e6  # kB of a worker
 
-XLA_DEFAULTS = "--xla_cpu_max_isa= --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
-"""XLA's own defaults, set so that commands leave them unchanged. XLA reads its flags once, but JAX files a compiled
-function under the present flags: after the test of a command, other tests would compile their functions again."""
+XLA_DEFAULTS = (
+    "--xla_cpu_max_isa="
+    " --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1024"
+)
+"""XLA's own defaults, set so that commands leave them unchanged. XLA reads its flags
+once, but JAX files a compiled function under the present flags: after the test of a
+command, other tests would compile their functions again.
+"""
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before any worker begins, remove the least recently used files from the cache, beyond its largest size."""
+    """Before any worker begins, remove the least recently used files from the cache,
+    beyond its largest size.
+    """
     if not hasattr(config, "workerinput"):
         found = []
         for file in CACHE.glob("*"):
@@ -63,9 +72,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def shared_cache() -> None:
-    """Let all runs, their workers and the processes that they start share what one of them has compiled.
+    """Let all runs, their workers and the processes that they start share what one of
+    them has compiled.
 
-    JAX's keys hold the program, the compiler's options and the versions, so that the cache needs no other key.
+    JAX's keys hold the program, the compiler's options and the versions, so that the
+    cache needs no other key.
     """
     optimize(False)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE)
@@ -75,20 +86,26 @@ def shared_cache() -> None:
 
 
 def optimize(on: bool) -> None:
-    """Switch the optimisations of JAX's compiler on or off, in this process and in those that it starts."""
+    """Switch the optimisations of JAX's compiler on or off, in this process and in
+    those that it starts.
+    """
     os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(not on)
     jax.config.update("jax_disable_most_optimizations", not on)
 
 
 def forget_compiled() -> None:
-    """Clear all compiled functions, so that the next call compiles them and warms them up again."""
+    """Clear all compiled functions, so that the next call compiles them and warms them
+    up again.
+    """
     jax.clear_caches()
     compilation._warm.clear()
 
 
 @pytest.fixture(scope="module")
 def optimized() -> Iterator[None]:
-    """Compile with optimisations, as users do, up to the end of the file. Tests that drive long episodes need this."""
+    """Compile with optimisations, as users do, up to the end of the file. Tests that
+    drive long episodes need this.
+    """
     forget_compiled()
     optimize(True)
     yield
@@ -106,7 +123,9 @@ def still_shared() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def drivers_as_they_were() -> Iterator[None]:
-    """Undo what stock intersections change in the class of highway-env's drivers, which all scenes share."""
+    """Undo what stock intersections change in the class of highway-env's drivers, which
+    all scenes share.
+    """
     before = {
         name: getattr(IDMVehicle, name)
         for name in ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
@@ -118,14 +137,18 @@ def drivers_as_they_were() -> Iterator[None]:
 
 @pytest.fixture
 def stopped_by_nans() -> Iterator[None]:
-    """Let JAX raise an error if a compiled function returns a NaN, as under JAX_DEBUG_NANS=1."""
+    """Let JAX raise an error if a compiled function returns a NaN, as under
+    JAX_DEBUG_NANS=1.
+    """
     with jax.debug_nans(True):
         yield
 
 
 @pytest.fixture(scope="module", autouse=True)
 def little_memory() -> Iterator[None]:
-    """Forget compiled functions if they take much memory; those of all tests would take many gigabytes."""
+    """Forget compiled functions if they take much memory; those of all tests would take
+    many gigabytes.
+    """
     yield
     if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > MAX_MEMORY:
         forget_compiled()
@@ -157,7 +180,9 @@ def us101_directory() -> Path:
 def refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[[str], str]:
-    """Return a function that runs a command, which must be refused and write nothing, and returns its one line."""
+    """Return a function that runs a command, which must be refused and write nothing,
+    and returns its one line.
+    """
 
     def refusal(command: str) -> str:
         monkeypatch.chdir(tmp_path)
@@ -179,10 +204,11 @@ def scenario(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def played() -> Callable[..., tuple[Game, jax.Array]]:
-    """Return a function that makes a scenario's game, with options of `build_game`, and a start in the game's unit.
+    """Return a function that makes a scenario's game, with options of `build_game`, and
+    a start in the game's unit.
 
-    By default, scenarios with streams have two humans, and plans of five steps within their limits. In the others,
-    further humans follow the first one, 30 m apart.
+    By default, scenarios with streams have two humans, and plans of five steps within
+    their limits. In the others, further humans follow the first one, 30 m apart.
     """
 
     def make(

@@ -1,4 +1,6 @@
-"""Drive among one human or several, live and in batches, without environments; share a ladder, a model and a game."""
+"""Drive among one human or several, live and in batches, without environments; share a
+ladder, a model and a game.
+"""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -73,7 +75,9 @@ def dense_merge(humans):
 
 
 def move(game, state, controls):
-    """Return the state after the controls of robot and humans, within the grip as vehicles are."""
+    """Return the state after the controls of robot and humans, within the grip as
+    vehicles are.
+    """
     world = jax.tree.map(float, game.world)
     if game.planner.grip is not None:
         controls = within_grip(
@@ -90,7 +94,9 @@ def move(game, state, controls):
 
 
 def drive(driver, start, steps, humans=None):
-    """Return the states and the robot's steps. Humans drive as given or, by default, plan for their rewards."""
+    """Return the states and the robot's steps. Humans drive as given or, by default,
+    plan for their rewards.
+    """
     game = driver.game
     humans = humans or [fixed(swap_roles(game, human)) for human in range(game.number)]
     states, driven = [np.asarray(start, float)], []

@@ -30,7 +30,9 @@ def drives_long(test: Callable[..., None]) -> Any:
 
 
 class Episode(NamedTuple):
-    """The environment after an episode, the states before the first and after every step, rewards and infos."""
+    """The environment after an episode, the states before the first and after every
+    step, rewards and infos.
+    """
 
     env: Any
     states: np.ndarray
@@ -67,7 +69,9 @@ def drive(
 
 
 def form(info: dict[str, Any]) -> dict[str, tuple]:
-    """Return the type and the shape of everything in an ``info``, which recorders want to be constant, by its path."""
+    """Return the type and the shape of everything in an ``info``, which recorders want
+    to be constant, by its path.
+    """
     parts = jax.tree.leaves_with_path(
         info, is_leaf=lambda value: not isinstance(value, dict)
     )

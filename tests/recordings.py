@@ -1,4 +1,6 @@
-"""CommonRoad scenarios written by hand: two lanes at an angle, cars that keep their velocity, a planning problem."""
+"""CommonRoad scenarios written by hand: two lanes at an angle, cars that keep their
+velocity, a planning problem.
+"""
 
 import numpy as np
 
@@ -21,7 +23,10 @@ def lanelet(number, left, line, links=""):
         for side, half in (("leftBound", 1.75), ("rightBound", -1.75))
     }
     sides = "".join(f"<{side}>{points}</{side}>" for side, points in bounds.items())
-    return f'<lanelet id="{number}">{sides}{links}<laneletType>highway</laneletType></lanelet>'
+    return (
+        "<lanelet"
+        f' id="{number}">{sides}{links}<laneletType>highway</laneletType></lanelet>'
+    )
 
 
 def straight(start, end, points=30):
@@ -29,7 +34,9 @@ def straight(start, end, points=30):
 
 
 def bend(radius, side, angle, before=60.0, after=30.0):
-    """The line of a straight, an arc to the left (side 1) or to the right (side -1), and a straight."""
+    """The line of a straight, an arc to the left (side 1) or to the right (side -1),
+    and a straight.
+    """
     step = min(2.0, radius / 10)
     turned = np.linspace(0.0, angle, round(radius * angle / step) + 1)
     arc = [before, 0.0] + radius * np.stack(
@@ -46,7 +53,9 @@ def bend(radius, side, angle, before=60.0, after=30.0):
 
 
 def two_lanes(way="same", points=30):
-    """Two lanes of two lanelets each, 1 and 2 to the left of 3 and 4, linked in the same or the opposite direction."""
+    """Two lanes of two lanelets each, 1 and 2 to the left of 3 and 4, linked in the
+    same or the opposite direction.
+    """
     lanes = (
         (1, 0.0, "Right", 3, 0),
         (2, 0.0, "Right", 4, 1),
@@ -59,14 +68,17 @@ def two_lanes(way="same", points=30):
             number,
             left,
             straight(100 * second, 100 * second + 100, points),
-            f'{joints[second].format(number + 1 - 2 * second)}<adjacent{side} ref="{other}" drivingDir="{way}"/>',
+            f"{joints[second].format(number + 1 - 2 * second)}<adjacent{side}"
+            f' ref="{other}" drivingDir="{way}"/>',
         )
         for number, left, side, other, second in lanes
     )
 
 
 def place(along, right):
-    """A point of the map: a distance along the road, and a distance to the right of the left lane's centre."""
+    """A point of the map: a distance along the road, and a distance to the right of the
+    left lane's centre.
+    """
     cosine, sine = np.cos(TURN), np.sin(TURN)
     return along * cosine + right * sine, along * sine - right * cosine
 
@@ -138,7 +150,8 @@ def problem(
     speeds=None,
     headings=None,
 ):
-    """A planning problem: from a place to a region 20 m long and 3 m wide around another, within intervals.
+    """A planning problem: from a place to a region 20 m long and 3 m wide around
+    another, within intervals.
 
     Without a goal, there is no region: it is reached in time, wherever on the road.
     """
@@ -155,7 +168,8 @@ def problem(
     direction = between("orientation", headings) if headings else ""
     more = "<yawRate><exact>0</exact></yawRate><slipAngle><exact>0</exact></slipAngle>"
     return (
-        f'<planningProblem id="7">{state("initialState", 0, *place(start, right), TURN, speed, more)}<goalState>'
+        "<planningProblem"
+        f' id="7">{state("initialState", 0, *place(start, right), TURN, speed, more)}<goalState>'
         f"{'' if goal is None else region}{direction}{between('time', times)}"
         f"{between('velocity', speeds) if speeds else ''}</goalState></planningProblem>"
     )
@@ -164,7 +178,8 @@ def problem(
 def scenario(*, lanelets="", cars="", problems="", number=1):
     """A scenario, by default with two lanes and two cars."""
     return (
-        f'<?xml version="1.0"?><commonRoad commonRoadVersion="2020a" benchmarkID="USA_Test-1_{number}_T-1" '
+        '<?xml version="1.0"?><commonRoad commonRoadVersion="2020a"'
+        f' benchmarkID="USA_Test-1_{number}_T-1" '
         'timeStepSize="0.1" author="a" affiliation="b" source="c" date="2020-01-01">'
         "<location><geoNameId>1</geoNameId><gpsLatitude>1</gpsLatitude><gpsLongitude>1</gpsLongitude></location>"
         "<scenarioTags><highway/></scenarioTags>"

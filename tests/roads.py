@@ -1,4 +1,6 @@
-"""Roads for tests: three lanes, straight or on a circle, with traffic placed in road coordinates."""
+"""Roads for tests: three lanes, straight or on a circle, with traffic placed in road
+coordinates.
+"""
 
 import jax
 import numpy as np
@@ -15,7 +17,9 @@ ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
-    """The line at lateral position d beside an arc of curvature ``bend`` through the origin, from s = start on."""
+    """The line at lateral position d beside an arc of curvature ``bend`` through the
+    origin, from s = start on.
+    """
     along = (np.arange(knots) * SPACING - BEHIND) / (1 - d * bend) + start
     heading = along * bend
     x, y = (
@@ -39,7 +43,8 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
     Args:
         bend: curvature of the road [1/m].
         robot: state of its rear axle.
-        cars: (s, lane, speed) of each other car, on the path of its lane (-1, 0, 1); s along the route.
+        cars: (s, lane, speed) of each other car, on the path of its lane (-1, 0, 1); s
+            along the route.
         limit: speed limit [m/s].
     """
     paths = [arc(TRAFFIC_KNOTS, bend, lane * LANE, s) for s, lane, _ in cars]
@@ -86,7 +91,9 @@ def coming(scene, car):
 
 @jit_quickly
 def execute(scene, planning, controls):
-    """Return the robot's states after each control, its executed controls, and the poses of its centre."""
+    """Return the robot's states after each control, its executed controls, and the
+    poses of its centre.
+    """
 
     def go(state, control):
         moved, held = advance(scene, planning, state, control)

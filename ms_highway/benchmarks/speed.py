@@ -1,4 +1,6 @@
-"""Measure the speed of the closed loop, in environments and in batches of many simulated episodes."""
+"""Measure the speed of the closed loop, in environments and in batches of many
+simulated episodes.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,12 +20,14 @@ SECONDS, RUNS = 2.0, 5  # largest time and number of runs of one batch size
 
 
 def live_speed(comparison: Comparison, scenario: str, controller: str) -> dict:
-    """Time a few episodes of a controller in the environment, after an episode that compiles.
+    """Time a few episodes of a controller in the environment, after an episode that
+    compiles.
 
     Returns:
-        ``plan_us``: median (p50) and p99 of a plan; ``decision_us``: median of a decision; ``step_us``: median of a
-        step without the plans of all cars and the decision; all in microseconds. ``environment``: steps per second,
-        including resets.
+        ``plan_us``: median (p50) and p99 of a plan; ``decision_us``: median of a
+            decision; ``step_us``: median of a
+        step without the plans of all cars and the decision; all in microseconds.
+        ``environment``: steps per second, including resets.
     """
     env: Any = make_environment(scenario, controller, **comparison.config)
     steps = []
@@ -54,7 +58,8 @@ def batch_speed(
     sizes: Sequence[int],
     devices: int | None = None,
 ) -> dict:
-    """Time batches of a controller's episodes, after a first batch of one chunk per device, which may compile.
+    """Time batches of a controller's episodes, after a first batch of one chunk per
+    device, which may compile.
 
     Args:
         comparison: has the configuration.
@@ -64,8 +69,10 @@ def batch_speed(
         devices: how many to use, see `ms_highway.runtime.compilation.use_devices`.
 
     Returns:
-        ``batch``: steps per second by batch size; ``memory_mib``: peak memory of the process until then, by batch size;
-        ``first_seconds``: duration of the first episodes, including any compilation; ``devices``: their number and
+        ``batch``: steps per second by batch size; ``memory_mib``: peak memory of the
+            process until then, by batch size;
+        ``first_seconds``: duration of the first episodes, including any compilation;
+            ``devices``: their number and
         kind.
     """
     used = use_devices(devices)  # before JAX begins to compute

@@ -1,12 +1,14 @@
-"""Infer from each human's controls which model predicts this human best: interacting multiple models.
+"""Infer from each human's controls which model predicts this human best: interacting
+multiple models.
 
-A human follows one model at a time and may change it from step to step. As states are observed exactly, the filter of
-Blom and Bar-Shalom (1988) is the forward pass of a hidden Markov model::
+A human follows one model at a time and may change it from step to step. As states are
+observed exactly, the filter of Blom and Bar-Shalom (1988) is the forward pass of a
+hidden Markov model::
 
     p(m) <- sum over m' of P(m | m') p(m'),    p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum
 
-where u is the observed control, and u_m the control that model m predicts for this step, see
-`next_controls`.
+where u is the observed control, and u_m the control that model m predicts for this
+step, see `next_controls`.
 """
 
 from dataclasses import replace
@@ -41,11 +43,17 @@ from ms_highway.runtime.arrays import (
 LOOKAHEAD = 8  # steps of humans' plans at most; only the first one counts
 
 STAY_PROBABILITY = 0.98
-"""Probability that a human keeps its model for 0.1 s. On average, a human keeps it for five seconds."""
+"""Probability that a human keeps its model for 0.1 s. On average, a human keeps it for
+five seconds.
+"""
 CONTROL_NOISE = (0.005, 1.0)
-"""Standard deviations of a human's controls from those of its model: curvature [1/m], acceleration [m/s^2]."""
+"""Standard deviations of a human's controls from those of its model: curvature [1/m],
+acceleration [m/s^2].
+"""
 MIN_PROBABILITY = 1e-3
-"""Lower bound on the probability of each model. With it, the filter soon detects a change of model."""
+"""Lower bound on the probability of each model. With it, the filter soon detects a
+change of model.
+"""
 MIN_RESPONSE = (
     0.3  # least probability of `RESPONDING` at which plans count on a human's response
 )
@@ -60,10 +68,12 @@ def next_controls(
     """Return the next control of every human under each model, unscaled.
 
     * naive keeps the velocity.
-    * idm keeps the heading and follows the car ahead in its lane, such as the robot; its desired speed is the limit.
-    * turn and tom plan for the human's reward, as the robot believes it. Under turn, the robot keeps its velocity,
-      under tom, it follows its plan. All others keep their velocity. Humans plan by gradient steps over `LOOKAHEAD`
-      steps at most: in Dense Merge this is closer to how they drive than shorter plans by Newton steps.
+    * idm keeps the heading and follows the car ahead in its lane, such as the robot;
+      its desired speed is the limit.
+    * turn and tom plan for the human's reward, as the robot believes it. Under turn,
+      the robot keeps its velocity, under tom, it follows its plan. All others keep
+      their velocity. Humans plan by gradient steps over `LOOKAHEAD` steps at most: in
+      Dense Merge this is closer to how they drive than shorter plans by Newton steps.
 
     Args:
         game: with the humans' rewards as the robot believes them.
@@ -108,7 +118,8 @@ def updated_belief(
     observed: Float[SameArray, "*humans 2"],
     time_step: float | Float[SameArray, ""],
 ) -> Float[SameArray, "*humans models"]:
-    """Return the probabilities of the models after a step. A control that is not finite favours no model.
+    """Return the probabilities of the models after a step. A control that is not finite
+    favours no model.
 
     Args:
         belief: probabilities before the step, with sum 1.
@@ -161,5 +172,7 @@ def infer(
 
 
 def counted_on(belief: Float[SameArray, "humans models"]) -> Bool[Array, "humans"]:
-    """Return which humans can be counted on to respond: those whose controls turn and tom explain."""
+    """Return which humans can be counted on to respond: those whose controls turn and
+    tom explain.
+    """
     return belief[:, RESPONDING].sum(axis=1) >= MIN_RESPONSE

@@ -22,9 +22,12 @@ from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
 from ms_highway.runtime.limits import Positive
 
 PLANNABLE_SHARE = 0.8
-"""Share of a budget that decision and plan may take. The rest is a margin for times above the measured quantile.
+"""Share of a budget that decision and plan may take. The rest is a margin for times
+above the measured quantile.
 
-With a share of 1, plans within a budget of 5 ms were late in 47 % of the steps of 40 episodes of Dense Merge."""
+With a share of 1, plans within a budget of 5 ms were late in 47 % of the steps of 40
+episodes of Dense Merge.
+"""
 
 LITTLE_GAIN = 0.02
 """Gain per step below which the top rung counts as gaining nothing; the least standard
@@ -34,15 +37,18 @@ deviation of a learned gain."""
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Knapsack(Chooser[Evidence]):
-    """Maximise the total gain for all humans, subject to ``deciding + base + sum_i each[rung_i] <= share cycle``.
+    """Maximise the total gain for all humans, subject to ``deciding + base + sum_i
+    each[rung_i] <= share cycle``.
 
-    If not even the first rungs fit, they are chosen all the same. Above the first rung, none is chosen without an
-    estimate. The costs are planning times; high quantiles, if plans have to be in time.
+    If not even the first rungs fit, they are chosen all the same. Above the first rung,
+    none is chosen without an estimate. The costs are planning times; high quantiles, if
+    plans have to be in time.
 
     Attributes:
         milliseconds: duration of a cycle [ms], in which decision and plan take place.
         share: share of the cycle that they may take.
-        deciding: duration of a decision [s]; drivers measure it before their first step, see `deciding_in`.
+        deciding: duration of a decision [s]; drivers measure it before their first
+            step, see `deciding_in`.
     """
 
     milliseconds: Positive
@@ -71,7 +77,8 @@ class Knapsack(Chooser[Evidence]):
 class Budget(Knapsack[GameEvidence]):
     """The same in a game, where time to spare goes to the nearest humans.
 
-    If the top rung gains next to nothing for a human, a small gain replaces that, which is larger for nearer humans.
+    If the top rung gains next to nothing for a human, a small gain replaces that, which
+    is larger for nearer humans.
     """
 
     def choose(
@@ -87,7 +94,8 @@ class Budget(Knapsack[GameEvidence]):
 
 
 def deciding_in(rule: Rule[Evidence], seconds: Callable[[], float]) -> Rule[Evidence]:
-    """Return the rule with the seconds of a decision, if its chooser counts them and does not know them yet.
+    """Return the rule with the seconds of a decision, if its chooser counts them and
+    does not know them yet.
 
     Args:
         rule: that decides.
@@ -100,14 +108,16 @@ def deciding_in(rule: Rule[Evidence], seconds: Callable[[], float]) -> Rule[Evid
 
 
 def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) -> Rungs:
-    """Return the rungs with the highest total value whose total cost is within a capacity; of equals, the cheapest.
+    """Return the rungs with the highest total value whose total cost is within a
+    capacity; of equals, the cheapest.
 
-    Costs are the same for all humans, so the total cost depends only on how many humans have each rung. A dynamic
-    programme over these counts is therefore exact for any costs. For h humans and r rungs, it keeps a table of
-    (h + 1)^(r - 1) values.
+    Costs are the same for all humans, so the total cost depends only on how many humans
+    have each rung. A dynamic programme over these counts is therefore exact for any
+    costs. For h humans and r rungs, it keeps a table of (h + 1)^(r - 1) values.
 
     Args:
-        values: value of each rung for each human; minus infinity if the rung is impossible.
+        values: value of each rung for each human; minus infinity if the rung is
+            impossible.
         costs: cost of each rung; infinite or NaN if the rung is impossible.
         capacity: largest total cost.
 

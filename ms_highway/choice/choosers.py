@@ -28,16 +28,20 @@ Humans = Annotated[
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Price(Priced[object]):
-    """Take, for each human, the most expensive rung that is worth more than the rung in use, or else stay.
+    """Take, for each human, the most expensive rung that is worth more than the rung in
+    use, or else stay.
 
-    The worth of a rung is its gain less the price of its time. So Algorithm 1 goes to the top rung if that is worth
-    more, or else one rung down if that is, as it estimates no other rung.
+    The worth of a rung is its gain less the price of its time. So Algorithm 1 goes to
+    the top rung if that is worth more, or else one rung down if that is, as it
+    estimates no other rung.
     """
 
     def choose(
         self, memory: Memory, gains: Gains, costs: Costs, evidence: object
     ) -> Rungs:
-        """See `ms_highway.choice.rule.Chooser.choose`; rungs without an estimate or a cost are not taken."""
+        """See `ms_highway.choice.rule.Chooser.choose`; rungs without an estimate or a
+        cost are not taken.
+        """
         each = jnp.asarray(costs.each)
         in_use = jnp.asarray(memory.rungs)[:, None]
         places = jnp.arange(len(each))
@@ -57,15 +61,19 @@ class Price(Priced[object]):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PriceFromFirst(Priced[object]):
-    """Take, for each human, the most expensive rung whose gain over the first one is worth its whole time.
+    """Take, for each human, the most expensive rung whose gain over the first one is
+    worth its whole time.
 
-    The rung in use does not matter: where humans come and go, as on stock roads, it may be another one's.
+    The rung in use does not matter: where humans come and go, as on stock roads, it may
+    be another one's.
     """
 
     def choose(
         self, memory: Memory, gains: Gains, costs: Costs, evidence: object
     ) -> Rungs:
-        """See `ms_highway.choice.rule.Chooser.choose`; without such a rung, it is the first one."""
+        """See `ms_highway.choice.rule.Chooser.choose`; without such a rung, it is the
+        first one.
+        """
         prices = self.price * jnp.asarray(costs.each)
         places = jnp.arange(gains.shape[1])
         return jnp.where(gains >= prices, places, 0).max(axis=1)
@@ -74,11 +82,12 @@ class PriceFromFirst(Priced[object]):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PriceTogether(Priced[GameEvidence]):
-    """Take one rung for some of the nearest humans together, whichever are worth most; the first rung for the others.
+    """Take one rung for some of the nearest humans together, whichever are worth most;
+    the first rung for the others.
 
-    The worth of a rung is its gain less the price of its time, and that of a human without estimates is 0. For each
-    rung, the worths are added up from the nearest human outwards. The rung and the number of humans with the highest
-    sum are chosen.
+    The worth of a rung is its gain less the price of its time, and that of a human
+    without estimates is 0. For each rung, the worths are added up from the nearest
+    human outwards. The rung and the number of humans with the highest sum are chosen.
     """
 
     def choose(
@@ -92,7 +101,8 @@ class PriceTogether(Priced[GameEvidence]):
             axis=1, keepdims=True
         )
 
-        # What each rung is worth more than the first one, for each and for all nearer humans.
+        # What each rung is worth more than the first one, for each and for all nearer
+        # humans.
         values = jnp.where(known, gained, 0.0) - self.price * jnp.asarray(costs.each)
         worth = jnp.where(known, values - values[:, :1], 0.0)
         totals = jnp.cumsum(worth, axis=0)
@@ -103,7 +113,8 @@ class PriceTogether(Priced[GameEvidence]):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Nearest(Chooser[GameEvidence]):
-    """Predict the nearest humans by the top of the ladder, and all others by the first rung.
+    """Predict the nearest humans by the top of the ladder, and all others by the first
+    rung.
 
     Attributes:
         count: number of humans on the top rung.

@@ -1,8 +1,10 @@
-"""Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et al. 2018); keep it in files.
+"""Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et
+al. 2018); keep it in files.
 
-From the situation of a human, networks estimate how much more the robot earns per step if a rung, instead of the
-cheapest one, predicts this human, while the same rung predicts all nearer humans. A gap may open only if two humans
-yield together. Therefore, `ms_highway.choice.choosers.PriceTogether` chooses for the nearest humans together.
+From the situation of a human, networks estimate how much more the robot earns per step
+if a rung, instead of the cheapest one, predicts this human, while the same rung
+predicts all nearer humans. A gap may open only if two humans yield together. Therefore,
+`ms_highway.choice.choosers.PriceTogether` chooses for the nearest humans together.
 """
 
 import json
@@ -47,7 +49,9 @@ Network: TypeAlias = tuple[
     tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]],
     ...,
 ]
-"""Weights and biases of each layer of several networks; all layers but the last are followed by tanh."""
+"""Weights and biases of each layer of several networks; all layers but the last are
+followed by tanh.
+"""
 
 DOUBT_MARGIN = 0.5  # in standard deviations among the networks
 MIN_NOISE = LITTLE_GAIN  # least standard deviation of a gain
@@ -63,15 +67,19 @@ File = Annotated[
 class LearnedValue(Estimator[GameEvidence]):
     """Expect gains by networks, from the situation of each human.
 
-    The gain of a rung is what the networks expect over the first one, on average, less a margin for doubt.
+    The gain of a rung is what the networks expect over the first one, on average, less
+    a margin for doubt.
 
     Attributes:
-        values: ``"shipped"``, which None and ``""`` mean as well, or a file; None in an episode, where the networks
-            stand for it (static).
+        values: ``"shipped"``, which None and ``""`` mean as well, or a file; None in an
+            episode, where the networks stand for it (static).
         margin: how much doubt lowers a gain, in standard deviations among the networks.
-        nearest: number of the nearest humans for whom gains are estimated; None for all (static).
-        network: networks that estimate the gains over the first rung from `ms_highway.choice.situation.describe`.
-        centre, spread: mean and standard deviation by which the inputs of the networks are standardised.
+        nearest: number of the nearest humans for whom gains are estimated; None for all
+            (static).
+        network: networks that estimate the gains over the first rung from
+            `ms_highway.choice.situation.describe`.
+        centre, spread: mean and standard deviation by which the inputs of the networks
+            are standardised.
     """
 
     values: File = field(default=None, metadata={"static": True})
@@ -88,9 +96,11 @@ class LearnedValue(Estimator[GameEvidence]):
             load_values(self.values)
 
     def learned(self, start: Start) -> "Values":
-        """Return the values of the file, or the shipped values for a number of humans and semantics.
+        """Return the values of the file, or the shipped values for a number of humans
+        and semantics.
 
-        Among several humans, those of physical semantics know fewer models; longer ladders take those of the paper's.
+        Among several humans, those of physical semantics know fewer models; longer
+        ladders take those of the paper's.
         """
         found = load_values(
             self.values or SHIPPED_VALUES, shipped_kind(start.semantics, start.humans)
@@ -104,7 +114,8 @@ class LearnedValue(Estimator[GameEvidence]):
         return found
 
     def at_start(self, start: Start) -> "LearnedValue":
-        """Return the estimator with the networks of its values, for the ladder of an episode.
+        """Return the estimator with the networks of its values, for the ladder of an
+        episode.
 
         Raises:
             ValueError: see `Values.estimator`.
@@ -141,7 +152,9 @@ class LearnedValue(Estimator[GameEvidence]):
 def outputs(
     network: Network, inputs: Float[jax.Array, "inputs"]
 ) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
-    """Return what each network expects for the same inputs, and the numbers from which `noise` computes spreads."""
+    """Return what each network expects for the same inputs, and the numbers from which
+    `noise` computes spreads.
+    """
     *hidden, (weights, biases) = network
     inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
     for layer_weights, layer_biases in hidden:
@@ -155,7 +168,9 @@ def outputs(
 
 
 def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
-    """Return standard deviations of outcomes from the second half of a network's `outputs`."""
+    """Return standard deviations of outcomes from the second half of a network's
+    `outputs`.
+    """
     return MIN_NOISE + jax.nn.softplus(spreads)
 
 
@@ -170,7 +185,9 @@ SHIPPED_FILES = {
     "several": "several_values.npz",
     "physical several": "crowd_values.npz",
 }
-"""Files that come with the package, by kind of scene, see `ms_highway.choice.rule.shipped_kind`."""
+"""Files that come with the package, by kind of scene, see
+`ms_highway.choice.rule.shipped_kind`.
+"""
 
 VERSION = 3  # of the form of files
 REMEDY = "learn values with `ms-highway values learn`"
@@ -194,7 +211,8 @@ class Values:
         centre, spread: mean and standard deviation of its inputs.
         ladder: names of the models that the values were learned on, cheapest first.
         inputs: names of the network's inputs.
-        provenance: scenarios, settings and software versions with which the values were learned.
+        provenance: scenarios, settings and software versions with which the values were
+            learned.
         place: file from which they were read, for messages.
     """
 
@@ -214,7 +232,8 @@ class Values:
         """
         if len(self.ladder) < 2 or len({*self.ladder}) < len(self.ladder):
             raise ValueError(
-                f"the ladder has the models {list(self.ladder)}; it must have at least two, each once"
+                f"the ladder has the models {list(self.ladder)}; it must have at least"
+                " two, each once"
             )
         if self.inputs != description_names():
             raise ValueError("the networks have the inputs of another version")
@@ -229,14 +248,16 @@ class Values:
         ]
         if shapes != wanted or 0 in networks or sizes[-1] != 2 * (len(self.ladder) - 1):
             raise ValueError(
-                f"the networks have layers of shapes {shapes}, not those for {len(self.ladder)} models"
+                f"the networks have layers of shapes {shapes}, not those for"
+                f" {len(self.ladder)} models"
             )
         standard = np.shape(self.centre), np.shape(self.spread)
         if set(standard) != {(sizes[0],)} or not all(
             (np.abs(part) <= MAX_NUMBER).all() for part in (self.centre, self.spread)
         ):
             raise ValueError(
-                f"centre or spread has a number beyond {MAX_NUMBER:g}, or not one for each input"
+                f"centre or spread has a number beyond {MAX_NUMBER:g}, or not one for"
+                " each input"
             )
         if not all((np.abs(part) <= MAX_WEIGHT).all() for part in layers):
             raise ValueError(
@@ -246,10 +267,12 @@ class Values:
             raise ValueError(f"spreads are below {MIN_SPREAD:g}")
 
     def estimator(self, models: tuple[HumanModel, ...]) -> LearnedValue:
-        """Return the estimator on a ladder of learned models that begins with the cheapest of them.
+        """Return the estimator on a ladder of learned models that begins with the
+        cheapest of them.
 
         Raises:
-            ValueError: if values of a model were not learned, or the ladder begins with another model.
+            ValueError: if values of a model were not learned, or the ladder begins with
+                another model.
         """
         names = [model.name for model in models]
         message = (
@@ -257,11 +280,13 @@ class Values:
         )
         if unknown := [name for name in names if name not in self.ladder]:
             raise ValueError(
-                f"{message}, without {unknown[0]!r}; {ALTERNATIVES} --set ladder={','.join(names)}"
+                f"{message}, without {unknown[0]!r}; {ALTERNATIVES} --set"
+                f" ladder={','.join(names)}"
             )
         if names[0] != self.ladder[0]:
             raise ValueError(
-                f"{message}, over {self.ladder[0]!r}; begin the ladder with it, {ALTERNATIVES}"
+                f"{message}, over {self.ladder[0]!r}; begin the ladder with it,"
+                f" {ALTERNATIVES}"
             )
         gains = len(self.ladder) - 1
         places = [self.ladder.index(name) - 1 for name in names[1:]]
@@ -278,7 +303,9 @@ class Values:
 
 
 class _Provenance(TypedDict, total=False):
-    """Entries of the provenance of values by which scenes are compared; all others are for people to read."""
+    """Entries of the provenance of values by which scenes are compared; all others are
+    for people to read.
+    """
 
     scenarios: list[str]
     semantics: Semantics

@@ -1,8 +1,10 @@
-"""Choose models by the paper's Algorithm 1, with estimates over one step or over the whole horizon.
+"""Choose models by the paper's Algorithm 1, with estimates over one step or over the
+whole horizon.
 
-After a step, a quadratic expansion of the rewards of robot and human estimates the robot's controls under another rung
-of the ladder, and what they would have earned. All controls are scaled, see `ms_highway.game.game`, and ravelled to
-n = 2 steps numbers for each player.
+After a step, a quadratic expansion of the rewards of robot and human estimates the
+robot's controls under another rung of the ladder, and what they would have earned. All
+controls are scaled, see `ms_highway.game.game`, and ravelled to n = 2 steps numbers for
+each player.
 """
 
 from dataclasses import dataclass, field, replace
@@ -65,10 +67,11 @@ def trust_region_step(
 ) -> Vector:
     """Maximise ``x^T A x / 2 + b^T x`` over the ball ``|x| <= radius``.
 
-    In A's eigenbasis, with eigenvalues l, the maximiser is ``x = b / (shift + max(l) - l)`` for the smallest
-    ``shift >= max(0, -max(l))`` that keeps x in the ball (More and Sorensen 1983). The shift is at most
-    ``|b| / radius`` and is bisected until ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part
-    along the top eigenvector (the "hard case"), x is extended along it to the boundary.
+    In A's eigenbasis, with eigenvalues l, the maximiser is ``x = b / (shift + max(l) -
+    l)`` for the smallest ``shift >= max(0, -max(l))`` that keeps x in the ball (More
+    and Sorensen 1983). The shift is at most ``|b| / radius`` and is bisected until
+    ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part along
+    the top eigenvector (the "hard case"), x is extended along it to the boundary.
     """
     values, vectors = jnp.linalg.eigh(quadratic)
     along = vectors.T @ linear
@@ -124,7 +127,9 @@ Cooldown = Annotated[
 
 
 class RewardExpansion(NamedTuple):
-    """Derivatives of the robot's reward in both players' controls, its own first, and the human's response."""
+    """Derivatives of the robot's reward in both players' controls, its own first, and
+    the human's response.
+    """
 
     gradient: Float[jax.Array, "both"]
     hessian: Float[jax.Array, "both both"]
@@ -134,33 +139,44 @@ class RewardExpansion(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Quadratic(Estimator[GameEvidence]):
-    """Algorithm 1: what other rungs would have gained, by a quadratic expansion over some steps of the last plan.
+    """Algorithm 1: what other rungs would have gained, by a quadratic expansion over
+    some steps of the last plan.
 
-    After a step below the top, the top rung is estimated, as if that had predicted the human control that was observed.
-    If the last downward check from the rung in use was ``cooldown`` steps ago, the rung below is estimated, with the
-    prediction of that rung and without influence. Gains are additive: the gain for one human does not depend on the
-    rungs of the others.
+    After a step below the top, the top rung is estimated, as if that had predicted the
+    human control that was observed. If the last downward check from the rung in use was
+    ``cooldown`` steps ago, the rung below is estimated, with the prediction of that
+    rung and without influence. Gains are additive: the gain for one human does not
+    depend on the rungs of the others.
 
-    * The rewards R_R and R_H of the steps are expanded around the last plan, from the state in which it was made. The
-      first control of the robot is the executed one, and the first of the human the observed one; the others are those
-      of the plan. With one step, this is the estimate of Sec. III-D. With all K steps, it is that of Sec. III-C, with
-      the plan's expectation of the human in place of later observations.
-    * On the way up, the alternative expects the same human controls, and their response to the robot's controls,
-      ``J = du_H / du_R = -(d2R_H / du_H2)^-1 d2R_H / du_H du_R``. On the way down, it expects the controls that the
-      rung below predicts, and no response.
-    * ``delta u`` maximises the expansion within the trust region, whose radius bounds all 2 steps numbers together.
-    * The gain over the rung in use is R_R after this change and the human's response J to it, less what the last plan
-      earns: its first reward as observed, the others as expected. It is divided by the number of steps, as the
-      meta-MDP charges ``lambda T(M)`` for each.
-    * Only the rung in use is compared with others. Its own gain over the first rung is the one that was estimated when
-      it was chosen, see `ms_highway.choice.rule.Memory`, unless the first rung is the one below. A rung that was not
-      compared has no estimate, not even the first.
+    * The rewards R_R and R_H of the steps are expanded around the last plan, from the
+      state in which it was made. The first control of the robot is the executed one,
+      and the first of the human the observed one; the others are those of the plan.
+      With one step, this is the estimate of Sec. III-D. With all K steps, it is that of
+      Sec. III-C, with the plan's expectation of the human in place of later
+      observations.
+    * On the way up, the alternative expects the same human controls, and their response
+      to the robot's controls, ``J = du_H / du_R = -(d2R_H / du_H2)^-1 d2R_H / du_H
+      du_R``. On the way down, it expects the controls that the rung below predicts, and
+      no response.
+    * ``delta u`` maximises the expansion within the trust region, whose radius bounds
+      all 2 steps numbers together.
+    * The gain over the rung in use is R_R after this change and the human's response J
+      to it, less what the last plan earns: its first reward as observed, the others as
+      expected. It is divided by the number of steps, as the meta-MDP charges ``lambda
+      T(M)`` for each.
+    * Only the rung in use is compared with others. Its own gain over the first rung is
+      the one that was estimated when it was chosen, see
+      `ms_highway.choice.rule.Memory`, unless the first rung is the one below. A rung
+      that was not compared has no estimate, not even the first.
 
     Attributes:
         cooldown: least number of steps between two downward checks from the same rung.
-        trust_radius: longest change of the scaled controls for which the expansion is trusted.
-        trust_tolerance: tolerance of the length of ``delta u``, as a share of the radius; 0.05 in the released code.
-        steps: number of steps of the last plan that are expanded; None for the whole horizon (static).
+        trust_radius: longest change of the scaled controls for which the expansion is
+            trusted.
+        trust_tolerance: tolerance of the length of ``delta u``, as a share of the
+            radius; 0.05 in the released code.
+        steps: number of steps of the last plan that are expanded; None for the whole
+            horizon (static).
     """
 
     cooldown: Cooldown = 3
@@ -216,7 +232,9 @@ class Quadratic(Estimator[GameEvidence]):
     def _gains(
         self, evidence: GameEvidence, rung: Index, climbs: Flag, checks: Flag
     ) -> tuple[Scalar, Scalar]:
-        """Estimate the gains of the top rung and of the rung below for one human; `NOT_ESTIMATED` if not due."""
+        """Estimate the gains of the top rung and of the rung below for one human;
+        `NOT_ESTIMATED` if not due.
+        """
         game = evidence.game
         ladder = evidence.ladder
         outcome = evidence.outcome
@@ -272,7 +290,9 @@ class Quadratic(Estimator[GameEvidence]):
 
 
 def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
-    """Return the evidence in the game of the robot with one human, see `ms_highway.game.game.pair`."""
+    """Return the evidence in the game of the robot with one human, see
+    `ms_highway.game.game.pair`.
+    """
     game = evidence.game
     outcome = evidence.outcome
     alone, before = pair(game, outcome.before, human)
@@ -286,7 +306,9 @@ def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
 
 @jax.jit
 def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
-    """Expand the rewards of both players in the controls of both, in one batch; each is seen from its own car."""
+    """Expand the rewards of both players in the controls of both, in one batch; each is
+    seen from its own car.
+    """
     payoff = game.observed_payoff
     n = len(robot)
 
@@ -315,11 +337,13 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
 def change_of_control(
     expansion: RewardExpansion, surprise: Vector, influence: Matrix, how: Quadratic
 ) -> Vector:
-    """Return ``delta u``, which leads from the present controls to the best ones under another model.
+    """Return ``delta u``, which leads from the present controls to the best ones under
+    another model.
 
-    Let g and H be the gradient and the Hessian of r_R in both players' controls, and d the human controls that the
-    model expects less u_H. With the model's influence J', a change du of the robot's controls changes those of both by
-    ``P du``, where ``P = [I; J']``. The expansion is ``du^T P^T H P du / 2 + (g + H [0; d])^T P du``.
+    Let g and H be the gradient and the Hessian of r_R in both players' controls, and d
+    the human controls that the model expects less u_H. With the model's influence J', a
+    change du of the robot's controls changes those of both by ``P du``, where ``P = [I;
+    J']``. The expansion is ``du^T P^T H P du / 2 + (g + H [0; d])^T P du``.
     """
     n = len(surprise)
     both = jnp.concatenate([jnp.eye(n), influence])
@@ -328,7 +352,7 @@ def change_of_control(
     return trust_region_step(quadratic, linear, how.trust_radius, how.trust_tolerance)
 
 
-def Switching(  # noqa: N802 (its name since version 1, when it was a class)
+def Switching(
     costs: Costs,
     price: Scalar,
     ladder: tuple[HumanModel, ...],

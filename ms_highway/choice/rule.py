@@ -50,28 +50,37 @@ SHIPPED_COSTS = {  # s
     "several": {"naive": 0.0012, "idm": 0.0012, "turn": 0.0018, "tom": 0.0018},
     "physical several": {"naive": 0.0011, "idm": 0.0011, "turn": 0.0014, "tom": 0.0014},
 }
-"""Planning time of each model by kind of scene, see `shipped_kind`. With several humans, it is the time of a plan in
-which the model predicts one of them and naive the others.
+"""Planning time of each model by kind of scene, see `shipped_kind`. With several
+humans, it is the time of a plan in which the model predicts one of them and naive the
+others.
 
-These are means over episodes on one core, including the search for a way out: of Merger v1 and Give Way v1 with one
-human, and with several of Dense Merge (six episodes) and Dense Merge v1 (20). That search became faster afterwards.
-Each mean with several humans is therefore multiplied by a ratio: the time of 12 episodes with the faster search over
-their time with the slower one."""
+These are means over episodes on one core, including the search for a way out: of Merger
+v1 and Give Way v1 with one human, and with several of Dense Merge (six episodes) and
+Dense Merge v1 (20). That search became faster afterwards. Each mean with several humans
+is therefore multiplied by a ratio: the time of 12 episodes with the faster search over
+their time with the slower one.
+"""
 
 NOT_ESTIMATED = -np.inf
-"""Gain of a rung for which none was estimated. It is not NaN, as NaN would trigger ``jax_debug_nans``."""
+"""Gain of a rung for which none was estimated. It is not NaN, as NaN would trigger
+``jax_debug_nans``.
+"""
 
 NEVER = -(2**20)
 """Step that stands for the last check if there was none."""
 
 NO_GAINS = int(np.iinfo(np.int32).min)
-"""Rung that stands for gains that are no numbers. JAX cannot raise an error where it traces
-a decision, so that `refuse_rungs` raises it afterwards."""
+"""Rung that stands for gains that are no numbers. JAX cannot raise an error where it
+traces a decision, so that `refuse_rungs` raises it afterwards.
+"""
 
 REAL = ("bool", "integral", "real floating")
 """Types of numbers that gains may be, as `jax.numpy.isdtype` names them."""
 
-DERIVE = "derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define `estimate`"
+DERIVE = (
+    "derive it from ms_highway.Chooser and define `choose`, or from"
+    " ms_highway.Estimator and define `estimate`"
+)
 """What to derive a rule of one's own from."""
 
 FROM_START: dict[str, bool] = {"from_start": True}
@@ -86,12 +95,14 @@ class Memory(NamedTuple):
     """What a rule remembers: the rungs in use, when they were checked, what they gain.
 
     Attributes:
-        rungs: rung of every human in the plan of the last step; in a `Decision`, for the coming step.
+        rungs: rung of every human in the plan of the last step; in a `Decision`, for
+            the coming step.
         step: number of the coming step, from 0.
-        last_check: per human and rung: the last step in which, with this rung in use, the
-            rung below was estimated and the rule did not go up.
-        gain: for every human, the gain over the first rung that was estimated for the rung in use, when it was last
-            estimated; 0 for the first rung, and if there was no estimate.
+        last_check: per human and rung: the last step in which, with this rung in use,
+            the rung below was estimated and the rule did not go up.
+        gain: for every human, the gain over the first rung that was estimated for the
+            rung in use, when it was last estimated; 0 for the first rung, and if there
+            was no estimate.
     """
 
     rungs: Rungs
@@ -101,7 +112,8 @@ class Memory(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """The last step, as a rule sees it. Before the first step, it is a step in which no car moved.
+    """The last step, as a rule sees it. Before the first step, it is a step in which no
+    car moved.
 
     Attributes:
         before: all cars before the step.
@@ -109,7 +121,8 @@ class Outcome(NamedTuple):
         robot: scaled control that the robot executed.
         humans: scaled controls of the humans, as observed.
         reward: the robot's reward after the step.
-        plan: plan that the robot followed, with the controls that it expected of the humans.
+        plan: plan that the robot followed, with the controls that it expected of the
+            humans.
     """
 
     before: State
@@ -140,8 +153,9 @@ class Estimate(NamedTuple):
     """Gain in reward per step of each rung over the first one, before its price.
 
     Attributes:
-        gains: for every human, how much more reward per step each rung earns than the first rung, before the price of
-            its time. The gain of the first rung is 0 where it is estimated. `NOT_ESTIMATED` where none is.
+        gains: for every human, how much more reward per step each rung earns than the
+            first rung, before the price of its time. The gain of the first rung is 0
+            where it is estimated. `NOT_ESTIMATED` where none is.
         failed: whether a gain that was asked for could not be computed.
     """
 
@@ -154,7 +168,8 @@ class Decision(NamedTuple):
 
     Attributes:
         memory: memory with the rungs for the coming step. The caller counts the steps.
-        gains: see `Estimate`; `NOT_ESTIMATED` for all rungs of a rule without an estimator.
+        gains: see `Estimate`; `NOT_ESTIMATED` for all rungs of a rule without an
+            estimator.
         failed: see `Estimate`.
     """
 
@@ -197,8 +212,8 @@ class Part:
     `msgspec.Meta` limit them, and its ``description`` says what to give instead.
 
     Attributes:
-        tag: name in configurations and commands, given as ``class Near(Chooser, tag="near")``,
-            see `ms_highway.add_rule`.
+        tag: name in configurations and commands, given as ``class Near(Chooser,
+            tag="near")``, see `ms_highway.add_rule`.
     """
 
     tag: ClassVar[str] = ""
@@ -209,18 +224,23 @@ class Part:
         cls.tag = tag
 
     def at_start(self, start: Start) -> Self:
-        """Return the part with what only the start of an episode knows; by default, as it is."""
+        """Return the part with what only the start of an episode knows; by default, as
+        it is.
+        """
         return self
 
 
 class Estimator(Part, Generic[Evidence]):
-    """Say what each rung would gain for each human, whatever its price, for any number of humans."""
+    """Say what each rung would gain for each human, whatever its price, for any number
+    of humans.
+    """
 
     def estimate(self, memory: Memory, evidence: Evidence) -> Estimate:
         """Estimate the gains of all rungs over the first one.
 
         Args:
-            memory: what the rule remembers; its ``last_check`` has the shape [humans, rungs].
+            memory: what the rule remembers; its ``last_check`` has the shape [humans,
+                rungs].
             evidence: what happened.
         """
         raise NotImplementedError
@@ -230,7 +250,8 @@ class Chooser(Part, Generic[Evidence]):
     """Choose rungs by their gains and costs, for any number of humans.
 
     Attributes:
-        computes: whether a choice needs a computation, which is then compiled and timed.
+        computes: whether a choice needs a computation, which is then compiled and
+            timed.
     """
 
     computes: ClassVar[bool] = True
@@ -264,10 +285,11 @@ class Priced(Chooser[Evidence]):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rule(Generic[Evidence]):
-    """Choose a rung for every human: estimate the gains, then weigh them against the costs.
+    """Choose a rung for every human: estimate the gains, then weigh them against the
+    costs.
 
-    A rule is a pytree, so that its numbers may change without recompilation. It works for any number of humans, live
-    and in batches.
+    A rule is a pytree, so that its numbers may change without recompilation. It works
+    for any number of humans, live and in batches.
 
     Attributes:
         ladder: human models, cheapest first (static).
@@ -312,9 +334,10 @@ class Rule(Generic[Evidence]):
         """Check the ladder, the costs and the price.
 
         Raises:
-            ValueError: if the ladder holds something else than human models, if the costs
-                are not one for each rung by the names of their models, or if they or the
-                price are negative; if JAX cannot compile a decision that needs it.
+            ValueError: if the ladder holds something else than human models, if the
+                costs are not one for each rung by the names of their models, or if they
+                or the price are negative; if JAX cannot compile a decision that needs
+                it.
         """
         if self.estimates:
             compilable(self)
@@ -324,7 +347,8 @@ class Rule(Generic[Evidence]):
             model for model in self.ladder if not isinstance(model, HumanModel)
         ]:
             raise ValueError(
-                f"the ladder has {strange[0]!r}, which is no human model; make one of names with `ladder`"
+                f"the ladder has {strange[0]!r}, which is no human model; make one of"
+                " names with `ladder`"
             )
         names = tuple(model.name for model in self.ladder)
 
@@ -349,12 +373,15 @@ class Rule(Generic[Evidence]):
         )
         if not (price >= 0).all() or (each < 0).any():
             raise ValueError(
-                f"the price is {price} and the costs are {each.tolist()}; neither may be negative"
+                f"the price is {price} and the costs are {each.tolist()}; neither may"
+                " be negative"
             )
 
 
 def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
-    """Return the rule at another price lambda; a rule without a price is returned unchanged."""
+    """Return the rule at another price lambda; a rule without a price is returned
+    unchanged.
+    """
     if not isinstance(rule.chooser, Priced):
         return rule
     return replace(rule, chooser=replace(rule.chooser, price=price))
@@ -366,10 +393,12 @@ def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Order(Chooser[object]):
-    """Take the rungs from a table: a fixed model, a schedule, or rungs that were drawn beforehand.
+    """Take the rungs from a table: a fixed model, a schedule, or rungs that were drawn
+    beforehand.
 
     Attributes:
-        rungs: rung of every human in each step. Later steps take the last row. A single column holds for all humans.
+        rungs: rung of every human in each step. Later steps take the last row. A single
+            column holds for all humans.
     """
 
     rungs: Int[Array, "steps humans"]
@@ -388,7 +417,9 @@ class Order(Chooser[object]):
 def in_order(
     rungs: Int[Array, "steps humans"], ladder: tuple[HumanModel, ...]
 ) -> Rule[Any]:
-    """Return the rule that takes the rungs of a ladder from a table, see `Order`; its costs are unknown."""
+    """Return the rule that takes the rungs of a ladder from a table, see `Order`; its
+    costs are unknown.
+    """
     costs = UNKNOWN.select(model.name for model in ladder)
     return Rule(ladder, costs, Order(rungs))
 
@@ -404,7 +435,8 @@ def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], int]:
     It is the first rung; under an order naive, which is added to a ladder without it.
 
     Raises:
-        ValueError: if the first model of a rule that is no order counts on a response of the human.
+        ValueError: if the first model of a rule that is no order counts on a response
+            of the human.
     """
     first = rule.ladder[0]
     if isinstance(rule.chooser, Order):
@@ -415,7 +447,8 @@ def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], int]:
     if first.responds:
         message = f"the ladder begins with {first.name}, which counts on a response"
         raise ValueError(
-            f"{message}; with a belief, begin it with a model that does not, such as naive"
+            f"{message}; with a belief, begin it with a model that does not, such as"
+            " naive"
         )
     return rule, 0
 
@@ -443,9 +476,9 @@ def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decis
     A user's parts get read-only arrays, and their results are checked.
 
     Raises:
-        ValueError: if a part returns arrays of a wrong shape or type; if they are known now, also for numbers that are
-            no rungs, and for gains that are no numbers. Where JAX traces the decision, `refuse_rungs` checks these
-            afterwards.
+        ValueError: if a part returns arrays of a wrong shape or type; if they are known
+            now, also for numbers that are no rungs, and for gains that are no numbers.
+            Where JAX traces the decision, `refuse_rungs` checks these afterwards.
     """
     shape = memory.last_check.shape
     if rule.estimator is None:
@@ -505,7 +538,9 @@ def _estimated(
 def _chosen(
     rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Evidence
 ) -> Rungs:
-    """Return the rungs that a chooser returns; check them, if the chooser is not the package's."""
+    """Return the rungs that a chooser returns; check them, if the chooser is not the
+    package's.
+    """
     if _is_own(rule.chooser):
         return rule.chooser.choose(memory, gains, rule.costs, evidence)
     name = rule.name
@@ -536,7 +571,9 @@ def _chosen(
 
 
 def _as_numbers(returned: Any) -> Any:
-    """Return what a part returned as an array of NumPy or JAX; None if it holds no numbers."""
+    """Return what a part returned as an array of NumPy or JAX; None if it holds no
+    numbers.
+    """
     if isinstance(returned, np.ndarray):
         return returned if returned.dtype.kind in "biufc" else None
     try:
@@ -558,7 +595,9 @@ def _no_gains(gains: Gains) -> Any:
 
 
 def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
-    """Return the memory with new rungs, with what was checked, and with the gain of the rung that is now in use."""
+    """Return the memory with new rungs, with what was checked, and with the gain of the
+    rung that is now in use.
+    """
     before = jnp.asarray(memory.rungs)
     humans = jnp.arange(len(before))
     places = jnp.arange(gains.shape[1])
@@ -571,7 +610,8 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
         checked[:, None] & in_use, memory.step + 1, memory.last_check
     )
 
-    # Gain of the new rung. Without an estimate, a rung that stays keeps the remembered one.
+    # Gain of the new rung. Without an estimate, a rung that stays keeps the remembered
+    # one.
     gain = gains[humans, jnp.clip(rungs, 0, gains.shape[1] - 1)]
     known = jnp.where(rungs == before, memory.gain, 0.0)
     gain = jnp.where(jnp.isfinite(gain), gain, known).astype(jnp.float32)
@@ -579,7 +619,9 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
 
 
 def first_memory(rule: Rule[Any], humans: int) -> Memory:
-    """Return the memory before the first step. Every human is on the first rung, and every rung may be checked."""
+    """Return the memory before the first step. Every human is on the first rung, and
+    every rung may be checked.
+    """
     checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
     return Memory(
         np.zeros(humans, np.int32),
@@ -614,7 +656,9 @@ def _is_own(part: Part) -> bool:
 
 
 def is_of_package(rule: Rule[Any]) -> bool:
-    """Return whether all parts of a rule are the package's own, whose decisions need no check."""
+    """Return whether all parts of a rule are the package's own, whose decisions need no
+    check.
+    """
     return all(map(_is_own, rule.parts))
 
 
@@ -626,9 +670,13 @@ def compilable(rule: Rule[Evidence]) -> Rule[Evidence]:
     """
     for part in rule.parts:
         if jax.tree_util.all_leaves([part]):
-            remedy = "write @jax.tree_util.register_dataclass above its @dataclass(frozen=True)"
+            remedy = (
+                "write @jax.tree_util.register_dataclass above its"
+                " @dataclass(frozen=True)"
+            )
             raise ValueError(
-                f"JAX cannot compile for the rule {type(part).__name__}, as it does not know its fields; {remedy}"
+                f"JAX cannot compile for the rule {type(part).__name__}, as it does not"
+                f" know its fields; {remedy}"
             )
     return rule
 
@@ -642,7 +690,8 @@ def refuse_rungs(rule: Rule[Any], rungs: Int[Any, "*steps humans"]) -> None:
     """Refuse numbers that a rule chose and that are no rungs of its ladder.
 
     Raises:
-        ValueError: naming the rule and the first such numbers, or the estimator whose gains were no numbers.
+        ValueError: naming the rule and the first such numbers, or the estimator whose
+            gains were no numbers.
     """
     rungs = np.asarray(rungs)
     if (rungs == NO_GAINS).any():
@@ -665,11 +714,16 @@ def _rungs_remedy(rule: Rule[Any], humans: int) -> str:
 
 def _gains_message(rule: Rule[Any]) -> str:
     remedy = "return -inf (NOT_ESTIMATED) where no gain is known"
-    return f"the estimator {type(rule.estimator).__name__} returned gains that are NaN or infinite; {remedy}"
+    return (
+        f"the estimator {type(rule.estimator).__name__} returned gains that are NaN or"
+        f" infinite; {remedy}"
+    )
 
 
 def shipped_kind(semantics: str, humans: int) -> str:
-    """Return the kind of scene for which the package has costs and learned values, a key of `SHIPPED_COSTS`."""
+    """Return the kind of scene for which the package has costs and learned values, a
+    key of `SHIPPED_COSTS`.
+    """
     if humans == 1:
         return "physical" if semantics == "physical" else "pair"
     return "physical several" if semantics == "physical" else "several"
@@ -678,7 +732,9 @@ def shipped_kind(semantics: str, humans: int) -> str:
 def highest_gains(
     gains: Float[np.ndarray, "*steps humans rungs"],
 ) -> Float[np.ndarray, "*steps rungs"]:
-    """Return the highest gain of each rung over all humans, NaN where none was estimated."""
+    """Return the highest gain of each rung over all humans, NaN where none was
+    estimated.
+    """
     known = np.isfinite(gains)
     return np.where(
         known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan

@@ -1,4 +1,6 @@
-"""Describe humans' situations by numbers that mean the same in all scenes, for learned values of computation."""
+"""Describe humans' situations by numbers that mean the same in all scenes, for learned
+values of computation.
+"""
 
 from functools import partial
 
@@ -45,14 +47,18 @@ def description_names() -> tuple[str, ...]:
 def describe(
     game: Game, state: State, humans: Int[Array, "some"]
 ) -> Float[jax.Array, "some numbers"]:
-    """Compute the numbers by which learned values choose, for some humans; `description_names` names them.
+    """Compute the numbers by which learned values choose, for some humans;
+    `description_names` names them.
 
-    For robot and human, after all cars have kept their velocity for each of `LOOKAHEADS`: the weighted features of
-    their rewards, with a single sum for those beyond the paper's, and the derivatives of the rewards in both cars'
-    states, in the scene's unit of length. Then their relative state, their headings, their speeds as shares of the
-    speed limit, and their distances from the target lane. All these are compressed by ``sign(n) log(1 + |n|)``, as a
-    collision or leaving the road costs a thousand times more than anything else. Finally, the time gaps of both to the
-    cars around them, as ``log(1 + gap / s)``, and the share of humans who are nearer to the robot.
+    For robot and human, after all cars have kept their velocity for each of
+    `LOOKAHEADS`: the weighted features of their rewards, with a single sum for those
+    beyond the paper's, and the derivatives of the rewards in both cars' states, in the
+    scene's unit of length. Then their relative state, their headings, their speeds as
+    shares of the speed limit, and their distances from the target lane. All these are
+    compressed by ``sign(n) log(1 + |n|)``, as a collision or leaving the road costs a
+    thousand times more than anything else. Finally, the time gaps of both to the cars
+    around them, as ``log(1 + gap / s)``, and the share of humans who are nearer to the
+    robot.
 
     Args:
         game: game with the rewards that the robot believes the humans to have.
@@ -79,7 +85,9 @@ def describe(
 
 
 def nearness(game: Game, state: State) -> Rungs:
-    """Return, for each human, how many are nearer to the robot; of equally near ones, the first counts as nearer."""
+    """Return, for each human, how many are nearer to the robot; of equally near ones,
+    the first counts as nearer.
+    """
     places = jnp.asarray(state)[: 1 + game.number, :2]
     return jnp.argsort(jnp.argsort(jnp.linalg.norm(places[1:] - places[0], axis=1)))
 
@@ -114,7 +122,9 @@ def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
 def _terms(
     game: Game, driver: Reward, states: Float[jax.Array, "times cars 4"]
 ) -> Float[jax.Array, "times terms"]:
-    """Return the weighted features of one driver, car 0, and its reward's derivatives in both cars' states."""
+    """Return the weighted features of one driver, car 0, and its reward's derivatives
+    in both cars' states.
+    """
     weighted, pull = jax.vjp(
         lambda states: features(game.scene, driver, states) * driver.weights, states
     )

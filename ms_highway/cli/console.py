@@ -31,7 +31,9 @@ PROGRESS_SECONDS = 60.0
 """Time between two lines about progress where standard error is no terminal."""
 
 MOST = 1_000_000
-"""Largest number of episodes, parts and other counts; more would take years or all memory."""
+"""Largest number of episodes, parts and other counts; more would take years or all
+memory.
+"""
 
 
 class Option(NamedTuple):
@@ -68,7 +70,9 @@ def number(
     most: float = MOST,
     **more: Any,
 ) -> Option:
-    """Return an option that is a number in a range, a whole number unless ``least`` is a float."""
+    """Return an option that is a number in a range, a whole number unless ``least`` is
+    a float.
+    """
     kind = type(least)
 
     def read(word: str) -> float:
@@ -86,7 +90,9 @@ def number(
 def output(
     name: str, text: str, *ends: str, directory: bool = False, **more: Any
 ) -> Option:
-    """Return an option that is the path of a writable file whose name has one of these ends, or of a directory."""
+    """Return an option that is the path of a writable file whose name has one of these
+    ends, or of a directory.
+    """
 
     def path(word: str) -> Path:
         word.encode()  # fails for a name that UTF-8 results cannot contain
@@ -107,9 +113,10 @@ class Command(NamedTuple):
         name: one word or two.
         summary: for the list of commands.
         options: in the order of the help text.
-        simulates: whether it computes many episodes at once instead of plans one after the other.
-        run: takes the parsed options. Its docstring is the help text; the part behind ``Examples:`` is printed
-            unchanged.
+        simulates: whether it computes many episodes at once instead of plans one after
+            the other.
+        run: takes the parsed options. Its docstring is the help text; the part behind
+            ``Examples:`` is printed unchanged.
     """
 
     name: str
@@ -181,7 +188,8 @@ def wrapped_text(text: str) -> str:
 
 
 def replace_unprintable() -> None:
-    """Let standard output print a question mark for each character that its encoding lacks, such as ² in ASCII.
+    """Let standard output print a question mark for each character that its encoding
+    lacks, such as ² in ASCII.
 
     Python does so for standard error by itself.
     """
@@ -200,7 +208,8 @@ def is_terminal(stream: TextIO | None) -> bool:
 def printing() -> Iterator[None]:
     """Flush standard output after a block that only prints.
 
-    If the reader has closed the pipe, as ``| head`` does, drop this and all later output.
+    If the reader has closed the pipe, as ``| head`` does, drop this and all later
+    output.
 
     Raises:
         OSError: if standard output cannot be written, for example on a full disk.
@@ -235,7 +244,9 @@ def warn(message: object) -> None:
 
 
 def print_tables(*tables: "DataFrame") -> None:
-    """Print tables: no wider than the terminal or COLUMNS; with a line per row where the output is no terminal."""
+    """Print tables: no wider than the terminal or COLUMNS; with a line per row where
+    the output is no terminal.
+    """
     from ms_highway.visualization.tables import printed
 
     width = get_terminal_size().columns if is_terminal(sys.stdout) else None
@@ -267,8 +278,8 @@ def telling_often(progress: Callable[[], str]) -> Iterator[None]:
 def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     """Show on standard error how many episodes are done, and return the last count.
 
-    A terminal shows every count. Any other output gets a line a minute, also before the first episode has ended, and
-    the last count.
+    A terminal shows every count. Any other output gets a line a minute, also before the
+    first episode has ended, and the last count.
 
     Args:
         counts: yields the number of episodes whenever more are done.
@@ -279,7 +290,9 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     start = perf_counter()
 
     def progress() -> str:
-        """Say how many episodes are done and, from the first new one on, how long the others will take."""
+        """Say how many episodes are done and, from the first new one on, how long the
+        others will take.
+        """
         new = done - already
         left = (total - done) * (perf_counter() - start) / max(new, 1)
         return f"episodes: {done:,} of {total:,}" + (
@@ -302,7 +315,8 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
 def record(
     results: "ResultsDirectory", options: argparse.Namespace, computes: bool = True
 ) -> None:
-    """Record the command and versions that make the results; warn if earlier results were made with others.
+    """Record the command and versions that make the results; warn if earlier results
+    were made with others.
 
     Args:
         results: directory of the results.
@@ -320,7 +334,8 @@ def record(
         warn(f"{options.out} continues with {differing}; results may not agree")
     elif differing:
         warn(
-            f"{options.out} was computed by other software ({differing} now); nothing is computed again"
+            f"{options.out} was computed by other software ({differing} now); nothing"
+            " is computed again"
         )
 
 
@@ -329,7 +344,8 @@ def save_figures(
 ) -> None:
     """Draw figures into files of a directory, ``NAME.png``, ``.pdf`` or ``.svg``.
 
-    Results are to be on disk before. A figure that cannot be drawn or written is a warning.
+    Results are to be on disk before. A figure that cannot be drawn or written is a
+    warning.
     """
     from ms_highway.runtime.files import replacing
     from ms_highway.visualization.style import drawn

@@ -39,16 +39,22 @@ ALL = (
 COMMANDS = {each.name: each for each in ALL}
 
 ABOUT = "Robot cars that choose how hard to think about human drivers."
-CACHE = "neither keep compiled planners in the user's cache directory nor use those kept there"
+CACHE = (
+    "neither keep compiled planners in the user's cache directory nor use those kept"
+    " there"
+)
 IMPORT = (
-    "a Python module, also of the current directory, to import first; it may add scenarios (ms_highway.add_scenario), "
-    "human models (ms_highway.register), drivers and planners (ms_highway.add_driver), agents (ms_highway.add_agent), "
-    "decision rules (ms_highway.add_rule) or features of rewards (ms_highway.add_feature)"
+    "a Python module, also of the current directory, to import first; it may add"
+    " scenarios (ms_highway.add_scenario), human models (ms_highway.register), drivers"
+    " and planners (ms_highway.add_driver), agents (ms_highway.add_agent), decision"
+    " rules (ms_highway.add_rule) or features of rewards (ms_highway.add_feature)"
 )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit status: 0, 2 after one line about wrong input, or that of an interrupt."""
+    """Run the command and return its exit status: 0, 2 after one line about wrong
+    input, or that of an interrupt.
+    """
     given = sys.argv[1:] if arguments is None else arguments
     replace_unprintable()
     try:
@@ -88,7 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(given: Sequence[str]) -> Any:
-    """Return the options of a command line, its command in ``command`` and the whole line in ``command_line``.
+    """Return the options of a command line, its command in ``command`` and the whole
+    line in ``command_line``.
 
     Raises:
         ValueError: for what cannot be parsed.

@@ -1,6 +1,7 @@
 """Define options that several commands share, and read their values.
 
-Modules that compute are imported only when a command runs: help needs neither JAX nor highway-env.
+Modules that compute are imported only when a command runs: help needs neither JAX nor
+highway-env.
 """
 
 import argparse
@@ -24,9 +25,10 @@ MAX_SEEDS = 2**63 - 1 - MOST
 """Largest first seed: Parquet's integers hold it and `MOST` seeds from it on."""
 
 CONTROLLERS = (
-    "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA, schedule:MODEL=STEPS,...,MODEL, "
-    "random:MODEL=SHARE,..., budget:MILLISECONDS[:FILE], nearest:K; "
-    "your own: functions of add_driver, agents of add_agent, and files of stable-baselines3 (AGENT.zip)"
+    "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA,"
+    " schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,...,"
+    " budget:MILLISECONDS[:FILE], nearest:K; your own: functions of add_driver, agents"
+    " of add_agent, and files of stable-baselines3 (AGENT.zip)"
 )
 """Short names of controllers, for help texts."""
 
@@ -94,7 +96,8 @@ def compared(
     beside: str = "(default: all models of the ladder, and switching)",
     prices: str = "the scenario's two",
 ) -> list[Option]:
-    """Return the options that say what to compare, see `comparison`, and where the results go.
+    """Return the options that say what to compare, see `comparison`, and where the
+    results go.
 
     Args:
         seeds: default number of episodes.
@@ -102,8 +105,14 @@ def compared(
         beside: text in the help of ``--controllers`` about the default.
         prices: text in the help of ``--lambdas`` about the default.
     """
-    kinds = "A kind that needs a lambda, given without one, stands for a controller at each of --lambdas"
-    several = f"several, or LOW:HIGH:COUNT evenly spaced in the logarithm (three digits) (default: {prices})"
+    kinds = (
+        "A kind that needs a lambda, given without one, stands for a controller at each"
+        " of --lambdas"
+    )
+    several = (
+        "several, or LOW:HIGH:COUNT evenly spaced in the logarithm (three digits)"
+        f" (default: {prices})"
+    )
     return [
         SCENARIOS,
         controllers(f"{kinds} {beside}"),
@@ -126,7 +135,8 @@ def configuration(options: argparse.Namespace) -> dict:
     """Return the configuration of environments that ``--set`` gives, by key.
 
     Raises:
-        ValueError: for anything but a key and a value, and for a file of a human's reward that cannot be read.
+        ValueError: for anything but a key and a value, and for a file of a human's
+            reward that cannot be read.
     """
     from ms_highway.envs.settings import NAMED_REWARDS
     from ms_highway.game.learned_reward import load
@@ -135,7 +145,10 @@ def configuration(options: argparse.Namespace) -> dict:
     for text in options.keys:
         key, sign, value = text.partition("=")
         if not sign or key in ("controller", "action"):
-            remedy = "give a key and a value, such as horizon=10; controller and action cannot be set"
+            remedy = (
+                "give a key and a value, such as horizon=10; controller and action"
+                " cannot be set"
+            )
             raise ValueError(f"--set {text}: {remedy}")
         config[key] = _value(value)
     reward = config.get("human_reward")
@@ -170,8 +183,10 @@ def comparison(
 
     Args:
         options: of the command, see `compared`.
-        always: controllers to compare in any case, together with the models of the ladder.
-        prices: lambdas of learned controllers that are named without one; by default, those of ``--lambdas``.
+        always: controllers to compare in any case, together with the models of the
+            ladder.
+        prices: lambdas of learned controllers that are named without one; by default,
+            those of ``--lambdas``.
 
     Raises:
         ValueError: naming what cannot be compared.
@@ -212,11 +227,12 @@ def comparison(
 def lambdas(text: str) -> list[float]:
     """Return the lambdas that a word of an option gives: one, or a range.
 
-    A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three significant digits, so that
-    names of controllers are short.
+    A range is ``LOW:HIGH:COUNT``, evenly spaced in the logarithm and rounded to three
+    significant digits, so that names of controllers are short.
 
     Raises:
-        ArgumentTypeError: for any other text, negative lambdas, or a range in which rounded lambdas are equal.
+        ArgumentTypeError: for any other text, negative lambdas, or a range in which
+            rounded lambdas are equal.
     """
     import numpy as np
 
@@ -235,6 +251,9 @@ def lambdas(text: str) -> list[float]:
         or len(set(values)) < len(values)
         or not all(0 <= value < np.inf for value in values)
     ):
-        remedy = "give a number like 0.1, or LOW:HIGH:COUNT that differ in three digits, such as 0.001:10:25"
+        remedy = (
+            "give a number like 0.1, or LOW:HIGH:COUNT that differ in three digits,"
+            " such as 0.001:10:25"
+        )
         raise argparse.ArgumentTypeError(f"lambdas are {text!r}; {remedy}")
     return values

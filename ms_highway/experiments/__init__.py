@@ -1,4 +1,5 @@
-"""Compare controllers over many episodes, live or in batches; search for the best choices of models, and learn them.
+"""Compare controllers over many episodes, live or in batches; search for the best
+choices of models, and learn them.
 
 Imports `ms_highway.irl` and the packages below it.
 """

@@ -1,7 +1,9 @@
-"""Simulate the episodes of a comparison in batches, with the same starts and records as in the environments.
+"""Simulate the episodes of a comparison in batches, with the same starts and records as
+in the environments.
 
-`ms_highway.experiments.runner` runs the same `Comparison` in the environments. Nothing is measured here, so no plan is
-late. A budget counts the given seconds for planning, and none for deciding.
+`ms_highway.experiments.runner` runs the same `Comparison` in the environments. Nothing
+is measured here, so no plan is late. A budget counts the given seconds for planning,
+and none for deciding.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -55,7 +57,8 @@ class Batch:
         environment: environment that is simulated; it draws the starts.
         controllers: settings of the controllers by short name.
         costs: of `models`, in their order.
-        loop: what all episodes have in common; its rule is an order on the ladder, to be replaced.
+        loop: what all episodes have in common; its rule is an order on the ladder, to
+            be replaced.
     """
 
     comparison: Comparison
@@ -66,7 +69,9 @@ class Batch:
 
     @property
     def models(self) -> list[str]:
-        """Names of the models, in the order of their numbers: the ladder's, then those that only orders use."""
+        """Names of the models, in the order of their numbers: the ladder's, then those
+        that only orders use.
+        """
         return [model.name for model in self.loop.models]
 
     @property
@@ -90,7 +95,8 @@ class Batch:
         return [*product(controllers, self.comparison.seed_range)]
 
     def simulate(self, keys: Sequence[Key], devices: Devices | None = None) -> Records:
-        """Simulate episodes; those whose controllers differ only in lambda are simulated together.
+        """Simulate episodes; those whose controllers differ only in lambda are
+        simulated together.
 
         Args:
             keys: the episodes.
@@ -109,14 +115,18 @@ class Batch:
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
     def settings(self, controller: str) -> ControllerSettings:
-        """Return the settings of a controller of the comparison, or of any order of its models, by short name."""
+        """Return the settings of a controller of the comparison, or of any order of its
+        models, by short name.
+        """
         return self.controllers.get(controller) or controller_settings(controller)
 
     def loop_of(self, controller: str) -> Loop:
-        """Return the loop of the episodes of a controller, whose rule decides if it chooses models from the ladder.
+        """Return the loop of the episodes of a controller, whose rule decides if it
+        chooses models from the ladder.
 
         Raises:
-            ValueError: if its values were learned on another ladder, or JAX cannot compile for its rule.
+            ValueError: if its values were learned on another ladder, or JAX cannot
+                compile for its rule.
         """
         settings, rule = self.settings(controller), self.loop.rule
         if settings.chooses:
@@ -127,7 +137,9 @@ class Batch:
         return replace(self.loop, rule=rule, belief=settings.belief)
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
-        """Return the inputs of the simulation for these episodes, drawn as at a reset of the environment."""
+        """Return the inputs of the simulation for these episodes, drawn as at a reset
+        of the environment.
+        """
         drawn = []
         for name, seed in keys:
             random = seeding.np_random(seed)[0]
@@ -175,10 +187,12 @@ class Batch:
         )
 
     def tables(self, keys: Sequence[Key], devices: Devices | None = None) -> Tables:
-        """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row per episode.
+        """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row
+        per episode.
 
-        Steps have the columns of `Comparison.columns` without measured times. Episodes have those of `per_episode`, and
-        ``price``, the lambda of their controller, empty if it has none.
+        Steps have the columns of `Comparison.columns` without measured times. Episodes
+        have those of `per_episode`, and ``price``, the lambda of their controller,
+        empty if it has none.
 
         Raises:
             ValueError: for a reward that is not finite.
@@ -201,8 +215,9 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         scenario: name of the scenario.
 
     Raises:
-        ValueError: for anything unknown or impossible; without controllers; for costs that have to be measured, as
-            nothing is timed here; and for environments that end early or have a step of their own.
+        ValueError: for anything unknown or impossible; without controllers; for costs
+            that have to be measured, as nothing is timed here; and for environments
+            that end early or have a step of their own.
     """
     names = comparison.controllers.get(scenario, [])
     if not names:
@@ -214,7 +229,10 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     configs = [comparison.environment_config(scenario, name) for name in names]
     settings = [read_own(Settings, config) for config in configs]
     if configs[0]["terminate_on_collision"]:
-        reason = f"{scenario} is configured with terminate_on_collision True, which a simulation does not do"
+        reason = (
+            f"{scenario} is configured with terminate_on_collision True, which a"
+            " simulation does not do"
+        )
         raise ValueError(f"{reason}; use `compare`")
     environment = ENVIRONMENTS[scenario](dict(configs[0]))
     controllers = {
@@ -232,7 +250,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 def simulate_parts(
     comparison: Comparison, parts: Mapping[str, range], devices: Devices | None = None
 ) -> Iterator[tuple[str, Tables]]:
-    """Simulate parts of a comparison, one after the other; yield the name and `Batch.tables` of each.
+    """Simulate parts of a comparison, one after the other; yield the name and
+    `Batch.tables` of each.
 
     Args:
         comparison: of a single scenario.
@@ -246,7 +265,8 @@ def simulate_parts(
 
 
 def simulated(comparison: Comparison) -> pd.DataFrame:
-    """Simulate a comparison and return all records, a row per step, in the comparison's order.
+    """Simulate a comparison and return all records, a row per step, in the comparison's
+    order.
 
     Raises:
         ValueError: see `make_batch`.

@@ -1,7 +1,9 @@
-"""Compute the parts of a sweep on a cluster of dask.distributed: workers return rows, and this process writes them.
+"""Compute the parts of a sweep on a cluster of dask.distributed: workers return rows,
+and this process writes them.
 
-A part whose worker is lost is computed again on another one. Workers need no disk in common with this process, but the
-same versions of packages, on which the last digits depend.
+A part whose worker is lost is computed again on another one. Workers need no disk in
+common with this process, but the same versions of packages, on which the last digits
+depend.
 """
 
 import logging
@@ -57,7 +59,8 @@ class Setup(distributed.WorkerPlugin):
         """Set up a worker.
 
         Raises:
-            ValueError: if it has other versions or other content of a file, or its JAX runs with other flags.
+            ValueError: if it has other versions or other content of a file, or its JAX
+                runs with other flags.
             ImportError: if a module cannot be imported.
         """
         for there, wanted in zip(_versions(), self.versions, strict=True):
@@ -87,15 +90,18 @@ class Setup(distributed.WorkerPlugin):
 def connected(
     address: str, comparison: Comparison, modules: Sequence[str] = ()
 ) -> Iterator[Compute]:
-    """Connect to a scheduler and set up its workers; yield the function that computes there.
+    """Connect to a scheduler and set up its workers; yield the function that computes
+    there.
 
     Args:
         address: address of the scheduler, such as ``tcp://host:8786``.
         comparison: what is computed.
-        modules: modules that workers import, for scenarios, models and rules that they add.
+        modules: modules that workers import, for scenarios, models and rules that they
+            add.
 
     Raises:
-        ValueError: if there is no scheduler, or a worker has other versions or cannot be set up.
+        ValueError: if there is no scheduler, or a worker has other versions or cannot
+            be set up.
     """
     logging.getLogger("distributed.client").setLevel(
         logging.CRITICAL
@@ -104,7 +110,10 @@ def connected(
         get_address_host_port(address, strict=True)
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
-        remedy = "start it with `dask scheduler` and give its address, such as tcp://host:8786"
+        remedy = (
+            "start it with `dask scheduler` and give its address, such as"
+            " tcp://host:8786"
+        )
         raise ValueError(
             f"no scheduler answers at {address} ({error}); {remedy}"
         ) from error
@@ -141,7 +150,8 @@ def _compute(
     comparison: Comparison,
     parts: Mapping[str, range],
 ) -> Iterator[tuple[str, Tables]]:
-    """Submit parts, `AHEAD` for each thread of a worker at a time; yield each with its tables when it is done.
+    """Submit parts, `AHEAD` for each thread of a worker at a time; yield each with its
+    tables when it is done.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
@@ -163,5 +173,8 @@ def _compute(
             yield done.result()
     except (distributed.KilledWorker, CancelledError) as error:
         reason = " ".join(str(error).split())
-        remedy = "see the logs of its workers and scheduler, and start the sweep again to resume it"
+        remedy = (
+            "see the logs of its workers and scheduler, and start the sweep again to"
+            " resume it"
+        )
         raise ValueError(f"{address} gave up a part ({reason}); {remedy}") from error

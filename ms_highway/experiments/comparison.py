@@ -1,4 +1,6 @@
-"""Define comparisons and the columns of their records of steps; check records, and summarise them by episode."""
+"""Define comparisons and the columns of their records of steps; check records, and
+summarise them by episode.
+"""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -22,7 +24,9 @@ EpisodeKey: TypeAlias = tuple[str, str, int]
 """An episode: its scenario, the short name of its controller, and its seed."""
 
 USUAL = ("semantics", "solver", "human_reward", "costs")
-"""Keys of the configuration that results always record, unless the scenarios' defaults differ."""
+"""Keys of the configuration that results always record, unless the scenarios' defaults
+differ.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,8 +49,8 @@ class Comparison:
         """Check everything before an episode is run or a file written.
 
         Raises:
-            ValueError: for an unknown scenario or controller, an impossible configuration, or a controller that does
-                not fit it.
+            ValueError: for an unknown scenario or controller, an impossible
+                configuration, or a controller that does not fit it.
         """
         named = {
             scenario_name(scenario): controllers
@@ -68,7 +72,8 @@ class Comparison:
             yield from product([scenario], controllers, self.seed_range)
 
     def environment_config(self, scenario: str, controller: str) -> dict:
-        """Return the whole configuration of the environment of a scenario and a controller.
+        """Return the whole configuration of the environment of a scenario and a
+        controller.
 
         Raises:
             ValueError: for the same reasons as `Comparison`.
@@ -78,7 +83,9 @@ class Comparison:
         )
 
     def common_config(self) -> dict:
-        """Return the common configuration, under which results are resumed: `USUAL` and all keys of ``config``."""
+        """Return the common configuration, under which results are resumed: `USUAL` and
+        all keys of ``config``.
+        """
         defaults = [
             {**ENVIRONMENTS[name].default_config(), **self.config}
             for name in self.controllers
@@ -101,10 +108,12 @@ class Comparison:
         return {**usual, **self.config, **ladder}
 
     def sources(self) -> dict[str, dict[str, Sources]]:
-        """Return the digests of what the user has imported and named, by scenario and controller.
+        """Return the digests of what the user has imported and named, by scenario and
+        controller.
 
-        Each controller depends on all imported modules, as scenarios, drivers and features may come from them; on what
-        was added by names that its configuration or the scenario has; and on its own files.
+        Each controller depends on all imported modules, as scenarios, drivers and
+        features may come from them; on what was added by names that its configuration
+        or the scenario has; and on its own files.
         """
         found: dict[str, dict[str, Sources]] = {}
         for name, controllers in self.controllers.items():
@@ -129,12 +138,14 @@ class Comparison:
     def columns(self) -> list[str]:
         """Return the columns of a record of steps.
 
-        ``counted_seconds`` is T of the step's plan, as decisions count it. ``gain_MODEL``, for every known human model
-        and every rung, is the highest gain over the first rung, before the price of its time, that was estimated for a
-        human, and empty if none was. States are those of
-        the robot and the first human after the step, in SI units. With several humans, ``model`` is the most expensive
-        model in use, ``humans_MODEL`` the number of humans that each rung above the first predicts, and ``success``
-        whether the robot has succeeded so far.
+        ``counted_seconds`` is T of the step's plan, as decisions count it.
+        ``gain_MODEL``, for every known human model and every rung, is the highest gain
+        over the first rung, before the price of its time, that was estimated for a
+        human, and empty if none was. States are those of the robot and the first human
+        after the step, in SI units. With several humans, ``model`` is the most
+        expensive model in use, ``humans_MODEL`` the number of humans that each rung
+        above the first predicts, and ``success`` whether the robot has succeeded so
+        far.
         """
         scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
         ladders = [
@@ -168,7 +179,8 @@ class Comparison:
 
 
 def paper_controllers(scenario: str) -> list[str]:
-    """Return the controllers that are compared by default: every rung, then switching at both lambdas.
+    """Return the controllers that are compared by default: every rung, then switching
+    at both lambdas.
 
     Raises:
         ValueError: for an unknown scenario.
@@ -201,7 +213,9 @@ STATES = [
 
 
 def by_column(gains: Mapping, states: Any) -> dict:
-    """Return the columns of records for gains by model and for the first two cars of states [..., cars, 4]."""
+    """Return the columns of records for gains by model and for the first two cars of
+    states [..., cars, 4].
+    """
     first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(
         len(STATES), *np.shape(states)[:-2]
     )
@@ -211,7 +225,9 @@ def by_column(gains: Mapping, states: Any) -> dict:
 
 
 def models_of(table: pd.DataFrame, what: str) -> list[str]:
-    """Return the known models that have a column ``WHAT_MODEL``, such as ``gain_tom``, in a table, cheapest first."""
+    """Return the known models that have a column ``WHAT_MODEL``, such as ``gain_tom``,
+    in a table, cheapest first.
+    """
     names = {
         str(name).removeprefix(f"{what}_")
         for name in table
@@ -225,13 +241,17 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
 
     Columns are ``scenario``, ``controller`` and ``seed``, and:
 
-    * means over the steps, empty if a step's cell is empty: ``reward``, ``counted_seconds`` and, if they were measured,
-      ``planning_seconds`` and ``decision_seconds``;
-    * shares of the steps: ``share_MODEL``, planned with a model; ``way_out``, driven to keep a way out; and, if times
-      were measured, ``late``, driven with an old plan because the new one was late;
-    * numbers of steps: ``collisions``, in which the robot collided; and ``fallbacks``, whose plan failed;
-    * with several humans: ``success``, 0 or 1, at the end of the episode; and the means of ``humans_MODEL``.
-      ``share_MODEL`` then counts the steps in which the model is the most expensive one in use.
+    * means over the steps, empty if a step's cell is empty: ``reward``,
+      ``counted_seconds`` and, if they were measured, ``planning_seconds`` and
+      ``decision_seconds``;
+    * shares of the steps: ``share_MODEL``, planned with a model; ``way_out``, driven to
+      keep a way out; and, if times were measured, ``late``, driven with an old plan
+      because the new one was late;
+    * numbers of steps: ``collisions``, in which the robot collided; and ``fallbacks``,
+      whose plan failed;
+    * with several humans: ``success``, 0 or 1, at the end of the episode; and the means
+      of ``humans_MODEL``. ``share_MODEL`` then counts the steps in which the model is
+      the most expensive one in use.
 
     Args:
         steps: records, in which the steps of an episode follow each other.
@@ -261,11 +281,13 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
 
 
 def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
-    """Check that a table of steps or episodes holds the needed columns, and finite numbers except in `TEXTS`.
+    """Check that a table of steps or episodes holds the needed columns, and finite
+    numbers except in `TEXTS`.
 
     Args:
         table: the table.
-        needed: columns that must be there in addition to those of every table. Those of `NEEDED` have no empty cell.
+        needed: columns that must be there in addition to those of every table. Those of
+            `NEEDED` have no empty cell.
 
     Raises:
         ValueError: naming what is wrong, and where.
@@ -299,7 +321,8 @@ def one_episode(
     )
     if chosen.empty:
         raise ValueError(
-            f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in these records"
+            f"there is no episode of {controller!r} in {scenario!r} with seed {seed} in"
+            " these records"
         )
     return chosen.sort_values("step")
 
@@ -307,7 +330,9 @@ def one_episode(
 def common_seeds(
     records: pd.DataFrame, scenario: str, controllers: Sequence[str]
 ) -> list[int]:
-    """Return the seeds of the episodes that every one of these controllers has driven, ascending."""
+    """Return the seeds of the episodes that every one of these controllers has driven,
+    ascending.
+    """
     rows = records.query("scenario == @scenario and controller in @controllers")
     driven = rows.groupby("seed")["controller"].nunique()
     return driven.index[driven == len(set(controllers))].tolist()

@@ -1,4 +1,6 @@
-"""Keep results in a directory, with the settings under which they are resumed and the runs that made them."""
+"""Keep results in a directory, with the settings under which they are resumed and the
+runs that made them.
+"""
 
 import json
 import os
@@ -34,18 +36,21 @@ REMEDY = "choose another directory with --out"
 Count = Annotated[int, Meta(ge=0)]
 
 AllSources: TypeAlias = dict[str, dict[str, Sources]]
-"""Digests of what results depend on beside their settings, by scenario and controller."""
+"""Digests of what results depend on beside their settings, by scenario and controller.
+"""
 
 
 class Extended(TypedDict, total=False):
-    """Keys of the settings that later comparisons in the same directory extend, all by scenario.
+    """Keys of the settings that later comparisons in the same directory extend, all by
+    scenario.
 
     Attributes:
         measured: T(M) by model [s].
         asked: number of requested episodes, by controller.
         lengths: number of steps of an episode that nothing ends early.
         sources: see `AllSources`; controllers that depend on none are left out.
-        late_sources: digests of what modules have imported and read while episodes were driven, by path.
+        late_sources: digests of what modules have imported and read while episodes were
+            driven, by path.
     """
 
     measured: dict[str, dict[str, Positive]]
@@ -91,18 +96,20 @@ class Run(TypedDict):
 class ResultsDirectory:
     """A directory of results, which may not exist yet.
 
-    An interrupted run is resumed under the same settings. Each piece of the results, an episode or a part of many, is
-    either complete in the directory or computed again.
+    An interrupted run is resumed under the same settings. Each piece of the results, an
+    episode or a part of many, is either complete in the directory or computed again.
     """
 
     path: Path
 
     @contextmanager
     def owned(self) -> Iterator["ResultsDirectory"]:
-        """Lock the directory for this run while the block runs, and remove half-written files of earlier runs.
+        """Lock the directory for this run while the block runs, and remove half-written
+        files of earlier runs.
 
         Raises:
-            ValueError: if another command is writing there, or the record of earlier runs cannot be read.
+            ValueError: if another command is writing there, or the record of earlier
+                runs cannot be read.
         """
         with held(self.path):
             self.runs()
@@ -124,16 +131,17 @@ class ResultsDirectory:
         return settings
 
     def take_up(self, settings: Mapping, sources: AllSources) -> dict:
-        """Return the settings to compute with: those of the results in the directory or, without results, these.
+        """Return the settings to compute with: those of the results in the directory
+        or, without results, these.
 
         Args:
             settings: of the new results.
             sources: what the new results depend on beside their settings.
 
         Raises:
-            ValueError: if the directory holds results whose settings differ in more than `EXTENDED`, results of these
-                scenarios and controllers that depend on other content, a record of runs that cannot be read, or other
-                files.
+            ValueError: if the directory holds results whose settings differ in more
+                than `EXTENDED`, results of these scenarios and controllers that depend
+                on other content, a record of runs that cannot be read, or other files.
         """
         known = self.settings()
         self.runs()  # to which this run will be added
@@ -153,7 +161,9 @@ class ResultsDirectory:
         return known
 
     def _take_up_sources(self, known: dict, sources: AllSources) -> None:
-        """Check the sources of results that are there, and add those of new ones to the settings."""
+        """Check the sources of results that are there, and add those of new ones to the
+        settings.
+        """
         kept = known.get("sources", {})
         for scenario, controllers in sources.items():
             for controller, now in controllers.items():
@@ -162,7 +172,8 @@ class ResultsDirectory:
                     place = f"{self.path} holds results of {controller} in {scenario}"
                     refuse_changed(place, before, now, REMEDY)
 
-        # All results of a directory stand in one table: a name has one content there, also for other controllers.
+        # All results of a directory stand in one table: a name has one content there,
+        # also for other controllers.
         everything: Sources = {}
         for controllers in sources.values():
             for now in controllers.values():
@@ -190,7 +201,8 @@ class ResultsDirectory:
                     own[controller] = now
 
     def add_late_sources(self, settings: dict, late: Sources) -> None:
-        """Add to the settings what modules have imported and read while they drove, and write them if that is new.
+        """Add to the settings what modules have imported and read while they drove, and
+        write them if that is new.
 
         Raises:
             ValueError: if a file has changed meanwhile.
@@ -230,7 +242,8 @@ class ResultsDirectory:
         """Record this process as a further run, with the command that started it.
 
         Returns:
-            The versions, flags and commit that differ from the last run; empty if none does.
+            The versions, flags and commit that differ from the last run; empty if none
+            does.
 
         Raises:
             ValueError: if the record of earlier runs cannot be read.
@@ -242,7 +255,9 @@ class ResultsDirectory:
         return differing
 
     def differing(self, run: Run) -> str:
-        """Say in which versions, flags, code and commit a run differs from the last recorded one; empty if in none."""
+        """Say in which versions, flags, code and commit a run differs from the last
+        recorded one; empty if in none.
+        """
         runs = self.runs() or [run]
         last = runs[-1]
         if "code" not in last:  # as in results of earlier versions of this package
@@ -260,7 +275,9 @@ def _software(run: Run) -> dict[str, str]:
 def _differences(
     one: Mapping, other: Mapping, absent: str, but: tuple[str, ...] = ()
 ) -> str:
-    """Say in which keys two mappings differ, and what the first one has instead of the second."""
+    """Say in which keys two mappings differ, and what the first one has instead of the
+    second.
+    """
     pairs = {
         key: (one.get(key, absent), other.get(key, absent))
         for key in {**one, **other}
@@ -274,7 +291,9 @@ def _differences(
 
 
 def refuse_changed_files(what: str, settings: Mapping, remedy: str) -> None:
-    """Refuse to go on with results after one of their ``late_sources`` has changed; see `refuse_changed`."""
+    """Refuse to go on with results after one of their ``late_sources`` has changed; see
+    `refuse_changed`.
+    """
     late = settings.get("late_sources", {})
     now = {
         name: digest(Path(name)) if Path(name).is_file() else "missing" for name in late
@@ -297,7 +316,8 @@ def refuse_changed(what: str, before: Sources, now: Sources, remedy: str) -> Non
     for name, content in before.items():
         if name not in now:
             raise ValueError(
-                f"{what} that were computed with {name}, which is not imported now; {remedy}"
+                f"{what} that were computed with {name}, which is not imported now;"
+                f" {remedy}"
             )
         if now[name] != content:
             raise ValueError(
@@ -306,7 +326,9 @@ def refuse_changed(what: str, before: Sources, now: Sources, remedy: str) -> Non
 
 
 def write_table(table: pd.DataFrame, file: Path) -> None:
-    """Write a table without its index, in the format of the file's ending: ``.csv`` or ``.parquet``."""
+    """Write a table without its index, in the format of the file's ending: ``.csv`` or
+    ``.parquet``.
+    """
     with replacing(file) as path:
         if file.suffix == ".parquet":
             table.to_parquet(path, index=False)

@@ -1,7 +1,9 @@
-"""Search for the best orders of models, and compute the regret of controllers, by which they fall short of these.
+"""Search for the best orders of models, and compute the regret of controllers, by which
+they fall short of these.
 
-From a known start, an episode is deterministic, so no rule for choosing models earns more than the best order of models
-for this start. The order that a search finds is as good as that, or worse.
+From a known start, an episode is deterministic, so no rule for choosing models earns
+more than the best order of models for this start. The order that a search finds is as
+good as that, or worse.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,8 +42,9 @@ class Outcomes:
 
     Attributes:
         batch: the scenario.
-        table: all known episodes by controller and seed: ``scenario``, ``reward``, ``counted_seconds``, ``collisions``
-            and ``fallbacks`` as in `ms_highway.experiments.comparison.per_episode`.
+        table: all known episodes by controller and seed: ``scenario``, ``reward``,
+            ``counted_seconds``, ``collisions`` and ``fallbacks`` as in
+            `ms_highway.experiments.comparison.per_episode`.
     """
 
     def __init__(
@@ -77,7 +80,9 @@ class Outcomes:
                 self.table = known.set_index(INDEX)[list(KEPT_COLUMNS)]
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
-        """Return the rows of some episodes, in their order; simulate and keep the unknown ones."""
+        """Return the rows of some episodes, in their order; simulate and keep the
+        unknown ones.
+        """
         lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
         if lacking:
             episodes = self.batch.tables(lacking, self._devices)["episodes"]
@@ -88,7 +93,8 @@ class Outcomes:
 
 
 def controller_name(models: Sequence[str], order: Array) -> str:
-    """Return the short name of an order as a controller, such as ``schedule:tom=6,naive`` or ``tom``.
+    """Return the short name of an order as a controller, such as
+    ``schedule:tom=6,naive`` or ``tom``.
 
     Args:
         models: names of the rungs.
@@ -110,13 +116,16 @@ def search(
     population: int = 32,
     rounds: int = 8,
 ) -> Iterator[int]:
-    """Search for the orders of models with the highest meta-reward, for each start and price separately.
+    """Search for the orders of models with the highest meta-reward, for each start and
+    price separately.
 
-    This is an evolution strategy. Round 1 tries, from every start, the same orders that change the rung at most once.
-    Each further round tries mutants of the best order so far, see `mutant`. An order that was tried for one price
-    counts for all prices. After the last round, every start tries the best orders of the other starts.
+    This is an evolution strategy. Round 1 tries, from every start, the same orders that
+    change the rung at most once. Each further round tries mutants of the best order so
+    far, see `mutant`. An order that was tried for one price counts for all prices.
+    After the last round, every start tries the best orders of the other starts.
 
-    The same arguments give the same orders on any number of devices, even if a search was interrupted and resumed.
+    The same arguments give the same orders on any number of devices, even if a search
+    was interrupted and resumed.
 
     Args:
         outcomes: episodes of the scenario.
@@ -126,7 +135,8 @@ def search(
         rounds: number of rounds.
 
     Yields:
-        The number of each finished round, from 1; a last number after the starts have tried each other's best orders.
+        The number of each finished round, from 1; a last number after the starts have
+        tried each other's best orders.
     """
     random, batch = np.random.default_rng(0), outcomes.batch
     rungs = range(len(batch.rungs))
@@ -163,7 +173,8 @@ def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
 
 
 def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFrame:
-    """Return, by seed, the row with the highest meta-reward, ``r_R - lambda T(M)`` per step, and add it as a column.
+    """Return, by seed, the row with the highest meta-reward, ``r_R - lambda T(M)`` per
+    step, and add it as a column.
 
     The row may be that of any controller, as its choices are an order of models, too.
 
@@ -179,7 +190,8 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
 def regrets(
     table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int], price: float
 ) -> pd.DataFrame:
-    """Compute by how much controllers fall short of the best order that was found for each start.
+    """Compute by how much controllers fall short of the best order that was found for
+    each start.
 
     Args:
         table: table of `Outcomes`.
@@ -188,10 +200,12 @@ def regrets(
         price: lambda of the meta-reward [reward per second of planning].
 
     Returns:
-        A row per ``controller``, with `BEST_PER_START` as the last: ``kind``; means over starts of ``reward`` and
-        ``counted_seconds`` per step, of ``meta_reward`` and of ``regret``; and the 90 % interval of the mean regret,
-        ``regret_low`` and ``regret_high`` (Student's t). There is also a row of the order with the highest mean
-        meta-reward among those that were tried from every start.
+        A row per ``controller``, with `BEST_PER_START` as the last: ``kind``; means
+            over starts of ``reward`` and
+        ``counted_seconds`` per step, of ``meta_reward`` and of ``regret``; and the 90 %
+        interval of the mean regret, ``regret_low`` and ``regret_high`` (Student's t).
+        There is also a row of the order with the highest mean meta-reward among those
+        that were tried from every start.
 
     Raises:
         KeyError: if a controller was not driven from every start.

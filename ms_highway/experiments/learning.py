@@ -1,8 +1,10 @@
-"""Learn the value of computation by rounds of rollouts and fits, as cost-sensitive policy iteration.
+"""Learn the value of computation by rounds of rollouts and fits, as cost-sensitive
+policy iteration.
 
-Rollouts of later rounds follow the rule of the last fit, from states that this rule visits. Every scenario and every
-fit of a round has its own stream of random numbers. Therefore, a seed gives the same values on any number of devices,
-even if learning was interrupted.
+Rollouts of later rounds follow the rule of the last fit, from states that this rule
+visits. Every scenario and every fit of a round has its own stream of random numbers.
+Therefore, a seed gives the same values on any number of devices, even if learning was
+interrupted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -53,13 +55,14 @@ def prepare(
     horizon: int | None,
     seed: int,
 ) -> tuple[Learning, list[Batch]]:
-    """Return the settings of learning, and the scenarios. None stands for the usual number.
+    """Return the settings of learning, and the scenarios. None stands for the usual
+    number.
 
     Args:
         comparison: the scenarios, with a controller that needs T(M) of all models.
         rounds: number of rounds of rollouts and fits.
-        states: number of states from which rollouts start in the first round. With one human, each later round has 5
-            for every 8 of them.
+        states: number of states from which rollouts start in the first round. With one
+            human, each later round has 5 for every 8 of them.
         horizon: number of steps of a rollout.
         seed: seed of everything that is drawn.
 
@@ -101,13 +104,18 @@ def prepare(
     own: dict = (SEVERAL if several else {}) | {
         name: value for name, value in given.items() if value
     }
-    return Learning(
-        {name: costs[name] for name in models}, seed=seed, settings=settings, **own
-    ), batches
+    return (
+        Learning(
+            {name: costs[name] for name in models}, seed=seed, settings=settings, **own
+        ),
+        batches,
+    )
 
 
 def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
-    """Fit values to the rollouts of ``number`` rounds; without rollouts, return values that mean nothing."""
+    """Fit values to the rollouts of ``number`` rounds; without rollouts, return values
+    that mean nothing.
+    """
     random, names = _stream(how, number, FIT), description_names()
     network = new_network(random, len(names), len(how.costs) - 1)
     centre, spread = np.zeros(len(names)), np.ones(len(names))
@@ -135,7 +143,9 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
 
 
 def _stream(how: Learning, *place: int) -> Random:
-    """Return the stream of random numbers of a place, such as a round and the number of a scenario."""
+    """Return the stream of random numbers of a place, such as a round and the number of
+    a scenario.
+    """
     return np.random.default_rng([how.seed, *place])
 
 
@@ -150,11 +160,13 @@ def learn(
     Args:
         learning: settings.
         batches: the scenarios.
-        kept: directory that keeps all rollouts, so that an interrupted run can resume; the caller removes it.
+        kept: directory that keeps all rollouts, so that an interrupted run can resume;
+            the caller removes it.
         devices: that simulate the rollouts; by default, the first.
 
     Yields:
-        What was done, after the rollouts of each scenario and after each fit; and after a fit, the values.
+        What was done, after the rollouts of each scenario and after each fit; and after
+        a fit, the values.
 
     Raises:
         ValueError: if the directory exists and holds something else.
@@ -209,7 +221,9 @@ def read_rollouts(file: Path) -> Rollouts:
 
 
 def new_network(random: Random, inputs: int, means: int) -> Network:
-    """Draw first weights whose variance keeps the scale of activations across tanh layers (LeCun et al. 1998)."""
+    """Draw first weights whose variance keeps the scale of activations across tanh
+    layers (LeCun et al. 1998).
+    """
     return tuple(
         (
             (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(
@@ -223,14 +237,16 @@ def new_network(random: Random, inputs: int, means: int) -> Network:
 
 @jax.jit
 def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Network:
-    """Fit the gains of rungs over the first one, and their spreads, by AdamW and the likelihood of normal errors.
+    """Fit the gains of rungs over the first one, and their spreads, by AdamW and the
+    likelihood of normal errors.
 
-    If small causes have large effects, as in Stay Back with 20 gradient steps, the spread is large, and errors weigh
-    less.
+    If small causes have large effects, as in Stay Back with 20 gradient steps, the
+    spread is large, and errors weigh less.
 
     Args:
         network: first weights.
-        chosen: places of the examples of every gradient step and network, [steps, networks, examples].
+        chosen: places of the examples of every gradient step and network, [steps,
+            networks, examples].
         inputs: standardised descriptions of all examples.
         gains: their gains.
     """

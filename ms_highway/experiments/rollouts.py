@@ -1,7 +1,8 @@
-"""Roll out the models of a ladder from visited states; the value of computation is learned from these examples.
+"""Roll out the models of a ladder from visited states; the value of computation is
+learned from these examples.
 
-In a rollout, a model predicts one or more of the nearest humans for some steps, and naive predicts the others. Then
-naive predicts all of them, or the learned rule chooses.
+In a rollout, a model predicts one or more of the nearest humans for some steps, and
+naive predicts the others. Then naive predicts all of them, or the learned rule chooses.
 """
 
 from collections.abc import Mapping
@@ -24,16 +25,20 @@ from ms_highway.runtime.compilation import Devices
 
 Random: TypeAlias = np.random.Generator
 
-WORST_STEP = 1e3  # largest loss that counts in a step, as plans may fail and cars may leave the world
+# largest loss that counts in a step, as plans may fail and cars may leave the world
+WORST_STEP = 1e3
 
 
 class Rollouts(NamedTuple):
-    """Gains of the rungs in visited states, with an example for each of the nearest humans.
+    """Gains of the rungs in visited states, with an example for each of the nearest
+    humans.
 
     Attributes:
-        descriptions: descriptions of the situations [examples, numbers], see `ms_highway.choice.situation`.
-        gains: gain per step if a rung, instead of the first one, predicts a human, while this rung predicts all nearer
-            humans [examples, rungs - 1]; -inf if the rung is not on the scenario's ladder.
+        descriptions: descriptions of the situations [examples, numbers], see
+            `ms_highway.choice.situation`.
+        gains: gain per step if a rung, instead of the first one, predicts a human,
+            while this rung predicts all nearer humans [examples, rungs - 1]; -inf if
+            the rung is not on the scenario's ladder.
     """
 
     descriptions: Any
@@ -42,20 +47,25 @@ class Rollouts(NamedTuple):
 
 @dataclass(frozen=True)
 class Learning:
-    """Settings of learning. The defaults are for one human, `SEVERAL` those for several.
+    """Settings of learning. The defaults are for one human, `SEVERAL` those for
+    several.
 
     Attributes:
         costs: T(M) of the models of the ladder, cheapest first [s].
-        prices: least and largest lambda at which the rule drives to the states from which rollouts start.
+        prices: least and largest lambda at which the rule drives to the states from
+            which rollouts start.
         rounds: number of rounds of rollouts and fits.
-        states: number of states from which rollouts start, in each scenario, in the first round and in each later one.
+        states: number of states from which rollouts start, in each scenario, in the
+            first round and in each later one.
         horizon: number of steps of a rollout.
         held: number of these steps with the rung whose gain is learned.
         noise: largest c of `Driving.starts`.
         states_of_an_episode: number of states that are drawn from an episode.
         stays: probability that a random order keeps its rungs for another step.
-        min_likely: least weight with which a state is drawn; at the speed limit outside the target lane, it is 1.
-        seed: seed of all random numbers, which are independent of the seeds of environments.
+        min_likely: least weight with which a state is drawn; at the speed limit outside
+            the target lane, it is 1.
+        seed: seed of all random numbers, which are independent of the seeds of
+            environments.
         settings: further entries of the provenance of the values.
     """
 
@@ -106,10 +116,12 @@ class Driving:
     devices: Devices | None
 
     def starts(self, random: Random, count: int) -> tuple[Array, Array]:
-        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count, humans, features].
+        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count,
+        humans, features].
 
-        A start is ``a + c (b - a)`` with two draws a and b, and with c drawn from 1 to `Learning.noise`. It has the
-        mean of the draws, and ``sqrt(c^2 + (1 - c)^2)`` times their standard deviation.
+        A start is ``a + c (b - a)`` with two draws a and b, and with c drawn from 1 to
+        `Learning.noise`. It has the mean of the draws, and ``sqrt(c^2 + (1 - c)^2)``
+        times their standard deviation.
         """
         drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
         starts, weights = (
@@ -119,10 +131,11 @@ class Driving:
         return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
 
     def orders(self, random: Random, count: int) -> Array:
-        """Draw orders of models that keep their rungs for some steps, [count, steps, humans].
+        """Draw orders of models that keep their rungs for some steps, [count, steps,
+        humans].
 
-        Each order has frequencies of rungs of its own. Several humans change their rungs in the same steps, each to a
-        rung of its own.
+        Each order has frequencies of rungs of its own. Several humans change their
+        rungs in the same steps, each to a rung of its own.
         """
         rungs, steps = len(self.batch.rungs), self.batch.steps
         orders = np.zeros((count, steps, self.batch.humans), np.int32)
@@ -139,13 +152,14 @@ class Driving:
     def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> Records:
         """Simulate episodes with models from schedules or from the rule.
 
-        Episodes of any length are simulated in segments as long as a rollout, so that a scenario is compiled once.
-        Every segment starts without a last plan.
+        Episodes of any length are simulated in segments as long as a rollout, so that a
+        scenario is compiled once. Every segment starts without a last plan.
 
         Args:
             starts: starts of all cars [episodes, cars, 4].
             weights: weights of the humans' rewards [episodes, humans, features].
-            schedules: rung of every human [episodes, steps, humans], or `DECIDES` for the rule's choice.
+            schedules: rung of every human [episodes, steps, humans], or `DECIDES` for
+                the rule's choice.
             prices: lambdas [episodes], or one for all.
         """
         loop, horizon = replace(self.batch.loop, rule=self.rule), self.how.horizon
@@ -175,9 +189,10 @@ class Driving:
     def roll_out(self, random: Random, count: int) -> Rollouts:
         """Visit ``count`` states and roll out from each of them.
 
-        There is a rollout for every rung and for one, two and up to `TOGETHER` of the nearest humans. The rung predicts
-        these humans for some steps, and naive the others. Then the rule chooses for all, at the geometric mean of the
-        prices; before the first fit, naive predicts all.
+        There is a rollout for every rung and for one, two and up to `TOGETHER` of the
+        nearest humans. The rung predicts these humans for some steps, and naive the
+        others. Then the rule chooses for all, at the geometric mean of the prices;
+        before the first fit, naive predicts all.
         """
         states, weights = self._visited(random, count)
         game, humans, how = self.batch.loop.game, self.batch.humans, self.how
@@ -222,11 +237,13 @@ class Driving:
         )
 
     def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
-        """Draw states from episodes that random orders and the rule have planned; return them and the humans' weights.
+        """Draw states from episodes that random orders and the rule have planned;
+        return them and the humans' weights.
 
-        After a fit, the rule chooses in half of the episodes and, with one human, in the later part of the others. With
-        several humans, states in which the robot drives and is not in its lane yet are drawn more often, as predictions
-        hardly matter in the others.
+        After a fit, the rule chooses in half of the episodes and, with one human, in
+        the later part of the others. With several humans, states in which the robot
+        drives and is not in its lane yet are drawn more often, as predictions hardly
+        matter in the others.
         """
         steps, game, each = (
             self.batch.steps,

@@ -1,9 +1,10 @@
 """Run comparisons, live in the environments or in batches, and read their records.
 
-A directory holds the results in pieces, each in a file that is either complete or absent. A live run writes a CSV file
-per episode, with a row per step, and joins them in ``steps.csv`` at the end. A simulation writes Parquet files of many
-episodes, with a row per episode; together, they need not fit in memory. A run that was stopped resumes with the
-episodes that are in no file.
+A directory holds the results in pieces, each in a file that is either complete or
+absent. A live run writes a CSV file per episode, with a row per step, and joins them in
+``steps.csv`` at the end. A simulation writes Parquet files of many episodes, with a row
+per episode; together, they need not fit in memory. A run that was stopped resumes with
+the episodes that are in no file.
 """
 
 import json
@@ -53,10 +54,14 @@ MIN_EPISODES = (
 Compute: TypeAlias = Callable[
     [Comparison, Mapping[str, range]], Iterator[tuple[str, Tables]]
 ]
-"""Computes named parts, each a range of places in `Comparison.episodes`; yields them by name, in any order."""
+"""Computes named parts, each a range of places in `Comparison.episodes`; yields them by
+name, in any order.
+"""
 
 Driven: TypeAlias = tuple[pd.DataFrame, Sources]
-"""The records of an episode, and the `ms_highway.runtime.sources.late_sources` of the process that drove it."""
+"""The records of an episode, and the `ms_highway.runtime.sources.late_sources` of the
+process that drove it.
+"""
 
 
 def run(
@@ -65,20 +70,25 @@ def run(
     processes: int = 1,
     modules: Sequence[str] = (),
 ) -> Iterator[int]:
-    """Drive the episodes that a directory lacks; put the records of all into ``steps.csv`` at the end.
+    """Drive the episodes that a directory lacks; put the records of all into
+    ``steps.csv`` at the end.
 
     Args:
         comparison: what to drive.
         directory: directory of the results.
-        processes: number of processes that drive at once, each on a core of its own, but no more than there are cores.
-            If fewer than `MIN_EPISODES` episodes are missing, this process alone drives them.
-        modules: modules that other processes import, for scenarios and models that they add.
+        processes: number of processes that drive at once, each on a core of its own,
+            but no more than there are cores. If fewer than `MIN_EPISODES` episodes are
+            missing, this process alone drives them.
+        modules: modules that other processes import, for scenarios and models that they
+            add.
 
     Yields:
-        The number of finished episodes: first those of earlier runs, then after every episode.
+        The number of finished episodes: first those of earlier runs, then after every
+            episode.
 
     Raises:
-        ValueError: if the directory holds results of other settings, or records that cannot be read.
+        ValueError: if the directory holds results of other settings, or records that
+            cannot be read.
     """
     results = ResultsDirectory(Path(directory))
     settings = results.take_up(comparison.common_config(), comparison.sources())
@@ -102,7 +112,8 @@ def run(
     if len(records) and list(records) != comparison.columns():
         columns = ", ".join(comparison.columns())
         raise ValueError(
-            f"{results.path / STEPS_FILE}: its columns are not {columns}; choose another directory"
+            f"{results.path / STEPS_FILE}: its columns are not {columns}; choose"
+            " another directory"
         )
     known = {*records[KEYS].itertuples(index=False, name=None)}
     wanted = list(comparison.episodes())
@@ -144,11 +155,12 @@ def run_batched(
         compute: function that computes parts, here or elsewhere.
 
     Yields:
-        The number of finished episodes: first those of earlier runs, then after every part.
+        The number of finished episodes: first those of earlier runs, then after every
+            part.
 
     Raises:
-        ValueError: if the comparison cannot be simulated, or the directory holds results of other settings or other
-            files.
+        ValueError: if the comparison cannot be simulated, or the directory holds
+            results of other settings or other files.
     """
     if len(comparison.controllers) != 1:
         raise ValueError(
@@ -185,7 +197,8 @@ def run_batched(
         ]
         if cut:
             warn(
-                f"{directory / STEPS}: parts that are not whole are computed again: {len(cut)}",
+                f"{directory / STEPS}: parts that are not whole are computed again:"
+                f" {len(cut)}",
                 stacklevel=2,
             )
         missing = {
@@ -208,7 +221,9 @@ def run_batched(
 
 
 def episode_parts(comparison: Comparison, part: int) -> dict[str, range]:
-    """Return the places of the episodes of a sweep in `Comparison.episodes`, by the name of the file of their part."""
+    """Return the places of the episodes of a sweep in `Comparison.episodes`, by the
+    name of the file of their part.
+    """
     places = range(len(list(comparison.episodes())))
     starts = places[::part]
     return {
@@ -233,9 +248,11 @@ def _in_processes(
     number: int,
     modules: Sequence[str],
 ) -> Iterator[Driven]:
-    """Drive episodes in this process or, if they are many, in several; yield what `_driven` returns in any order.
+    """Drive episodes in this process or, if they are many, in several; yield what
+    `_driven` returns in any order.
 
-    Each process drives neighbouring episodes, so that two processes rarely compile the same functions.
+    Each process drives neighbouring episodes, so that two processes rarely compile the
+    same functions.
     """
     _environment.cache_clear()
     if number == 1 or len(keys) < MIN_EPISODES:
@@ -261,7 +278,9 @@ def _in_processes(
 
 
 def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
-    """Return the records of a comparison that `run` has finished in a directory, in the comparison's order."""
+    """Return the records of a comparison that `run` has finished in a directory, in the
+    comparison's order.
+    """
     return only(comparison, pd.read_csv(Path(directory) / STEPS_FILE))
 
 
@@ -271,14 +290,16 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
 
 
 def read_steps(directory: Path, settings: Mapping, tells: bool = False) -> pd.DataFrame:
-    """Read and check the records of a directory, including episodes that are not in ``steps.csv`` yet.
+    """Read and check the records of a directory, including episodes that are not in
+    ``steps.csv`` yet.
 
-    Episodes that are not whole are left out. If two files hold an episode, the first one counts.
+    Episodes that are not whole are left out. If two files hold an episode, the first
+    one counts.
 
     Args:
         directory: directory of the results.
-        settings: settings of the results. Rows are in the order of the controllers in ``asked``, the others last, then
-            of the seeds.
+        settings: settings of the results. Rows are in the order of the controllers in
+            ``asked``, the others last, then of the seeds.
         tells: whether to warn of episodes that are not whole.
 
     Raises:
@@ -318,15 +339,18 @@ def read_steps(directory: Path, settings: Mapping, tells: bool = False) -> pd.Da
 
 
 def _whole_episodes(file: Path, settings: Mapping) -> tuple[pd.DataFrame, int]:
-    """Return the steps of the whole episodes in a CSV file, and the number of those that lack steps or have one twice.
+    """Return the steps of the whole episodes in a CSV file, and the number of those
+    that lack steps or have one twice.
 
     Raises:
-        ValueError: if the file holds something else; any other of `ms_highway.runtime.files.DAMAGES`.
+        ValueError: if the file holds something else; any other of
+            `ms_highway.runtime.files.DAMAGES`.
     """
     steps = pd.read_csv(whole_lines(file))
     check_table(steps, NEEDED)
 
-    # Of each episode: whether its steps count from 0, and whether it was driven to its end.
+    # Of each episode: whether its steps count from 0, and whether it was driven to its
+    # end.
     by_episode = steps.groupby(KEYS, sort=False)
     counts = by_episode["step"].transform("size")
     in_order = (
@@ -345,7 +369,8 @@ def _whole_episodes(file: Path, settings: Mapping) -> tuple[pd.DataFrame, int]:
 
 
 def read_episodes(directory: Path, comparison: Comparison, part: int) -> pd.DataFrame:
-    """Read and check the simulated episodes of a directory, a row for each, in the order of the parts.
+    """Read and check the simulated episodes of a directory, a row for each, in the
+    order of the parts.
 
     Args:
         directory: directory of the results.
@@ -372,7 +397,9 @@ def read_episodes(directory: Path, comparison: Comparison, part: int) -> pd.Data
 
 
 def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> Driven:
-    """Drive one episode; return its records, and what modules have imported and read in this process so far."""
+    """Drive one episode; return its records, and what modules have imported and read in
+    this process so far.
+    """
     scenario, controller, seed = key
     config = dict(comparison.config)
     if (
@@ -399,7 +426,8 @@ def make_environment(
 
     Args:
         scenario: name of the scenario.
-        controller: short name of a controller or an agent, see `ms_highway.envs.registry.controller_config`.
+        controller: short name of a controller or an agent, see
+            `ms_highway.envs.registry.controller_config`.
         render: whether to render ``rgb_array`` frames.
         config: further configuration of the environment.
 
@@ -418,8 +446,8 @@ def make_environment(
 def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     """Run one episode with the robot's own controller; yield a record per step.
 
-    A record has all of ``info``, and the columns of `ms_highway.experiments.comparison.Comparison.columns` from
-    ``step`` on.
+    A record has all of ``info``, and the columns of
+    `ms_highway.experiments.comparison.Comparison.columns` from ``step`` on.
     """
     env.reset(seed=seed)
     inner = env.unwrapped

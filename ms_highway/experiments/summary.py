@@ -1,4 +1,5 @@
-"""Summarise records, by scenario and controller, with intervals and in sentences; read a directory of results.
+"""Summarise records, by scenario and controller, with intervals and in sentences; read
+a directory of results.
 
 `PUBLISHED` holds the results of the paper.
 """
@@ -33,23 +34,29 @@ MILLISECONDS = {
 def summary(records: pd.DataFrame) -> pd.DataFrame:
     """Return one row per scenario and controller, in the order of the records.
 
-    Columns are ``kind``, the type of the controller, ``price``, its lambda, ``episodes``, their number, and:
+    Columns are ``kind``, the type of the controller, ``price``, its lambda,
+    ``episodes``, their number, and:
 
-    * per step: ``reward``, with ``reward_low`` and ``reward_high``, the 90 % interval of its mean over episodes
-      (Student's t), and ``reward_std``, its standard deviation over episodes;
-    * times per step: ``planning_ms`` and ``decision_ms`` as measured; ``counted_ms``, planning at the seconds T(M) that
-      decisions count, empty if one is unknown; ``cycle_ms_p50`` and ``cycle_ms_p99``, quantiles of planning and
-      deciding together;
-    * shares of the steps: ``share_MODEL``, planned with a model; ``late``, driven with an old plan because the new one
-      was late; ``way_out``, driven to keep a way out;
-    * counts: ``collision_episodes``, in which the robot collided at least once; ``fallbacks``, steps of all episodes
-      whose plan failed;
-    * with several humans: ``success``, the share of the episodes in which the robot succeeded; ``humans_MODEL``, the
-      mean number of humans that each rung above the first predicts.
+    * per step: ``reward``, with ``reward_low`` and ``reward_high``, the 90 % interval
+      of its mean over episodes (Student's t), and ``reward_std``, its standard
+      deviation over episodes;
+    * times per step: ``planning_ms`` and ``decision_ms`` as measured; ``counted_ms``,
+      planning at the seconds T(M) that decisions count, empty if one is unknown;
+      ``cycle_ms_p50`` and ``cycle_ms_p99``, quantiles of planning and deciding
+      together;
+    * shares of the steps: ``share_MODEL``, planned with a model; ``late``, driven with
+      an old plan because the new one was late; ``way_out``, driven to keep a way out;
+    * counts: ``collision_episodes``, in which the robot collided at least once;
+      ``fallbacks``, steps of all episodes whose plan failed;
+    * with several humans: ``success``, the share of the episodes in which the robot
+      succeeded; ``humans_MODEL``, the mean number of humans that each rung above the
+      first predicts.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`; or a row per simulated
-            episode, see `ms_highway.experiments.comparison.per_episode`, without measured times.
+        records: a row per step, see
+            `ms_highway.experiments.comparison.Comparison.columns`; or a row per
+            simulated episode, see `ms_highway.experiments.comparison.per_episode`,
+            without measured times.
 
     Raises:
         ValueError: for an unknown controller.
@@ -106,13 +113,17 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
 
 
 def interval(values: pd.Series) -> tuple[float, float]:
-    """Return the 90 % interval of the mean, by Student's t; NaN for fewer than two values."""
+    """Return the 90 % interval of the mean, by Student's t; NaN for fewer than two
+    values.
+    """
     half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * values.sem()
     return values.mean() - half, values.mean() + half
 
 
 def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
-    """Return one controller of each kind that chooses online, with the smallest lambda, in the table's order."""
+    """Return one controller of each kind that chooses online, with the smallest lambda,
+    in the table's order.
+    """
     rows = summaries[
         (summaries["scenario"] == scenario) & summaries["kind"].isin(priced_types())
     ]
@@ -126,13 +137,15 @@ def most_informative_pair(
 ) -> list[str]:
     """Return the two controllers of a scenario that are most informative side by side.
 
-    These are the fixed model with the highest mean reward, and the first of `choosing_controllers`. If either is
-    missing, the first of the other controllers replaces it, if there is another.
+    These are the fixed model with the highest mean reward, and the first of
+    `choosing_controllers`. If either is missing, the first of the other controllers
+    replaces it, if there is another.
 
     Args:
         summaries: result of `summary`.
         scenario: name of the scenario.
-        own: whether controllers count that run code from elsewhere, see `ms_highway.envs.registry.of_package`.
+        own: whether controllers count that run code from elsewhere, see
+            `ms_highway.envs.registry.of_package`.
     """
     rows = summaries.query("scenario == @scenario")
     if not own:
@@ -143,13 +156,16 @@ def most_informative_pair(
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
-    """Summarise a scenario: the gain of the best fixed model, the share that choosing keeps of it, and collisions.
+    """Summarise a scenario: the gain of the best fixed model, the share that choosing
+    keeps of it, and collisions.
 
-    If no fixed model was driven, the best and the cheapest are those of all controllers. A gain is more than chance if
-    its 90 % interval, over the starts from which both drove, is above 0.
+    If no fixed model was driven, the best and the cheapest are those of all
+    controllers. A gain is more than chance if its 90 % interval, over the starts from
+    which both drove, is above 0.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`.
+        records: a row per step, see
+            `ms_highway.experiments.comparison.Comparison.columns`.
         summaries: result of `summary`.
         scenario: name of the scenario.
     """
@@ -177,7 +193,11 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     for name in choosing_controllers(summaries, scenario):
         text, effort = f"{name} earns {reward[name]:.2f}", counted[name] / counted[best]
         if low > 0:
-            text += f" and keeps {100 * (reward[name] - reward[cheapest]) / gains.mean():.0f} % of that gain"
+            text += (
+                " and keeps"
+                f" {100 * (reward[name] - reward[cheapest]) / gains.mean():.0f} % of"
+                " that gain"
+            )
         if effort < float("inf"):
             text += f", for {100 * effort:.0f} % of {best}'s planning"
         sentences.append(f"{text}.")
@@ -200,7 +220,9 @@ PUBLISHED_WITH = {
     "human_reward": "published",
     "costs": "published",
 }
-"""Settings under which results may be compared with the paper's; all other settings are the defaults."""
+"""Settings under which results may be compared with the paper's; all other settings are
+the defaults.
+"""
 
 ROWS = """\
 stay_back  naive           -7.73  0.105
@@ -222,15 +244,19 @@ PUBLISHED = {
     (scenario, controller): (float(reward), float(seconds))
     for scenario, controller, reward, seconds in map(str.split, ROWS.splitlines())
 }
-"""Published results by scenario and short name of the controller: means per step over 30 episodes of the robot's
-reward, and of the seconds of planning and deciding.
+"""Published results by scenario and short name of the controller: means per step over
+30 episodes of the robot's reward, and of the seconds of planning and deciding.
 
-They are from the logs that the authors of Sripathy, Bobu, Brown and Dragan, "Dynamically Switching Human Prediction
-Models for Efficient Planning" (ICRA 2021), released. The seconds were measured on their laptop. The paper compared no
-other controllers.
+They are from the logs that the authors of Sripathy, Bobu, Brown and Dragan,
+"Dynamically Switching Human Prediction Models for Efficient Planning" (ICRA 2021),
+released. The seconds were measured on their laptop. The paper compared no other
+controllers.
 """
 
-NO_PAGE = "name a directory that `ms-highway compare` wrote; frontier, bench road and irl evaluate have no pages"
+NO_PAGE = (
+    "name a directory that `ms-highway compare` wrote; frontier, bench road and irl"
+    " evaluate have no pages"
+)
 
 
 @dataclass(frozen=True)
@@ -239,8 +265,10 @@ class Results:
 
     Attributes:
         records: a row per step.
-        summaries: a row per scenario and controller, see `ms_highway.experiments.summary.summary`.
-        settings: common configuration of the environments, T(M), and the numbers of requested episodes.
+        summaries: a row per scenario and controller, see
+            `ms_highway.experiments.summary.summary`.
+        settings: common configuration of the environments, T(M), and the numbers of
+            requested episodes.
         runs: runs that made the results; empty if they are not recorded.
     """
 
@@ -275,7 +303,9 @@ class Results:
         }
 
     def published(self, scenario: str, controller: str) -> tuple[float, float] | None:
-        """Return the published results of a controller, if these results may be compared with them."""
+        """Return the published results of a controller, if these results may be
+        compared with them.
+        """
         return (
             PUBLISHED.get((scenario, controller))
             if self.common == PUBLISHED_WITH
@@ -290,7 +320,8 @@ class Results:
         )
 
     def refuse_changed(self, scenario: str, controllers: Sequence[str]) -> None:
-        """Refuse to drive controllers that cannot be driven now, or depend on other content than in these results.
+        """Refuse to drive controllers that cannot be driven now, or depend on other
+        content than in these results.
 
         Raises:
             ValueError: naming what is missing or has changed.
@@ -325,6 +356,7 @@ def read_results(directory: Path) -> Results:
     records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(
-            f"{directory} holds no whole episodes yet; let `ms-highway compare` finish one"
+            f"{directory} holds no whole episodes yet; let `ms-highway compare`"
+            " finish one"
         )
     return Results(records, summary(records), settings, directory_of_results.runs())

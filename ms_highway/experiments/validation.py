@@ -1,9 +1,11 @@
-"""Replay the reference episodes, to check that this implementation does what the paper's released code did.
+"""Replay the reference episodes, to check that this implementation does what the
+paper's released code did.
 
-A reference file SCENARIO__KIND.npz holds the logged run of one controller in paper units, with released semantics:
-``states`` [episode, step, car, 4] before each step, ``robot_controls`` [episode, step, 2], ``human_controls`` [episode,
-step - 1, 2], ``rewards`` [episode, step] after each step, ``models`` [episode, step] as indices into naive, turn, tom,
-and ``ladder`` [rungs], indices likewise.
+A reference file SCENARIO__KIND.npz holds the logged run of one controller in paper
+units, with released semantics: ``states`` [episode, step, car, 4] before each step,
+``robot_controls`` [episode, step, 2], ``human_controls`` [episode, step - 1, 2],
+``rewards`` [episode, step] after each step, ``models`` [episode, step] as indices into
+naive, turn, tom, and ``ladder`` [rungs], indices likewise.
 """
 
 from pathlib import Path
@@ -45,7 +47,8 @@ LARGEST = 1e38  # bound of numbers in single precision
 
 
 def validate(directory: Path) -> dict:
-    """Return the errors of all reference files of a directory: ``{"files": {NAME: ...}}``, see `validate_file`.
+    """Return the errors of all reference files of a directory: ``{"files": {NAME:
+    ...}}``, see `validate_file`.
 
     Raises:
         FileNotFoundError: if there is no ``*.npz`` there.
@@ -54,17 +57,21 @@ def validate(directory: Path) -> dict:
     files = sorted(directory.glob("*.npz"))
     if not files:
         raise FileNotFoundError(
-            f"no reference episodes (*.npz) in {directory}; name the directory that holds them"
+            f"no reference episodes (*.npz) in {directory}; name the directory that"
+            " holds them"
         )
     return {"files": {file.name: validate_file(file) for file in files}}
 
 
 def validate_file(file: Path) -> dict:
-    """Return the errors of one file, in the units of the logs, each as quantiles over all steps of all episodes.
+    """Return the errors of one file, in the units of the logs, each as quantiles over
+    all steps of all episodes.
 
-    ``action_error`` is the largest component of the planned robot control, less the logged one, in a plan from the
-    logged state with the logged model; ``human_error`` is the same for the human, and ``reward_error`` for the reward.
-    Runs with switching also have ``decisions``: how many choices of the model agree, and how many there are.
+    ``action_error`` is the largest component of the planned robot control, less the
+    logged one, in a plan from the logged state with the logged model; ``human_error``
+    is the same for the human, and ``reward_error`` for the reward. Runs with switching
+    also have ``decisions``: how many choices of the model agree, and how many there
+    are.
 
     Raises:
         ValueError: if the file is no reference file.
@@ -107,7 +114,8 @@ def read_episodes(file: Path) -> tuple[Scenario, dict[str, Array]]:
     """Read and check a reference file; return its scenario and its arrays.
 
     Raises:
-        ValueError: if the file cannot be read, or its name or numbers are not those of a reference file.
+        ValueError: if the file cannot be read, or its name or numbers are not those of
+            a reference file.
     """
     with reading(
         file,
@@ -147,7 +155,9 @@ def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
 
 
 def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str, int]:
-    """Count the choices that agree with the logged ones; each is made after the logged step before it."""
+    """Count the choices that agree with the logged ones; each is made after the logged
+    step before it.
+    """
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
     costs = Costs.of({name: PUBLISHED_COSTS[name] for name in names}, 1)
     switching = Switching(
@@ -171,7 +181,9 @@ def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str
 def _choices(
     switching: Rule[GameEvidence], game: Game, rungs: Any, *happened: Any
 ) -> Array:
-    """Return the rung that is chosen after each step; each step was driven with the logged rung."""
+    """Return the rung that is chosen after each step; each step was driven with the
+    logged rung.
+    """
 
     def choose(memory: Memory, step: tuple) -> tuple[Memory, Array]:
         rung, state, robot, human, earned = step

@@ -1,4 +1,6 @@
-"""Measure how close a car is to colliding: distances of its body to others, a smooth risk, and an indicator."""
+"""Measure how close a car is to colliding: distances of its body to others, a smooth
+risk, and an indicator.
+"""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -26,7 +28,8 @@ class Bodies(NamedTuple):
 
     Attributes:
         motion: arrays [bodies, *times].
-        length, width: of each, arrays [bodies, *ones] with an axis of points and those of times, or numbers for all.
+        length, width: of each, arrays [bodies, *ones] with an axis of points and those
+            of times, or numbers for all.
         share, sharpness: of the risk of each, likewise.
     """
 
@@ -38,7 +41,9 @@ class Bodies(NamedTuple):
 
 
 def bodies_around(scene: Scene, others: Motion) -> Bodies:
-    """Return the other cars, arrays [others, *times], and the obstacles, which are parallel to x."""
+    """Return the other cars, arrays [others, *times], and the obstacles, which are
+    parallel to x.
+    """
     cars, obstacles, times = len(others.x), len(scene.obstacles), others.x.shape[1:]
     numbers = jnp.stack([*jnp.asarray(scene.car_size), 1.0, CAR_SHARPNESS])
     if not obstacles:
@@ -66,7 +71,9 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
 def _distance(
     scene: Scene, own: Motion, bodies: Bodies
 ) -> Float[jax.Array, "bodies points *times"]:
-    """Return the `ellipse_distance` D - 1 from the points of the car's body to other bodies."""
+    """Return the `ellipse_distance` D - 1 from the points of the car's body to other
+    bodies.
+    """
     points = body_points(jnp.asarray(scene.car_size), scene.corner)
     return ellipse_distance(
         own[:4], points, bodies.motion[:4], bodies.length, bodies.width
@@ -98,17 +105,20 @@ def touches(
 def collision_risk(
     scene: Scene, own: Motion, others: Motion, smooth: bool = False
 ) -> tuple[Times, Times]:
-    """Return the risk of a collision, and the indicator of a collision: 1 where any point has D < 1, else 0.
+    """Return the risk of a collision, and the indicator of a collision: 1 where any
+    point has D < 1, else 0.
 
-    With the `ellipse_distance` D - 1 from nine points of the car's body to all cars and obstacles::
+    With the `ellipse_distance` D - 1 from nine points of the car's body to all cars and
+    obstacles::
 
         risk = sum over cars and points of exp(-1.5 (D - 1)) + sum over obstacles and points of exp(-4 (D - 1)) / 2
 
-    The indicator has no gradient. The smooth indicator is the sum over cars, obstacles and points of
-    ``0.3 max(1.6 - D, 0)^3``, which begins to rise before bodies touch.
+    The indicator has no gradient. The smooth indicator is the sum over cars, obstacles
+    and points of ``0.3 max(1.6 - D, 0)^3``, which begins to rise before bodies touch.
 
-    Where a scene's ``contact`` is ``bodies``, the indicator is 1 where bodies overlap, and the
-    smooth one is 0: plans pay the `ms_highway.game.contact.contact_cost` instead.
+    Where a scene's ``contact`` is ``bodies``, the indicator is 1 where bodies overlap,
+    and the smooth one is 0: plans pay the `ms_highway.game.contact.contact_cost`
+    instead.
 
     Args:
         scene: obstacles and sizes of bodies.

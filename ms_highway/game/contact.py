@@ -1,9 +1,10 @@
-"""Keep bodies apart on physical ground: whether they overlap, and what plans pay near them.
+"""Keep bodies apart on physical ground: whether they overlap, and what plans pay near
+them.
 
-Cars are rectangles and obstacles are circles, whose diameter is the obstacle's width. A car pays
-for every overlap with an obstacle, and with a car whose direction differs by less than 7 degrees.
-At larger angles, another car's corner may reach a car's side between two of its points; then the
-other car pays, if it plans as well.
+Cars are rectangles and obstacles are circles, whose diameter is the obstacle's width. A
+car pays for every overlap with an obstacle, and with a car whose direction differs by
+less than 7 degrees. At larger angles, another car's corner may reach a car's side
+between two of its points; then the other car pays, if it plans as well.
 """
 
 import jax
@@ -27,26 +28,29 @@ from ms_highway.runtime.arrays import Array, Numbers, Times
 CONTACT_POINTS = np.concatenate([CORNERS / 2, np.zeros((1, 2), np.float32)])
 """Points of the car, in shares of its size, whose distances from other cars cost plans.
 
-Corners see all cars that drive along the same road, and the centre sees those that cross.
+Corners see all cars that drive along the same road, and the centre sees those that
+cross.
 """
 
 CONTACT_MARGIN = 2.0
 """D of `square_distance` below which plans pay for coming close to a body.
 
-It is 0.52 m beside and 1.04 m ahead of a car of 5 by 2.5 m, and 0.90 and 1.42 m from the edge of
-a cone. Cars side by side in lanes of 3.3 m are farther apart; in lanes of less than 3.02 m, they
-pay all the time.
+It is 0.52 m beside and 1.04 m ahead of a car of 5 by 2.5 m, and 0.90 and 1.42 m from
+the edge of a cone. Cars side by side in lanes of 3.3 m are farther apart; in lanes of
+less than 3.02 m, they pay all the time.
 """
 
 CONTACT_COST = 10.0
 """Cost per step of a point on another car's side, at D = 1 [reward].
 
-Chosen on 20 to 60 starts of Merger and Give Way: bodies stay 0.1 m apart or more under every
-model. At three times this cost, naive plans and theory of mind earn less.
+Chosen on 20 to 60 starts of Merger and Give Way: bodies stay 0.1 m apart or more under
+every model. At three times this cost, naive plans and theory of mind earn less.
 """
 
 OBSTACLE_POINTS = 3.0
-"""Weight of an obstacle: its centre counts alone, where a car counts with several points."""
+"""Weight of an obstacle: its centre counts alone, where a car counts with several
+points.
+"""
 
 
 def overlap(
@@ -76,10 +80,10 @@ def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
 
         c(D) = CONTACT_COST max(CONTACT_MARGIN - D, 0)^3
 
-    The sum is over the car's `CONTACT_POINTS` and all other cars, and over the obstacles, each
-    of which counts `OBSTACLE_POINTS` times. D is the `square_distance` of a point from a car,
-    or of an obstacle's centre from the car, which is then longer and wider by the obstacle's
-    diameter.
+    The sum is over the car's `CONTACT_POINTS` and all other cars, and over the
+    obstacles, each of which counts `OBSTACLE_POINTS` times. D is the `square_distance`
+    of a point from a car, or of an obstacle's centre from the car, which is then longer
+    and wider by the obstacle's diameter.
 
     Args:
         scene: obstacles and sizes of bodies.
@@ -103,13 +107,16 @@ def contact_points(scene: Scene) -> Float[jax.Array, "points 2"]:
 def car_residuals(
     scene: Scene, points: Float[Array, "2 points steps"], others: Motion
 ) -> Float[jax.Array, "others points steps"]:
-    """Return quantities whose squares have the second derivatives of `contact_cost` in D.
+    """Return quantities whose squares have the second derivatives of `contact_cost` in
+    D.
 
-    The derivatives of D are left to the caller; its second ones are left out (Gauss-Newton).
+    The derivatives of D are left to the caller; its second ones are left out
+    (Gauss-Newton).
 
     Args:
         scene: sizes of bodies.
-        points: x and y of the car's `contact_points`, in the coordinates of the road [m].
+        points: x and y of the car's `contact_points`, in the coordinates of the road
+            [m].
         others: motion of the other cars, arrays [others, steps].
     """
     other = Motion(*(part[:, None] for part in others))
@@ -150,7 +157,9 @@ def _distance(size: Array, along: Numbers, across: Numbers) -> Numbers:
 
 
 def _obstacles_in_frame(scene: Scene, own: Motion) -> Directions:
-    """Return where obstacles are, along and across the car, arrays [obstacles, *times] [m]."""
+    """Return where obstacles are, along and across the car, arrays [obstacles, *times]
+    [m].
+    """
     ones = np.ones(own.x.ndim, int)
     x, y = jnp.asarray(scene.obstacles).T.reshape(2, -1, *ones)
     return place_in_frame(own[:4], x, y)

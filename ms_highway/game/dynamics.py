@@ -1,14 +1,17 @@
 """Move cars: one step, a rollout of several, and the inverse of a step.
 
-A car's state is ``(x, y, heading, speed)`` and its control ``(omega, acceleration)``. Two options define the dynamics:
+A car's state is ``(x, y, heading, speed)`` and its control ``(omega, acceleration)``.
+Two options define the dynamics:
 
-* steering ``curvature``: omega is the curvature of the path [1/m], ``heading' = v omega`` (Sec. IV-A of the paper);
-  ``yaw_rate``: omega is the yaw rate [rad/s], ``heading' = omega`` (the paper's released code).
-* friction ``linear``: ``v' = a - drag v`` with drag in 1/s (Sec. IV-A); ``quadratic``: ``v' = a - drag v^2`` with drag
-  in 1/m (the released code's world).
+* steering ``curvature``: omega is the curvature of the path [1/m], ``heading' = v
+  omega`` (Sec. IV-A of the paper); ``yaw_rate``: omega is the yaw rate [rad/s],
+  ``heading' = omega`` (the paper's released code).
+* friction ``linear``: ``v' = a - drag v`` with drag in 1/s (Sec. IV-A); ``quadratic``:
+  ``v' = a - drag v^2`` with drag in 1/m (the released code's world).
 
-`step`, `keep_velocity` and `recover_control` take and return either NumPy or JAX arrays, so that
-vehicles (float64, NumPy) and planners (float32, JAX) share the equations.
+`step`, `keep_velocity` and `recover_control` take and return either NumPy or JAX
+arrays, so that vehicles (float64, NumPy) and planners (float32, JAX) share the
+equations.
 """
 
 from dataclasses import dataclass, field
@@ -42,7 +45,8 @@ class Dynamics:
 
 
 class Motion(NamedTuple):
-    """Positions, directions and speeds of cars, from which rewards are computed; arrays [*cars, *times].
+    """Positions, directions and speeds of cars, from which rewards are computed; arrays
+    [*cars, *times].
 
     Attributes:
         x, y: position [m].
@@ -66,7 +70,8 @@ def observe(states: Float[Array, "*shape 4"]) -> Motion:
 def without_turns(angle: Float[SameArray, "*shape"]) -> Float[SameArray, "*shape"]:
     """Return an angle without whole turns, in [-pi, pi].
 
-    Unlike `ms_highway.geometry.curve.wrapped`, it keeps all digits of an angle in that range.
+    Unlike `ms_highway.geometry.curve.wrapped`, it keeps all digits of an angle in that
+    range.
     """
     turns = (angle / (2 * pi)).round()
     return angle - 2 * pi * turns
@@ -75,7 +80,8 @@ def without_turns(angle: Float[SameArray, "*shape"]) -> Float[SameArray, "*shape
 def facing(states: Float[np.ndarray, "*shape 4"]) -> Float[np.ndarray, "*shape 4"]:
     """Return states whose headings have no whole turns, see `without_turns`.
 
-    A car that has turned once faces as before. Single precision would lose digits of its heading.
+    A car that has turned once faces as before. Single precision would lose digits of
+    its heading.
     """
     faced = np.array(states, dtype=float)
     faced[..., 2] = without_turns(faced[..., 2])
@@ -94,7 +100,8 @@ def step(
 ) -> Float[SameArray, "*cars 4"]:
     """Return the state one time step later.
 
-    With a' the acceleration less friction, ``d = v dt + a' dt^2 / 2``, and old values on the right-hand side::
+    With a' the acceleration less friction, ``d = v dt + a' dt^2 / 2``, and old values
+    on the right-hand side::
 
         x += d cos(heading);  y += d sin(heading);  heading += yaw_rate dt;  v += a' dt
     """
@@ -123,11 +130,14 @@ def rollout(
     state: Float[jax.Array, "*cars 4"],
     controls: Float[jax.Array, "*cars steps 2"],
 ) -> Motion:
-    """Return the motion after each of a sequence of controls, arrays [*cars, steps] (without the initial state).
+    """Return the motion after each of a sequence of controls, arrays [*cars, steps]
+    (without the initial state).
 
-    Equals repeated calls of `step`, but computes all steps at once: with linear friction, speeds are weighted sums of
-    accelerations, ``v_k = (1 - drag dt)^k v_0 + dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are
-    cumulative sums. A few operations on arrays compile and run many times faster than a chain of small ones.
+    Equals repeated calls of `step`, but computes all steps at once: with linear
+    friction, speeds are weighted sums of accelerations, ``v_k = (1 - drag dt)^k v_0 +
+    dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are cumulative
+    sums. A few operations on arrays compile and run many times faster than a chain of
+    small ones.
 
     Raises:
         ValueError: for quadratic friction, which has no such closed form.
@@ -156,15 +166,17 @@ def rollout_jacobian(
     car: Float[jax.Array, "4"],
     controls: Float[jax.Array, "steps 2"],
 ) -> Float[jax.Array, "fields steps controls"]:
-    """Return the derivative of a `rollout` of one car, its fields stacked, in the ravelled controls.
+    """Return the derivative of a `rollout` of one car, its fields stacked, in the
+    ravelled controls.
 
-    It is computed in closed form; JAX would push a direction for every control through the rollout. With
-    ``V_kj = dv_k / da_j`` and the distances d of `step`::
+    It is computed in closed form; JAX would push a direction for every control through
+    the rollout. With ``V_kj = dv_k / da_j`` and the distances d of `step`::
 
         dv_k = sum_j V_kj da_j;  dheading_k = dt sum_{l<k} (v_l domega_l + omega_l dv_l)
         dx_k = sum_{l<k} (cos_l dd_l - d_l sin_l dheading_l);  dy_k = sum_{l<k} (sin_l dd_l + d_l cos_l dheading_l)
 
-    With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a `rollout`.
+    With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a
+    `rollout`.
     """
     dt, steps, curved = (
         dynamics.time_step,
@@ -207,7 +219,9 @@ def speeds(
     speed: Float[jax.Array, "*cars"],
     accelerations: Float[jax.Array, "*cars steps"],
 ) -> Float[jax.Array, "*cars states"]:
-    """Return the speeds now and after each of a sequence of accelerations under linear friction, see `rollout`."""
+    """Return the speeds now and after each of a sequence of accelerations under linear
+    friction, see `rollout`.
+    """
     left = (
         1 - dynamics.drag * dynamics.time_step
     )  # share of a speed that friction leaves after a step
@@ -217,7 +231,8 @@ def speeds(
 def _accumulate(
     initial: jax.Array, changes: jax.Array, left: Scalar | None = None
 ) -> jax.Array:
-    """Add the changes of all steps to an initial value. Each step multiplies the sum by ``left``, if given.
+    """Add the changes of all steps to an initial value. Each step multiplies the sum by
+    ``left``, if given.
 
     Unlike a small matrix product, XLA fuses this.
     """
@@ -243,10 +258,12 @@ def within_grip(
     control: Float[SameArray, "*cars 2"],
     bend: float | Float[SameArray, ""] = 0.0,
 ) -> Float[SameArray, "*cars 2"]:
-    """Scale a control down to the friction circle, and brake at most to a stop within one step.
+    """Scale a control down to the friction circle, and brake at most to a stop within
+    one step.
 
-    Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle, with the curvature k of the path, which includes the
-    road's, and the acceleration v' less friction. The lateral and the longitudinal one are scaled by the same factor.
+    Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle, with the curvature k
+    of the path, which includes the road's, and the acceleration v' less friction. The
+    lateral and the longitudinal one are scaled by the same factor.
 
     Args:
         dynamics: dynamics and duration of the step.
@@ -269,7 +286,9 @@ def within_grip(
 
 
 def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Motion:
-    """Return the motion at constant velocity, arrays [*cars, steps] (without the initial state)."""
+    """Return the motion at constant velocity, arrays [*cars, steps] (without the
+    initial state).
+    """
     now = Motion(*(field[..., None] for field in observe(state)))
     distance = now.speed * jnp.arange(1, steps + 1) * dynamics.time_step
     moved = now._replace(x=now.x + distance * now.cosine, y=now.y + distance * now.sine)
@@ -292,8 +311,8 @@ def recover_control(
 ) -> Float[SameArray, "*cars 2"]:
     """Recover the control between two states: the inverse of `step`.
 
-    A standing car shows no curvature; 0 is returned. A car turns by less than half a turn within a step: whole turns
-    between both headings do not count.
+    A standing car shows no curvature; 0 is returned. A car turns by less than half a
+    turn within a step: whole turns between both headings do not count.
     """
     xp = state.__array_namespace__()
     speed = state[..., 3]

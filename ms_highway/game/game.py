@@ -1,7 +1,7 @@
 """Define the game that a robot and humans play, and the rewards of their plans.
 
-Throughout the core, controls of plans are in units of the planner's ``control_scale`` ("scaled"). Only drivers convert
-them to curvatures and accelerations.
+Throughout the core, controls of plans are in units of the planner's ``control_scale``
+("scaled"). Only drivers convert them to curvatures and accelerations.
 """
 
 from collections.abc import Callable
@@ -49,12 +49,14 @@ from ms_highway.runtime.arrays import (
 class Game:
     """All that a planner needs. Changing a number in it never recompiles a plan.
 
-    The first car is the robot, the next ones are the humans. All others are scripted: they keep their velocity.
+    The first car is the robot, the next ones are the humans. All others are scripted:
+    they keep their velocity.
 
     Attributes:
         scene: road, obstacles and bodies.
         robot: the reward of car 0.
-        humans: the humans' rewards, which differ in their weights, an array [humans, features].
+        humans: the humans' rewards, which differ in their weights, an array [humans,
+            features].
         dynamics: assumed by plans.
         world: dynamics of the real cars, from which executed controls are recovered.
         planner: horizon, solver and limits of all plans.
@@ -91,7 +93,9 @@ class Game:
 
     @property
     def observed_payoff(self) -> Payoff:
-        """What trajectories of the robot earn when they are driven, with the reward's jumps."""
+        """What trajectories of the robot earn when they are driven, with the reward's
+        jumps.
+        """
         return Payoff(self.scene, self.robot, None, smooth=False)
 
     def human(self, human: Index = 0) -> Reward:
@@ -104,7 +108,8 @@ class Game:
         return replace(self.humans, weights=weights[human])
 
     def players(self) -> Reward:
-        """Return the rewards of the robot and of the only human, stacked along a first axis.
+        """Return the rewards of the robot and of the only human, stacked along a first
+        axis.
 
         Raises:
             ValueError: if they compute different features.
@@ -113,7 +118,8 @@ class Game:
         if (robot.names, robot.own) != (human.names, human.own):
             both = f"{', '.join(robot.names)} and {', '.join(human.names)}"
             raise ValueError(
-                f"robot and human have rewards of other features, {both}; build both with the same ones"
+                f"robot and human have rewards of other features, {both}; build both"
+                " with the same ones"
             )
         return jax.tree.map(lambda *sides: jnp.stack(sides), robot, human)
 
@@ -127,12 +133,16 @@ def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
 
 
 def each_human(game: Game, function: Callable[[Index], Any]) -> Any:
-    """Compute a function of every human's number, one by one; the results get an axis of humans."""
+    """Compute a function of every human's number, one by one; the results get an axis
+    of humans.
+    """
     return for_numbers(game.number, function)
 
 
 def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
-    """Return the game of the robot with one of the humans, and its state; the other humans count as scripted."""
+    """Return the game of the robot with one of the humans, and its state; the other
+    humans count as scripted.
+    """
     if game.number == 1:
         return game, state
     others = jnp.asarray(others_of(len(state) - 1))[human]
@@ -147,7 +157,9 @@ def _alone(reward: Reward) -> Reward:
 
 
 def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, State]:
-    """Return a human's `pair` and its state from the human's side: car 0 is the human, car 1 the robot."""
+    """Return a human's `pair` and its state from the human's side: car 0 is the human,
+    car 1 the robot.
+    """
     _, state = pair(game, state, human)
     return swap_roles(game, human), jnp.concatenate([state[1::-1], state[2:]])
 
@@ -174,10 +186,12 @@ def constant_velocity(
 
 
 def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
-    """Limit scaled controls to the planner's ``control_limit`` and, if it is given, to its ``grip``.
+    """Limit scaled controls to the planner's ``control_limit`` and, if it is given, to
+    its ``grip``.
 
-    The limit by grip depends on the speed, which is computed from the unlimited accelerations: the first control is
-    exact, later ones may exceed the grip by a quarter. Executed controls never do.
+    The limit by grip depends on the speed, which is computed from the unlimited
+    accelerations: the first control is exact, later ones may exceed the grip by a
+    quarter. Executed controls never do.
     """
     planner = game.planner
     limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
@@ -204,11 +218,12 @@ def _held(
 
 
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
-    """Return car 0's cost of not keeping its present velocity, ``sum comfort (u - u_keep)^2 / 2``, u scaled.
+    """Return car 0's cost of not keeping its present velocity, ``sum comfort (u -
+    u_keep)^2 / 2``, u scaled.
 
-    The ease of `Newton` is added to the weights of comfort. For steering, it is multiplied by the square of the
-    lateral acceleration that a curvature causes, relative to the one at the speed limit: a standing car steers for
-    nothing.
+    The ease of `Newton` is added to the weights of comfort. For steering, it is
+    multiplied by the square of the lateral acceleration that a curvature causes,
+    relative to the one at the speed limit: a standing car steers for nothing.
     """
     solver = game.planner.solver
     kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
@@ -243,7 +258,8 @@ def move_all(
 
 
 def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectories:
-    """Return the trajectories of some cars, then those of all cars after them, which keep their velocity.
+    """Return the trajectories of some cars, then those of all cars after them, which
+    keep their velocity.
 
     Args:
         game: with the dynamics.

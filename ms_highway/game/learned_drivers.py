@@ -1,4 +1,6 @@
-"""Hold learned parameters of drivers other than the reward: traits, lane changes and prediction errors."""
+"""Hold learned parameters of drivers other than the reward: traits, lane changes and
+prediction errors.
+"""
 
 from typing import Annotated, Any, NamedTuple
 
@@ -24,7 +26,9 @@ LEARNED = (
     "direction",
     "comfort_steering",
 )
-"""Weights that are learned seconds ahead, relative to that of the comfort of acceleration."""
+"""Weights that are learned seconds ahead, relative to that of the comfort of
+acceleration.
+"""
 
 CHANGING = (*LEARNED, "desired speed", "typical headway")
 """Weights and traits that have a factor while a driver changes lanes."""
@@ -36,8 +40,8 @@ class RewardTraits(NamedTuple):
     Attributes:
         desired_speed: at which its speed feature is highest [m/s].
         headway: time gap that its headway feature wants, besides 2 m [s].
-        patience: factor of its weight of comfortable acceleration, 1 for the typical driver; a patient driver closes
-            gaps slowly.
+        patience: factor of its weight of comfortable acceleration, 1 for the typical
+            driver; a patient driver closes gaps slowly.
     """
 
     desired_speed: Scalar
@@ -52,7 +56,8 @@ class TraitPrior(Structure):
     Attributes:
         median: of each trait, the desired speed as a share of the speed limit.
         deviations: standard deviations of the traits' logarithms.
-        noise: standard deviation of a driver's mean acceleration over a second around its plan's [m/s^2].
+        noise: standard deviation of a driver's mean acceleration over a second around
+            its plan's [m/s^2].
     """
 
     median: tuple[Positive, Positive, Positive]
@@ -62,7 +67,9 @@ class TraitPrior(Structure):
     def traits(
         self, logarithms: Float[Any, "*drivers 3"], speed_limit: Scalar
     ) -> RewardTraits:
-        """Return the traits of drivers whose logarithms differ from those of the medians by these numbers."""
+        """Return the traits of drivers whose logarithms differ from those of the
+        medians by these numbers.
+        """
         xp = logarithms.__array_namespace__()
         shares = xp.asarray(self.median) * xp.exp(logarithms)
         return RewardTraits(
@@ -79,14 +86,17 @@ class TraitPrior(Structure):
 
 @pytree
 class Intention(Structure):
-    """Log odds of changing to an adjacent lane within the next seconds over keeping the lane: ``bias + sum w_i a_i``.
+    """Log odds of changing to an adjacent lane within the next seconds over keeping the
+    lane: ``bias + sum w_i a_i``.
 
     Attributes:
         biases: to the left and to the right, with no advantage.
-        weights: of the advantages a_i of the adjacent lane. These are the offset towards it from the centre of the
-            present lane, in lane widths; the lateral speed towards it now, and over the last second [m/s]; the speed of
-            its leader less that of the present leader, each relative to the driver and weighed by nearness [m/s]; the
-            distance to its leader less that to the present leader [10 m]; and the driver's speed [10 m/s].
+        weights: of the advantages a_i of the adjacent lane. These are the offset
+            towards it from the centre of the present lane, in lane widths; the lateral
+            speed towards it now, and over the last second [m/s]; the speed of its
+            leader less that of the present leader, each relative to the driver and
+            weighed by nearness [m/s]; the distance to its leader less that to the
+            present leader [10 m]; and the driver's speed [10 m/s].
     """
 
     biases: tuple[Finite, Finite]
@@ -95,9 +105,11 @@ class Intention(Structure):
 
 @pytree
 class Spread(Structure):
-    """Distribution of drivers around a predicted path: a bivariate Student t, along and across the road.
+    """Distribution of drivers around a predicted path: a bivariate Student t, along and
+    across the road.
 
-    After t seconds, ``log scale = a + b log t + c (log t)^2``, plus a constant where the driver changes lanes.
+    After t seconds, ``log scale = a + b log t + c (log t)^2``, plus a constant where
+    the driver changes lanes.
 
     Attributes:
         along: a, b and c of the scale along the road [m].
@@ -133,7 +145,8 @@ class Drivers(Structure):
     """How real drivers drive, learned seconds ahead.
 
     Attributes:
-        weights: of the reward, by name, under which predicted drivers come closest to recorded ones.
+        weights: of the reward, by name, under which predicted drivers come closest to
+            recorded ones.
         prior: of their traits.
         changing: factors of weights and traits, by name, while a driver changes lanes.
         intention: to change lanes.
@@ -174,8 +187,8 @@ class LearnedDrivers(Drivers):
 
     Attributes:
         spread: around the predicted paths.
-        deviations: standard deviations of the logarithms of the learned numbers, by name; drivers are the independent
-            units.
+        deviations: standard deviations of the logarithms of the learned numbers, by
+            name; drivers are the independent units.
         peers: predictors of the literature to compare with, by name.
     """
 

@@ -34,24 +34,26 @@ class LearnedReward(Structure):
     """Result of `ms-highway irl fit`.
 
     Attributes:
-        weights: of features and comfort, by name; the given comfort weights set their scale.
+        weights: of features and comfort, by name; the given comfort weights set their
+            scale.
         temperature: T of maximum entropy, at the same scale.
         learned: names of the weights that were learned; the others were given.
-        covariance: of the logarithms of the learned weights' sizes, of the temperature and, if any, of the tails. The
-            independent units are drivers if they are real, and segments if they are simulated.
+        covariance: of the logarithms of the learned weights' sizes, of the temperature
+            and, if any, of the tails. The independent units are drivers if they are
+            real, and segments if they are simulated.
         horizon: K, number of steps of 0.1 s in the segments.
         converged: whether the optimiser reached the maximum.
         iterations: of the optimiser.
         windows: number of segments that were fitted.
-        log_likelihood: mean per segment: ``train``, and ``held_out``, cross-validated by group of recordings (None if
-            there is only one group).
-        feature_counts: mean sums of the features over a segment: ``human``, recorded, and ``model``, expected under
-            the reward.
+        log_likelihood: mean per segment: ``train``, and ``held_out``, cross-validated
+            by group of recordings (None if there is only one group).
+        feature_counts: mean sums of the features over a segment: ``human``, recorded,
+            and ``model``, expected under the reward.
         provenance: data, groups of recordings, and versions of the software.
         tails: nu of `ms_highway.irl.maximum_entropy`, None for a normal distribution.
         drivers: what was learned seconds ahead; None from simulated demonstrations.
-        learned_from: the recordings that were learned from, as fingerprints of their content by group; empty in files
-            of earlier versions.
+        learned_from: the recordings that were learned from, as fingerprints of their
+            content by group; empty in files of earlier versions.
     """
 
     weights: dict[str, float]
@@ -98,16 +100,19 @@ class LearnedReward(Structure):
             or (np.diag(covariance) < 0).any()
         ):
             raise ValueError(
-                f"the covariance is no finite array of shape {(size, size)} with variances"
+                f"the covariance is no finite array of shape {(size, size)} with"
+                " variances"
             )
         if set(self.feature_counts) != {"human", "model"}:
             raise ValueError(
-                f"feature_counts are of {', '.join(self.feature_counts) or 'nobody'}, not human and model"
+                f"feature_counts are of {', '.join(self.feature_counts) or 'nobody'},"
+                " not human and model"
             )
         for who, counts in self.feature_counts.items():
             if set(counts) != set(self.weights):
                 raise ValueError(
-                    f"feature_counts.{who} lacks or has unknown {_differing(counts, self.weights)}"
+                    f"feature_counts.{who} lacks or has unknown"
+                    f" {_differing(counts, self.weights)}"
                 )
         if set(self.log_likelihood) != {"train", "held_out"}:
             raise ValueError("log_likelihood has other keys than train and held_out")
@@ -136,7 +141,9 @@ def _differing(names: Iterable[str], others: Iterable[str]) -> str:
 
 
 def log_normal_interval(value: float, deviation: float) -> Float[np.ndarray, "2"]:
-    """Return the 90 % interval of a number, given the standard deviation of its logarithm."""
+    """Return the 90 % interval of a number, given the standard deviation of its
+    logarithm.
+    """
     return value * np.exp([-1.645 * deviation, 1.645 * deviation])
 
 
@@ -168,14 +175,17 @@ def shipped(name: str) -> LearnedReward:
     """
     if name not in SHIPPED:
         raise ValueError(
-            f"no learned reward {name!r} comes with ms_highway; there are {', '.join(SHIPPED)}"
+            f"no learned reward {name!r} comes with ms_highway; there are"
+            f" {', '.join(SHIPPED)}"
         )
     learned = load(Path(str(resources.files("ms_highway") / "data" / f"{name}.json")))
     return msgspec.structs.replace(learned, weights=Published(learned.weights))
 
 
 def named(name: str) -> LearnedReward:
-    """Return the learned reward of the package that has this name, or else that of the file."""
+    """Return the learned reward of the package that has this name, or else that of the
+    file.
+    """
     return shipped(name) if name in SHIPPED else load(Path(name))
 
 
@@ -188,10 +198,12 @@ def shipped_drivers() -> LearnedDrivers:
 
 
 def commuter_weights() -> dict[str, float]:
-    """Return weights, by name, of a driver in everyday traffic: learned on US-101, in units of log-probability.
+    """Return weights, by name, of a driver in everyday traffic: learned on US-101, in
+    units of log-probability.
 
-    Weights for driving in a lane are learned seconds ahead, see `ms_highway.irl.seconds_ahead`. Weights of leaving the
-    lane or the road and of collisions are the paper's: the recordings say little about them.
+    Weights for driving in a lane are learned seconds ahead, see
+    `ms_highway.irl.seconds_ahead`. Weights of leaving the lane or the road and of
+    collisions are the paper's: the recordings say little about them.
     """
     learned = shipped("us101")
     kept = {

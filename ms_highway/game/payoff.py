@@ -1,20 +1,25 @@
-"""Sum a car's reward over its trajectory among those of others, and differentiate the sum.
+"""Sum a car's reward over its trajectory among those of others, and differentiate the
+sum.
 
-The payoff of a plan for seconds includes the cost of stopping too late before obstacles (`stopping_cost`), as horizons
-end before an obstacle matters. Without this cost, a car drives fast until the obstacle is within the horizon, brakes as
-hard as tyres allow, and stops too close to the obstacle to steer around it.
+The payoff of a plan for seconds includes the cost of stopping too late before obstacles
+(`stopping_cost`), as horizons end before an obstacle matters. Without this cost, a car
+drives fast until the obstacle is within the horizon, brakes as hard as tyres allow, and
+stops too close to the obstacle to steer around it.
 
-The matrix `Payoff.curvature` is positive semidefinite and takes the place of minus the Hessian, without eigenvalues.
-Most features are concave functions of quantities that are taken as linear in the motion (Gauss-Newton), so their sum is
-positive semidefinite. Closeness to a body differs: it is a convex cost of a distance that is a square itself, so the
-reward bends upwards between the two ways around the body. The magnitude of this part is taken, as in the saddle-free
-Newton step of Dauphin et al. (2014). The matrix C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
-``C^-1 g`` at most doubles the difference between two plans. Smooth indicators of a lane, induced braking and
-user-defined features have no such form: they are left out, and plans take short steps up them.
+The matrix `Payoff.curvature` is positive semidefinite and takes the place of minus the
+Hessian, without eigenvalues. Most features are concave functions of quantities that are
+taken as linear in the motion (Gauss-Newton), so their sum is positive semidefinite.
+Closeness to a body differs: it is a convex cost of a distance that is a square itself,
+so the reward bends upwards between the two ways around the body. The magnitude of this
+part is taken, as in the saddle-free Newton step of Dauphin et al. (2014). The matrix C
+then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step ``C^-1 g`` at most
+doubles the difference between two plans. Smooth indicators of a lane, induced braking
+and user-defined features have no such form: they are left out, and plans take short
+steps up them.
 
-On physical ground, smooth plans also pay near other bodies (`ms_highway.game.contact`), whatever the
-weights of the reward. This cost is convex in a distance D; how D bends is left out of C, so that C
-bounds the Hessian from above alone.
+On physical ground, smooth plans also pay near other bodies (`ms_highway.game.contact`),
+whatever the weights of the reward. This cost is convex in a distance D; how D bends is
+left out of C, so that C bounds the Hessian from above alone.
 """
 
 from collections.abc import Callable
@@ -62,13 +67,15 @@ SMOOTHING = 0.2  # beyond which the cost of being late or aligned is nearly line
 
 
 def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
-    """Return the cost of stopping too late before obstacles that are ahead in the car's way, ``sum r^2`` with::
+    """Return the cost of stopping too late before obstacles that are ahead in the car's
+    way, ``sum r^2`` with::
 
         r = soft(d) soft(1 - (dy / w)^2) s,  soft(z) = max(z, 0)^2 / (max(z, 0) + 0.2)
         d = (v^2 / (2 b) + l - dx) / car length + room
 
-    The centres are (dx, dy) apart. Bodies touch at ``dx = l``, and pass each other with `LATERAL_MARGIN` between them
-    at ``dy = w``. The factor s falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
+    The centres are (dx, dy) apart. Bodies touch at ``dx = l``, and pass each other with
+    `LATERAL_MARGIN` between them at ``dy = w``. The factor s falls smoothly from 1 at
+    ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
 
     Args:
         scene: obstacles and sizes of bodies.
@@ -124,13 +131,14 @@ class SecondOrder(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Payoff:
-    """What trajectories earn. It holds only what this needs, so that all plans share one trace of each method.
+    """What trajectories earn. It holds only what this needs, so that all plans share
+    one trace of each method.
 
     Attributes:
         scene: road, obstacles and bodies.
         reward: of the car.
-        braking: deceleration with which the car keeps room to stop before obstacles, see `stopping_cost`, at the price
-            of a collision; None without this cost.
+        braking: deceleration with which the car keeps room to stop before obstacles,
+            see `stopping_cost`, at the price of a collision; None without this cost.
         smooth: whether jumps of the reward are smooth (static).
     """
 
@@ -146,7 +154,9 @@ class Payoff:
 
     @jax.jit
     def steps(self, own: Trajectory, others: Trajectories) -> Float[jax.Array, "steps"]:
-        """Compute the reward after each step of a trajectory, among the trajectories of all others."""
+        """Compute the reward after each step of a trajectory, among the trajectories of
+        all others.
+        """
         motion = Motion(*own)
         around = Motion(*jnp.moveaxis(others, 1, 0))
         rewards = motion_reward(self.scene, self.reward, motion, around, self.smooth)
@@ -183,10 +193,12 @@ class Payoff:
 
     @jax.jit
     def curvature(self, own: Trajectory, others: Trajectories) -> Bends:
-        """Return a convex matrix in place of minus the Hessian of the sum, in the fields of the car's trajectory.
+        """Return a convex matrix in place of minus the Hessian of the sum, in the
+        fields of the car's trajectory.
 
-        For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the distances
-        D of `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
+        For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds)
+        (dq_j/ds)^T``. For the distances D of `ms_highway.game.collision_risk`, ``|c_j'|
+        d2D_j/ds2`` is added.
         """
         scene = self.scene
         around = Motion(*jnp.moveaxis(others, 1, 0))
@@ -199,14 +211,17 @@ class Payoff:
             contact = partial(car_residuals, scene, others=around)
             total = total + _bends_of_points(own, contact_points(scene), contact)
 
-        # All else is a sum of squares of quantities that are taken as linear in the motion.
+        # All else is a sum of squares of quantities that are taken as linear in the
+        # motion.
         _, slopes = along_fields(partial(self._residuals, around), own)
         return 2 * (total + jnp.sum(slopes[:, None] * slopes, axis=2))
 
     def _residuals(
         self, others: Motion, path: Trajectory
     ) -> Float[jax.Array, "residuals steps"]:
-        """Return quantities whose squares are, up to constants, the costs of features of the road and of traffic."""
+        """Return quantities whose squares are, up to constants, the costs of features
+        of the road and of traffic.
+        """
         scene, reward, own, per_unit = (
             self.scene,
             self.reward,
@@ -251,7 +266,9 @@ class Payoff:
     def _closeness(
         self, bodies: Bodies, points: Points
     ) -> Float[jax.Array, "3 bodies points steps"]:
-        """Return quantities whose squares bend like closeness: the offset from a body along and across it, and D."""
+        """Return quantities whose squares bend like closeness: the offset from a body
+        along and across it, and D.
+        """
         other = Motion(*(part[:, None] for part in bodies.motion))
         dx, dy = points[0] - other.x, points[1] - other.y
         ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
@@ -280,12 +297,14 @@ def _bends_of_points(
     points: Float[jax.Array, "points 2"],
     residuals: Callable[[Points], Float[jax.Array, "*rows points steps"]],
 ) -> Bends:
-    """Return half of how the sum of squares of residuals bends in the fields of a trajectory.
+    """Return half of how the sum of squares of residuals bends in the fields of a
+    trajectory.
 
     Args:
         own: trajectory of the car.
         points: of its body, in its own frame [m].
-        residuals: function of the points' places; each result depends on one point and one step.
+        residuals: function of the points' places; each result depends on one point and
+            one step.
     """
     along, across = points.T[..., None]
 

@@ -1,4 +1,6 @@
-"""Define rewards that are linear in features, by weights of the package's features and of user-defined ones."""
+"""Define rewards that are linear in features, by weights of the package's features and
+of user-defined ones.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -31,14 +33,18 @@ PAPER_FEATURES = (
 TRAFFIC_FEATURES = ("direction", "headway", "closing_speed", "induced_braking")
 
 FEATURES = (*PAPER_FEATURES, *TRAFFIC_FEATURES)
-"""Names of the package's features: the paper's, and those of real traffic, with weight 0 in the paper."""
+"""Names of the package's features: the paper's, and those of real traffic, with weight
+0 in the paper.
+"""
 
 COMFORT = ("comfort_steering", "comfort_acceleration")
-"""Names of the weights of comfort, a cost of controls instead of states, see `Reward`."""
+"""Names of the weights of comfort, a cost of controls instead of states, see `Reward`.
+"""
 
 Feature: TypeAlias = Callable[[Scene, Motion, Motion], Scalar]
-"""A user-defined feature at one moment: a number computed from the scene, the motion of car 0 and the motion of all
-others, arrays [others], its partner first."""
+"""A user-defined feature at one moment: a number computed from the scene, the motion of
+car 0 and the motion of all others, arrays [others], its partner first.
+"""
 
 OWN_FEATURES: dict[str, Feature] = {}
 """User-defined features by name, see `add_feature`."""
@@ -46,10 +52,11 @@ OWN_FEATURES: dict[str, Feature] = {}
 MAX_WEIGHT = 1e30  # which single precision holds
 
 TIME_HEADWAY = 1.0
-"""Time gap between bumpers that the headway feature wants by default, besides 2 m [s]."""
+"""Time gap between bumpers that the headway feature wants by default, besides 2 m [s].
+"""
 
-COMPUTATION = (
-    "computation"  # the price of planning among the reward terms of environments
+COMPUTATION = (  # the price of planning among the reward terms of environments
+    "computation"
 )
 
 
@@ -62,10 +69,12 @@ class Reward:
         weights: theta, one weight per name of a feature.
         speed_limit: speed at which the speed feature is highest [m/s].
         gap: distance behind the leader at which the gap feature is highest [m].
-        comfort: weights of the cost of controls, half the squared difference of each scaled control from the one that
-            keeps the velocity.
-        names: of the features that are computed: `PAPER_FEATURES` or `FEATURES`, then user-defined ones (static).
-        own: functions of the user-defined features, in the order of the last names (static).
+        comfort: weights of the cost of controls, half the squared difference of each
+            scaled control from the one that keeps the velocity.
+        names: of the features that are computed: `PAPER_FEATURES` or `FEATURES`, then
+            user-defined ones (static).
+        own: functions of the user-defined features, in the order of the last names
+            (static).
         headway: time gap that the headway feature wants [s].
     """
 
@@ -83,28 +92,34 @@ class Reward:
 
 
 def add_feature(name: str, function: Feature) -> None:
-    """Register a user-defined feature by name, for rewards, configurations and commands of this process.
+    """Register a user-defined feature by name, for rewards, configurations and commands
+    of this process.
 
-    The feature is computed where a reward weighs it; Algorithm 1 then neglects nothing in its derivatives, see
-    `ms_highway.choice.rule.decide`. Learned weights are positive: define the feature as what drivers want more of. A
-    feature of the same name is replaced in all rewards that are made later.
+    The feature is computed where a reward weighs it; Algorithm 1 then neglects nothing
+    in its derivatives, see `ms_highway.choice.rule.decide`. Learned weights are
+    positive: define the feature as what drivers want more of. A feature of the same
+    name is replaced in all rewards that are made later.
 
     Args:
         name: one word.
-        function: see `Feature`; written with `jax.numpy`, and twice differentiable where plans optimise it. Before the
-            first plan, an environment or a simulation refuses a value or a gradient that is not finite. It takes
-            one moment and is mapped over all moments. Lengths are in metres; divide them by ``scene.length_unit`` for
-            weights of the size of the others. To be pickled, it must be defined in a module. It is tested on a straight
-            scene without a leader: ``scene.bend`` and ``scene.leader`` may be None. There are one or more others.
+        function: see `Feature`; written with `jax.numpy`, and twice differentiable
+            where plans optimise it. Before the first plan, an environment or a
+            simulation refuses a value or a gradient that is not finite. It takes one
+            moment and is mapped over all moments. Lengths are in metres; divide them by
+            ``scene.length_unit`` for weights of the size of the others. To be pickled,
+            it must be defined in a module. It is tested on a straight scene without a
+            leader: ``scene.bend`` and ``scene.leader`` may be None. There are one or
+            more others.
 
     Raises:
-        ValueError: if the package uses the name, or it is no word; if the function is not hashable, cannot be computed,
-            or does not return one number.
+        ValueError: if the package uses the name, or it is no word; if the function is
+            not hashable, cannot be computed, or does not return one number.
     """
     taken = (*FEATURES, *COMFORT, COMPUTATION)
     if not isinstance(name, str) or not name.isidentifier() or name in taken:
         raise ValueError(
-            f"a feature cannot be called {name!r}; choose one word other than {', '.join(taken)}"
+            f"a feature cannot be called {name!r}; choose one word other than"
+            f" {', '.join(taken)}"
         )
     own, others = (Motion(*np.zeros((5, *shape), np.float32)) for shape in ((), (3,)))
     scene = Scene(np.zeros(3), 0.0, obstacles=np.zeros((2, 2)))
@@ -114,8 +129,9 @@ def add_feature(name: str, function: Feature) -> None:
     except Exception as error:  # a user's function may fail in any way
         message = str(error).partition("\n")[0]
         raise ValueError(
-            f"the feature {name!r} cannot be computed: {type(error).__name__}: {message}; "
-            "give a function of (scene, own, others), written with jax.numpy"
+            f"the feature {name!r} cannot be computed: {type(error).__name__}:"
+            f" {message}; give a function of (scene, own, others), written with"
+            " jax.numpy"
         ) from error
     number = isinstance(value, jax.ShapeDtypeStruct)
     if not number or value.shape or jnp.iscomplexobj(value):
@@ -125,14 +141,17 @@ def add_feature(name: str, function: Feature) -> None:
             else f"{type(value).__name__}"
         )
         raise ValueError(
-            f"the feature {name!r} returns {message} for one moment; it must return one number"
+            f"the feature {name!r} returns {message} for one moment; it must return one"
+            " number"
         )
     OWN_FEATURES[name] = function
     note_definition(name, function)
 
 
 def weight_names() -> tuple[str, ...]:
-    """Return the names of all known weights: of the package's and user-defined features, and of comfort."""
+    """Return the names of all known weights: of the package's and user-defined
+    features, and of comfort.
+    """
     return (*FEATURES, *OWN_FEATURES, *COMFORT)
 
 
@@ -151,14 +170,16 @@ def linear_reward(
         names: of the features to compute; by default those of `features_for`.
 
     Raises:
-        ValueError: for an unknown name, or a weight that is not finite or whose feature is not computed.
+        ValueError: for an unknown name, or a weight that is not finite or whose feature
+            is not computed.
     """
     known = weight_names()
     unknown = sorted(map(str, {*values, *(names or ())} - set(known)))
     if unknown:
         raise ValueError(
-            f"unknown reward features {unknown}; the features are {', '.join(known)}; "
-            "add one of your own with ms_highway.add_feature, or --import the module that does"
+            f"unknown reward features {unknown}; the features are {', '.join(known)};"
+            " add one of your own with ms_highway.add_feature, or --import the module"
+            " that does"
         )
     for name, value in values.items():
         if (
@@ -167,12 +188,14 @@ def linear_reward(
             or not np.abs(value) <= MAX_WEIGHT
         ):
             raise ValueError(
-                f"the weight of {name} is {value!r}; it must be a finite number, at most {MAX_WEIGHT:g}"
+                f"the weight of {name} is {value!r}; it must be a finite number, at"
+                f" most {MAX_WEIGHT:g}"
             )
     names = names or features_for(values)
     if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
         raise ValueError(
-            f"the features {', '.join(names)} are not in the order of FEATURES, then user-defined ones"
+            f"the features {', '.join(names)} are not in the order of FEATURES, then"
+            " user-defined ones"
         )
     left_out = [
         name
@@ -181,7 +204,8 @@ def linear_reward(
     ]
     if left_out:
         raise ValueError(
-            f"{', '.join(left_out)} would not be computed; add them to the names of the features"
+            f"{', '.join(left_out)} would not be computed; add them to the names of the"
+            " features"
         )
     weights, comfort = (
         np.array([values.get(name, 0.0) for name in group], np.float32)
@@ -211,7 +235,9 @@ PENALTIES = ("collision_risk", "collision", "off_road")
 """Features with negative weights; all other weights are positive."""
 
 NO_GRADIENT = ("collision", "merged", "partner_merged")
-"""Indicators. They have no gradient, so that driving carries no information about their weights."""
+"""Indicators. They have no gradient, so that driving carries no information about their
+weights.
+"""
 
 CURVATURE_FLOOR = (
     0.5  # of the least given comfort weight: the least curvature of -R in a fit
@@ -225,10 +251,12 @@ class RewardModel:
     Attributes:
         learned: names of the weights to learn, of `weight_names`.
         given: fixed weights, by name; those of comfort set the scale of all others.
-        tails: whether drivers are now and then far from the best driving, see `ms_highway.irl.maximum_entropy`.
+        tails: whether drivers are now and then far from the best driving, see
+            `ms_highway.irl.maximum_entropy`.
 
     Raises:
-        ValueError: for unknown names, indicators, a weight named twice, or no given comfort weight.
+        ValueError: for unknown names, indicators, a weight named twice, or no given
+            comfort weight.
     """
 
     learned: tuple[str, ...]
@@ -240,14 +268,16 @@ class RewardModel:
         for name in self.names:
             if name not in known:
                 raise ValueError(
-                    f"{name!r} cannot be learned; the weights to learn are {', '.join(known)}"
+                    f"{name!r} cannot be learned; the weights to learn are"
+                    f" {', '.join(known)}"
                 )
         twice = sorted(set(self.learned) & set(self.given))
         if twice or len(set(self.learned)) < len(self.learned):
             raise ValueError(f"weights {twice or list(self.learned)} are named twice")
         if not any(self.given.get(name, 0.0) > 0 for name in COMFORT):
             raise ValueError(
-                f"one of {', '.join(COMFORT)} must be given: it sets the scale of all weights"
+                f"one of {', '.join(COMFORT)} must be given: it sets the scale of all"
+                " weights"
             )
 
     @property
@@ -267,6 +297,8 @@ class RewardModel:
         return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learned])
 
     def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
-        """Return all weights by name, from the logarithms that a fit finds; those of the learned ones come first."""
+        """Return all weights by name, from the logarithms that a fit finds; those of
+        the learned ones come first.
+        """
         learned = (self.signs() * np.exp(logarithms[: len(self.learned)])).tolist()
         return {**dict(zip(self.learned, learned, strict=True)), **self.given}

@@ -1,7 +1,8 @@
-"""Define scenarios (geometry, rewards, starts, noise) with one human or several, and build their games.
+"""Define scenarios (geometry, rewards, starts, noise) with one human or several, and
+build their games.
 
-The numbers of a `Scenario` and of drawn starts are in SI units. Games are built in any unit of length, such as that of
-the paper, 100/3 m, in which the released code computes.
+The numbers of a `Scenario` and of drawn starts are in SI units. Games are built in any
+unit of length, such as that of the paper, 100/3 m, in which the released code computes.
 """
 
 from collections.abc import Mapping
@@ -43,17 +44,20 @@ PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
 """The paper's dynamics with friction, Sec. IV-A, in any unit of length."""
 
 PHYSICAL_LIMIT = (0.2, 50.0)  # 1/m and m/s^2
-"""Default bounds on plans: the curvature of a front wheel turned by 45 degrees, and five times the grip of tyres.
+"""Default bounds on plans: the curvature of a front wheel turned by 45 degrees, and
+five times the grip of tyres.
 
-The paper's scenes are infeasible within the grip of tyres: at 20 m/s a horizon of half a second sees a cone only 10 m
-ahead, so that gradient plans in Stay Back need 50 m/s^2, and the human in Merger yields with up to 21 m/s^2.
+The paper's scenes are infeasible within the grip of tyres: at 20 m/s a horizon of half
+a second sees a cone only 10 m ahead, so that gradient plans in Stay Back need 50 m/s^2,
+and the human in Merger yields with up to 21 m/s^2.
 """
 
 GRIP = 8.0  # m/s^2
 """Grip of tyres on a dry road, steering and acceleration together.
 
-It limits the first control of every plan and all executed controls, in the paper's scenes only on request. Later
-controls of a plan may exceed it by a quarter (`ms_highway.game.game.bounded`).
+It limits the first control of every plan and all executed controls, in the paper's
+scenes only on request. Later controls of a plan may exceed it by a quarter
+(`ms_highway.game.game.bounded`).
 """
 
 COMMON_WEIGHTS = Published(
@@ -93,32 +97,40 @@ class Stream:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A situation of a robot with one human, or with several that are drawn for every episode.
+    """A situation of a robot with one human, or with several that are drawn for every
+    episode.
 
     Attributes:
         name: in commands and records.
-        lanes: lateral position of each lane's centre, 3.3 m apart in the package's scenarios [m].
-        cars: start (x, y) of the robot, the human, and the scripted cars [m]; with streams, of the robot alone. All
-            start at heading 0 and at the speed limit, 20 m/s; a third number is how much faster a car starts [m/s].
+        lanes: lateral position of each lane's centre, 3.3 m apart in the package's
+            scenarios [m].
+        cars: start (x, y) of the robot, the human, and the scripted cars [m]; with
+            streams, of the robot alone. All start at heading 0 and at the speed limit,
+            20 m/s; a third number is how much faster a car starts [m/s].
         steps: length of an episode.
         ladder: names of the human models to choose from by default, cheapest first.
-        prices: two lambdas, aggressive and conservative, of the paper's comparison [reward per second].
+        prices: two lambdas, aggressive and conservative, of the paper's comparison
+            [reward per second].
         robot_weights, human_weights: reward weights by feature.
-        robot_gap, human_gap: distance behind the leader at which the gap feature is highest [m].
+        robot_gap, human_gap: distance behind the leader at which the gap feature is
+            highest [m].
         cones: centres of the cones [m].
         merging_car: index of the car with additional noise on its start.
         corner: see `Scene`.
-        streams: of humans, who are shared out evenly, any remaining ones to the first streams. With streams, the robot
-            succeeds if it ends in the target lane, the leftmost one, and never collides.
+        streams: of humans, who are shared out evenly, any remaining ones to the first
+            streams. With streams, the robot succeeds if it ends in the target lane, the
+            leftmost one, and never collides.
         humans: their number, by default.
-        caution: factor of the humans' weight of ``collision_risk``: in dense traffic they accept short distances.
+        caution: factor of the humans' weight of ``collision_risk``: in dense traffic
+            they accept short distances.
         careless: share of the humans in streams that hardly yield.
         semantics, planning, solver, control_limit, grip: defaults, see `build_game`.
-        way_out: whether the robot keeps a way out by default, see `ms_highway.planning.way_out`.
+        way_out: whether the robot keeps a way out by default, see
+            `ms_highway.planning.way_out`.
 
     Raises:
-        ValueError: for sizes that no road has, such as numbers in other units than metres, and for several humans
-            without streams.
+        ValueError: for sizes that no road has, such as numbers in other units than
+            metres, and for several humans without streams.
     """
 
     name: str
@@ -146,12 +158,15 @@ class Scenario:
     way_out: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse lanes in which two cars overlap, lanes that are far from each other, and cars off all lanes."""
+        """Refuse lanes in which two cars overlap, lanes that are far from each other,
+        and cars off all lanes.
+        """
         for name in ("robot_weights", "human_weights"):
             weights = getattr(self, name)
             if not isinstance(weights, Mapping):
                 raise ValueError(
-                    f"scenario {self.name!r} has {name}={weights!r}; give weights by name of a feature"
+                    f"scenario {self.name!r} has {name}={weights!r}; give weights by"
+                    " name of a feature"
                 )
             object.__setattr__(self, name, Published(weights))
         place, remedy = (
@@ -160,11 +175,15 @@ class Scenario:
         )
         fewest, most = HUMANS if self.streams else (1, 1)
         if not fewest <= self.humans <= most:
-            why = "streams say where several humans drive, and without streams there is one"
+            why = (
+                "streams say where several humans drive, and without streams there"
+                " is one"
+            )
             if self.streams:
                 why = f"give {fewest} to {most}"
             raise ValueError(
-                f"{place} has humans={self.humans} and {len(self.streams)} streams; {why}"
+                f"{place} has humans={self.humans} and {len(self.streams)} streams;"
+                f" {why}"
             )
         lanes = np.sort(np.asarray(self.lanes, float).ravel())
         apart = np.diff(lanes)
@@ -173,7 +192,10 @@ class Scenario:
             or not np.isfinite(lanes).all()
             or np.any((apart < CAR_SIZE[1]) | (apart > MAX_LANE_DISTANCE))
         ):
-            found = f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to {MAX_LANE_DISTANCE:g} m apart"
+            found = (
+                f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to"
+                f" {MAX_LANE_DISTANCE:g} m apart"
+            )
             raise ValueError(f"{place} has {found}, and {remedy}")
         if not 0 <= self.careless <= 1:
             raise ValueError(
@@ -199,11 +221,13 @@ class Scenario:
                     or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE
                 ):
                     raise ValueError(
-                        f"{place} has {kind} at {point}, beside all lanes, at {self.lanes}; {remedy}"
+                        f"{place} has {kind} at {point}, beside all lanes, at"
+                        f" {self.lanes}; {remedy}"
                     )
 
     def check(self) -> None:
-        """Check what an environment needs, and what may be registered only after the scenario is made.
+        """Check what an environment needs, and what may be registered only after the
+        scenario is made.
 
         Raises:
             ValueError: naming the scenario, the value and a remedy.
@@ -219,7 +243,8 @@ class Scenario:
             )
         if not whole or self.steps < 1:
             raise ValueError(
-                f"{place} has steps={self.steps!r}; give a whole number of steps, 1 or more"
+                f"{place} has steps={self.steps!r}; give a whole number of steps, 1 or"
+                " more"
             )
         if len(self.prices) != 2 or not all(
             0 <= price < np.inf for price in self.prices
@@ -240,7 +265,9 @@ class Scenario:
 
 
 def title(name: str) -> str:
-    """Return the title of a scenario's name: ``Stay Back`` for ``stay_back``, ``Stay Back v1`` for ``stay-back-v1``."""
+    """Return the title of a scenario's name: ``Stay Back`` for ``stay_back``, ``Stay
+    Back v1`` for ``stay-back-v1``.
+    """
     words = name.replace("_", " ").replace("-", " ").split()
     return " ".join(word if word[1:].isdigit() else word.title() for word in words)
 
@@ -256,25 +283,29 @@ def build_game(
     planning: PlanningSettings | None = None,
     humans: int | None = None,
 ) -> Game:
-    """Build the game of a scenario, in which all humans have the same reward; its arrays cannot be written.
+    """Build the game of a scenario, in which all humans have the same reward; its
+    arrays cannot be written.
 
     Args:
         scenario: to build.
-        semantics: ``paper``: the paper's dynamics with friction, in the world and in the planners, and a damped
-            response of humans. ``physical``: the same within the `GRIP` of tyres, where a collision is an overlap
-            of bodies; only plans by the solver ``convex_newton`` keep whole bodies apart
-            (`ms_highway.game.contact`). ``released``: the dynamics of the released code, where planners ignore the
-            world's drag, and the exact response.
-        control_limit: bounds on the magnitude of omega and acceleration in plans, in the units of the semantics; None
-            for no bounds.
-        grip: total acceleration that tyres hold, in the game's lengths per s^2, see `Planner`; None for no limit, in
-            physical semantics for `GRIP`.
-        unit: length of one paper unit, 100/3 m, in the game; 1 keeps the released code's numbers.
-        solver: ``gradient`` or ``convex_newton``, see `ms_highway.numerics.solvers`; None for the scenario's.
-        human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans' reward; other weights of the
-            scenario stay unless they are named here.
-        planning: horizon and gradient steps of all plans, and the time step of plans and world; None for the
-            scenario's.
+        semantics: ``paper``: the paper's dynamics with friction, in the world and in
+            the planners, and a damped response of humans. ``physical``: the same within
+            the `GRIP` of tyres, where a collision is an overlap of bodies; only plans
+            by the solver ``convex_newton`` keep whole bodies apart
+            (`ms_highway.game.contact`). ``released``: the dynamics of the released
+            code, where planners ignore the world's drag, and the exact response.
+        control_limit: bounds on the magnitude of omega and acceleration in plans, in
+            the units of the semantics; None for no bounds.
+        grip: total acceleration that tyres hold, in the game's lengths per s^2, see
+            `Planner`; None for no limit, in physical semantics for `GRIP`.
+        unit: length of one paper unit, 100/3 m, in the game; 1 keeps the released
+            code's numbers.
+        solver: ``gradient`` or ``convex_newton``, see `ms_highway.numerics.solvers`;
+            None for the scenario's.
+        human_driving: weights by name that replace `COMMON_WEIGHTS` in the humans'
+            reward; other weights of the scenario stay unless they are named here.
+        planning: horizon and gradient steps of all plans, and the time step of plans
+            and world; None for the scenario's.
         humans: their number; None for the scenario's.
     """
     human_weights = dict(scenario.human_weights)
@@ -346,10 +377,11 @@ def driving_game(
     planning: PlanningSettings = PAPER_PLANNING,
     grip: float | None = GRIP,
 ) -> Game:
-    """Build a game on any scene in which both cars have the same reward, with the paper's dynamics.
+    """Build a game on any scene in which both cars have the same reward, with the
+    paper's dynamics.
 
-    Its numbers are not converted to arrays: a driver on a road builds a game in every step, and the conversion would
-    take longer than the plan.
+    Its numbers are not converted to arrays: a driver on a road builds a game in every
+    step, and the conversion would take longer than the plan.
 
     Args:
         scene: road, obstacles and bodies.
@@ -358,7 +390,8 @@ def driving_game(
         names: of the features to compute, see `ms_highway.game.reward.linear_reward`.
         solver: ``gradient`` or ``convex_newton``, see `ms_highway.numerics.solvers`.
         planning: see `build_game`.
-        grip: of tyres [m/s^2], see `ms_highway.numerics.solvers.Planner`; None for `PHYSICAL_LIMIT` alone.
+        grip: of tyres [m/s^2], see `ms_highway.numerics.solvers.Planner`; None for
+            `PHYSICAL_LIMIT` alone.
     """
     driver = linear_reward(weights, speed_limit, names=names)
     motion = replace(PAPER_DYNAMICS, time_step=planning.time_step)
@@ -389,11 +422,12 @@ def _planner(
     solver: Solver,
     horizon: int,
 ) -> Planner:
-    """Return a planner with the control scale in which a gradient step of 0.03 has the paper's effect.
+    """Return a planner with the control scale in which a gradient step of 0.03 has the
+    paper's effect.
 
-    The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw rate. With
-    steering by curvature, it is converted at the paper's speed limit, ``omega = yaw_rate / v``:
-    omega's gradient step scales with 1/v^2.
+    The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw
+    rate. With steering by curvature, it is converted at the paper's speed limit,
+    ``omega = yaw_rate / v``: omega's gradient step scales with 1/v^2.
     """
     turn_scale = 1.0
     if dynamics.steering == "curvature":

@@ -52,7 +52,9 @@ MERGER = Scenario(
     human_gap=0.25 * UNIT,
     merging_car=0,
 )
-"""The gap in the left lane is too small for the robot unless the human behind it yields."""
+"""The gap in the left lane is too small for the robot unless the human behind it
+yields.
+"""
 
 GIVE_WAY = Scenario(
     name="give_way",
@@ -67,7 +69,12 @@ GIVE_WAY = Scenario(
     ladder=("naive", "turn", "tom"),
     prices=(0.03, 0.01),
     robot_weights=COMMON_WEIGHTS
-    | {"target_lane": 1000, "gap": 10, "partner_target_lane": 350, "partner_merged": 5},
+    | {
+        "target_lane": 1000,
+        "gap": 10,
+        "partner_target_lane": 350,
+        "partner_merged": 5,
+    },
     human_weights=COMMON_WEIGHTS | {"target_lane": 0.7 * 150},
     robot_gap=0.325 * UNIT,
     merging_car=1,
@@ -77,11 +84,13 @@ GIVE_WAY = Scenario(
 
 
 def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
-    """Return version 1 of a scenario, in which robot and humans plan and drive within the grip of tyres.
+    """Return version 1 of a scenario, in which robot and humans plan and drive within
+    the grip of tyres.
 
     Args:
         scenario: version 0.
-        horizon: steps of plans; the paper's half a second is too short to brake or to go round anything.
+        horizon: steps of plans; the paper's half a second is too short to brake or to
+            go round anything.
         changes: other attributes that differ.
     """
     name = scenario.name.replace("_", "-") + "-v1"
@@ -102,14 +111,15 @@ STAY_BACK_V1 = _physical(
     cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.05 * UNIT, 0.0, 0.045 * UNIT)),
     steps=60,
 )
-"""The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives 1.5 m/s faster.
+"""The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives
+1.5 m/s faster.
 
-Within the grip of tyres, one car has to slow down in time for the other one. Nearer starts leave no room for that.
-From 1.3 m farther back, all models earn the same.
+Within the grip of tyres, one car has to slow down in time for the other one. Nearer
+starts leave no room for that. From 1.3 m farther back, all models earn the same.
 
-The human's start lies between starts of 6.0 to 6.5 m ahead, from which naive plans collide in most of 32 or 48
-episodes (seeds 1000 and up) and those under turn in none. From 5.8 m ahead, both collide; from 7 m ahead, those under
-turn do in one of 48.
+The human's start lies between starts of 6.0 to 6.5 m ahead, from which naive plans
+collide in most of 32 or 48 episodes (seeds 1000 and up) and those under turn in none.
+From 5.8 m ahead, both collide; from 7 m ahead, those under turn do in one of 48.
 """
 
 MERGER_V1 = _physical(MERGER, 10)
@@ -130,7 +140,9 @@ def _merge_among_several(
     first_cone: float,
     streams: tuple[Stream, ...],
 ) -> Scenario:
-    """Return a scenario in which the robot's lane ends; plans look two seconds ahead, as merging takes long."""
+    """Return a scenario in which the robot's lane ends; plans look two seconds ahead,
+    as merging takes long.
+    """
     return Scenario(
         name=name,
         lanes=lanes,
@@ -155,7 +167,9 @@ def _merge_among_several(
 DENSE_MERGE = _merge_among_several(
     "dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),)
 )
-"""The robot's lane ends, and most gaps in the stream beside it are too short for a car unless a human yields."""
+"""The robot's lane ends, and most gaps in the stream beside it are too short for a car
+unless a human yields.
+"""
 
 CROSSING_CROWD = _merge_among_several(
     "crossing_crowd",
@@ -164,10 +178,13 @@ CROSSING_CROWD = _merge_among_several(
     1.5,
     (Stream(-0.1 * UNIT, 0.95 * SPEED_LIMIT), Stream(-0.2 * UNIT, 1.05 * SPEED_LIMIT)),
 )
-"""The robot's lane ends, and it wants to cross the stream of humans beside it and to join another one in the left lane.
+"""The robot's lane ends, and it wants to cross the stream of humans beside it and to
+join another one in the left lane.
 
-At first, the humans in the middle lane matter: the robot has to get between them before the cones. Later, those in the
-left lane do; they drive faster, so that the robot meets others there than its neighbours at the start."""
+At first, the humans in the middle lane matter: the robot has to get between them before
+the cones. Later, those in the left lane do; they drive faster, so that the robot meets
+others there than its neighbours at the start.
+"""
 
 SEVERAL_V1: dict[str, Any] = {
     "ladder": ("naive", "tom"),
@@ -177,7 +194,8 @@ SEVERAL_V1: dict[str, Any] = {
 }
 """Settings of version 1 of all scenes with several humans.
 
-All humans yield to a car that merges. The robot is careful: it enters only gaps that it expects to open.
+All humans yield to a car that merges. The robot is careful: it enters only gaps that it
+expects to open.
 """
 
 CLOSE_SPACING = 7.0, 13.0  # m, spacing in the stream of Dense Merge v1
@@ -193,8 +211,8 @@ DENSE_MERGE_V1 = _physical(
 )
 """The stream is denser than in version 0, and the cones are farther away.
 
-Spacing and speed were chosen so that naive plans succeed in less than half of the episodes, and theory of mind in
-nearly all.
+Spacing and speed were chosen so that naive plans succeed in less than half of the
+episodes, and theory of mind in nearly all.
 """
 
 CROSSING_CROWD_V1 = _physical(
@@ -207,7 +225,9 @@ CROSSING_CROWD_V1 = _physical(
     ),
     **SEVERAL_V1,
 )
-"""Both streams are denser than in version 0, the cones are farther away, and there are six seconds to arrive.
+"""Both streams are denser than in version 0, the cones are farther away, and there are
+six seconds to arrive.
 
-Spacing, cones and time were chosen so that naive plans fail in a quarter of the episodes, and theory of mind in few.
+Spacing, cones and time were chosen so that naive plans fail in a quarter of the
+episodes, and theory of mind in few.
 """

@@ -1,4 +1,6 @@
-"""Define the scene: lanes, obstacles, sizes of cars, and the leader; find the cars ahead and behind in three lanes."""
+"""Define the scene: lanes, obstacles, sizes of cars, and the leader; find the cars
+ahead and behind in three lanes.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
@@ -31,30 +33,37 @@ SHAPES: dict[str, tuple[str | int, ...]] = {
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Scene:
-    """A straight road along x with obstacles on it. All lengths are in metres, y points to the right.
+    """A straight road along x with obstacles on it. All lengths are in metres, y points
+    to the right.
 
     Attributes:
         lanes: lateral position of each lane's centre, array [lanes].
-        lane_width: width of a lane; the road ends half of it beyond the outermost centres.
-        obstacles: centres (x, y) of static obstacles, which are parallel to the axes, array [n, 2]; none by default.
-        obstacle_size: length and width of every obstacle, array [2]; a cone of the paper by default.
+        lane_width: width of a lane; the road ends half of it beyond the outermost
+            centres.
+        obstacles: centres (x, y) of static obstacles, which are parallel to the axes,
+            array [n, 2]; none by default.
+        obstacle_size: length and width of every obstacle, array [2]; a cone of the
+            paper by default.
         car_size: length and width of every car, array [2]; 5 by 2.5 m by default.
-        corner: position of the outermost body points of the collision feature, as a share of length and width; by
-            default 1/2, the corner of the body.
-        target_lane: lateral position of the lane that a merging car enters; only for rewards that weigh it.
-        length_unit: unit of lengths in features [m]. Weights depend on it; those of the package are for the paper's
-            unit, 100/3 m, the default.
-        bend: curvature of the road [1/m], positive to the right; the coordinates straighten it. None on a straight
-            road.
-        leader: index of the car that the gap feature refers to, None without one (static).
-        contact: what counts as a collision (static). ``paper``: any of nine points of the
-            car is inside an ellipse within another body. ``bodies``: the car's rectangle
-            overlaps the rectangle of another car or the circle of an obstacle, whose
-            diameter is the obstacle's width. All else, such as the room to stop before
-            obstacles, goes by the obstacle's length and width.
+        corner: position of the outermost body points of the collision feature, as a
+            share of length and width; by default 1/2, the corner of the body.
+        target_lane: lateral position of the lane that a merging car enters; only for
+            rewards that weigh it.
+        length_unit: unit of lengths in features [m]. Weights depend on it; those of the
+            package are for the paper's unit, 100/3 m, the default.
+        bend: curvature of the road [1/m], positive to the right; the coordinates
+            straighten it. None on a straight road.
+        leader: index of the car that the gap feature refers to, None without one
+            (static).
+        contact: what counts as a collision (static). ``paper``: any of nine points of
+            the car is inside an ellipse within another body. ``bodies``: the car's
+            rectangle overlaps the rectangle of another car or the circle of an
+            obstacle, whose diameter is the obstacle's width. All else, such as the room
+            to stop before obstacles, goes by the obstacle's length and width.
 
     Raises:
-        ValueError: for an impossible number or shape, naming the attribute; arrays of JAX are not checked.
+        ValueError: for an impossible number or shape, naming the attribute; arrays of
+            JAX are not checked.
     """
 
     lanes: Float[Array, "lanes"]
@@ -95,7 +104,8 @@ class Scene:
             ):
                 wanted = ", ".join(map(str, shape))
                 raise ValueError(
-                    f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of numbers, in metres"
+                    f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of"
+                    " numbers, in metres"
                 )
         if self.contact not in get_args(Contact):
             known = ", ".join(get_args(Contact))
@@ -103,7 +113,8 @@ class Scene:
         size, width = self.car_size, self.lane_width
         if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
             raise ValueError(
-                f"Scene.car_size is {size.tolist()}; give length and width in metres, both positive"
+                f"Scene.car_size is {size.tolist()}; give length and width in metres,"
+                " both positive"
             )
         if isinstance(width, (int, float, np.ndarray, np.number)) and not np.all(
             np.asarray(width) >= 0
@@ -111,7 +122,8 @@ class Scene:
             raise ValueError(f"Scene.lane_width is {width}; it must not be negative")
 
 
-# Neighbours of a driver: the nearest cars ahead and behind, in its own lane and in the adjacent ones
+# Neighbours of a driver: the nearest cars ahead and behind, in its own lane and in the
+# adjacent ones
 
 MIN_FOLLOWER_SPEED = 1.0  # m/s, by which headways are divided at least
 FAR_AWAY = 1000.0  # m behind, where absent cars are
@@ -128,14 +140,16 @@ def places(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> tuple[Int[SameArray, "*batch 6"], Bool[SameArray, "*batch 6"]]:
-    """Return which of the others takes each of the six places around a driver, and whether any car does.
+    """Return which of the others takes each of the six places around a driver, and
+    whether any car does.
 
     A car is in the driver's lane if it is less than half a lane's width to the side.
 
     Args:
         driver: state of the driver.
         others: states of the other cars, in the same coordinates, along the road.
-        present: which of the others exist; states of absent cars may be anything, even NaN.
+        present: which of the others exist; states of absent cars may be anything, even
+            NaN.
         lane_width: of a lane [m].
     """
     xp = driver.__array_namespace__()
@@ -153,7 +167,8 @@ def neighbours(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> Float[SameArray, "*batch 6 4"]:
-    """Return the states of a driver's neighbours in the six places, see `places` for the arguments.
+    """Return the states of a driver's neighbours in the six places, see `places` for
+    the arguments.
 
     An empty place holds a standing car far behind, so that the shape never changes.
     """
@@ -168,7 +183,8 @@ def headways(
     around: Float[SameArray, "*batch 6 4"],
     length: float,
 ) -> Float[SameArray, "*batch 6"]:
-    """Return the time gaps between a driver and its neighbours [s]: bumper distance over the speed of the rear car.
+    """Return the time gaps between a driver and its neighbours [s]: bumper distance
+    over the speed of the rear car.
 
     Args:
         driver: state of the driver.
@@ -211,14 +227,17 @@ def leaders(
     counts: Bool[Any, "*#batch #cars others"],
     reach: float | Float[Any, "*#batch #cars #others"],
 ) -> tuple[Int[Any, "*batch cars"], Bool[Any, "*batch cars"]]:
-    """Return which of the others is the nearest one ahead in a lane, and whether there is one; of NumPy or JAX.
+    """Return which of the others is the nearest one ahead in a lane, and whether there
+    is one; of NumPy or JAX.
 
     Args:
         x: position of each car along the road [m].
-        lane: lateral position of the centre of the lane in which each car looks ahead [m].
+        lane: lateral position of the centre of the lane in which each car looks ahead
+            [m].
         others: states of all cars that may be ahead.
         counts: which of them count for each car; states of the rest may be anything.
-        reach: lateral distance from the lane's centre up to which a car is in the lane [m].
+        reach: lateral distance from the lane's centre up to which a car is in the lane
+            [m].
     """
     xp = others.__array_namespace__()
     distance = others[..., None, :, 0] - x[..., None]

@@ -30,13 +30,18 @@ def _shape(size: Any) -> list[int]:
 
 
 class TracedRandom:
-    """Draw by JAX, from a key, with the methods of NumPy's generator that are used here."""
+    """Draw by JAX, from a key, with the methods of NumPy's generator that are used
+    here.
+    """
 
     def __init__(self, key: jax.Array) -> None:
         self._key = key
 
     def __getattr__(self, name: str) -> Any:
-        remedy = "draw by normal, uniform or beta, or use the vector environment, which draws by NumPy"
+        remedy = (
+            "draw by normal, uniform or beta, or use the vector environment, which"
+            " draws by NumPy"
+        )
         raise AttributeError(f"JAX draws no {name!r} here; {remedy}")
 
     def _next(self) -> jax.Array:
@@ -60,10 +65,11 @@ Random: TypeAlias = np.random.Generator | TracedRandom
 
 
 def draw_starts(scenario: Scenario, random: Random) -> State:
-    """Draw the start of every car of a scenario without streams, with the noise of the paper's experiments.
+    """Draw the start of every car of a scenario without streams, with the noise of the
+    paper's experiments.
 
-    Normal noise of standard deviation 1.7 cm on x and y, 1e-3 rad on heading and 3.3 cm/s on speed; another 33 cm on
-    the x of the merging car.
+    Normal noise of standard deviation 1.7 cm on x and y, 1e-3 rad on heading and 3.3
+    cm/s on speed; another 33 cm on the x of the merging car.
     """
     cars = np.array(
         [(x, y, 0.0, SPEED_LIMIT + sum(faster)) for x, y, *faster in scenario.cars]
@@ -80,16 +86,19 @@ def draw_starts(scenario: Scenario, random: Random) -> State:
 def draw_episode(
     scenario: Scenario, random: Random, humans: Reward
 ) -> tuple[State, HumansWeights]:
-    """Draw the start of every car, in SI units, and the weights of every human's reward.
+    """Draw the start of every car, in SI units, and the weights of every human's
+    reward.
 
-    Without streams, these are `draw_starts` and the given weights. In a stream, most spacings are near the shortest
-    one, and the robot starts beside a random place in the middle. Every human multiplies its weight of
-    ``collision_risk`` by its own factor: log-normal around 1, or `CARELESS_FACTOR` for careless humans.
+    Without streams, these are `draw_starts` and the given weights. In a stream, most
+    spacings are near the shortest one, and the robot starts beside a random place in
+    the middle. Every human multiplies its weight of ``collision_risk`` by its own
+    factor: log-normal around 1, or `CARELESS_FACTOR` for careless humans.
 
     Args:
         scenario: to draw for.
         random: generator to draw from.
-        humans: rewards around which those of the humans are drawn, see `ms_highway.game.game.Game`.
+        humans: rewards around which those of the humans are drawn, see
+            `ms_highway.game.game.Game`.
     """
     weights = np.array(humans.weights, np.float32)
     if not scenario.streams:
@@ -114,7 +123,9 @@ def draw_episode(
 
 
 def _stream(stream: Stream, humans: int, random: Random) -> State:
-    """Draw the starts of a stream, front first, with the robot at x = 0 beside its middle."""
+    """Draw the starts of a stream, front first, with the robot at x = 0 beside its
+    middle.
+    """
     shortest, longest = stream.spacing
     spacings = shortest + (longest - shortest) * random.beta(1.0, SPACING_BETA, humans)
     ahead = (humans + 1) // 2  # of the robot

@@ -1,4 +1,6 @@
-"""Compute distances and overlaps of bodies, and find the nearest body ahead; in NumPy or JAX."""
+"""Compute distances and overlaps of bodies, and find the nearest body ahead; in NumPy
+or JAX.
+"""
 
 from typing import Any
 
@@ -22,11 +24,14 @@ Directed = tuple[Numbers, Numbers, Numbers, Numbers]
 """x, y [m], and cosine and sine of the heading."""
 
 MIN_SQUARE = 1e-6
-"""Added to the square of `square_distance`: it keeps the derivatives of the root finite."""
+"""Added to the square of `square_distance`: it keeps the derivatives of the root
+finite.
+"""
 
 
 def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
-    """Return the distance between rectangles along the axis that separates them best [m]; negative if they overlap.
+    """Return the distance between rectangles along the axis that separates them best
+    [m]; negative if they overlap.
 
     Args:
         own: x, y and heading of the first.
@@ -49,7 +54,8 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
 def separation_of_directed(
     own: Directed, other: Directed, size: Directions, other_size: Directions
 ) -> Numbers:
-    """Return the `separation` of rectangles whose headings are given by cosine and sine.
+    """Return the `separation` of rectangles whose headings are given by cosine and
+    sine.
 
     Args:
         own: motion of the first.
@@ -61,12 +67,15 @@ def separation_of_directed(
     other_x, other_y, other_cosine, other_sine = other
     xp = namespace(*own, *other)
 
-    # The angle between both: shares of a size that reach along and across the other one.
+    # The angle between both: shares of a size that reach along and across the other
+    # one.
     parallel = xp.abs(own_cosine * other_cosine + own_sine * other_sine)
     slanted = xp.abs(own_cosine * other_sine - own_sine * other_cosine)
 
     def gap(place: Directions, one: Directions, two: Directions) -> Numbers:
-        """Return the larger gap to the box around the second one, in the first one's frame."""
+        """Return the larger gap to the box around the second one, in the first one's
+        frame.
+        """
         along = xp.abs(place[0])
         across = xp.abs(place[1])
         half_length = two[0] / 2
@@ -106,7 +115,8 @@ def place_in_frame(own: Directed, x: Numbers, y: Numbers) -> Directions:
 
 
 def body_points(size: Float[Any, "2"], corner: Numbers) -> Float[Any, "9 2"]:
-    """Return x and y of the corners, the middles of the edges and the centre of a body in its own frame [m].
+    """Return x and y of the corners, the middles of the edges and the centre of a body
+    in its own frame [m].
 
     Args:
         size: length and width [m].
@@ -119,7 +129,8 @@ def body_points(size: Float[Any, "2"], corner: Numbers) -> Float[Any, "9 2"]:
 def point_offsets(
     own: Directed, points: Float[Any, "points 2"], other: Directed
 ) -> tuple[Float[Any, "bodies points *times"], Float[Any, "bodies points *times"]]:
-    """Return where points of a body are, along and across other bodies, from their centres [m].
+    """Return where points of a body are, along and across other bodies, from their
+    centres [m].
 
     Args:
         own: motion of the body, arrays [*times] or numbers.
@@ -158,15 +169,18 @@ def ellipse_distance(
     length: Numbers,
     width: Numbers,
 ) -> Float[Any, "bodies points *times"]:
-    """Return ``D - 1 = (2 dx / length)^2 + (2 dy / width)^2 - 1`` from points of a body to other bodies.
+    """Return ``D - 1 = (2 dx / length)^2 + (2 dy / width)^2 - 1`` from points of a body
+    to other bodies.
 
-    The offset (dx, dy) of a point is in the frame of the other body; ``D < 1`` is the ellipse inscribed in it.
+    The offset (dx, dy) of a point is in the frame of the other body; ``D < 1`` is the
+    ellipse inscribed in it.
 
     Args:
         own: motion of the body, arrays [*times] or numbers.
         points: of the body, in its own frame [m].
         other: motion of the other bodies, arrays [bodies, *times].
-        length: of the other bodies [m], a number or an array [bodies, 1, *ones] that broadcasts over points and times.
+        length: of the other bodies [m], a number or an array [bodies, 1, *ones] that
+            broadcasts over points and times.
         width: of the other bodies, likewise.
     """
     x, y = point_offsets(own, points, other)
@@ -177,8 +191,8 @@ def square_distance(x: Numbers, y: Numbers) -> Numbers:
     """Return D of points near a body, ``D^2 = x^4 + y^4``.
 
     Lines of equal D are superellipses, nearly rectangles with round corners. ``D = 1``
-    touches the sides of the body, ``D = sqrt(2)`` goes through its corners and encloses it.
-    D is convex, and grows like a square with the distance from the centre.
+    touches the sides of the body, ``D = sqrt(2)`` goes through its corners and encloses
+    it. D is convex, and grows like a square with the distance from the centre.
 
     Args:
         x: along the body, in shares of half its length.
@@ -194,7 +208,8 @@ def nearest_ahead(
 
     Args:
         distance: to the others, positive ahead [m].
-        counts: which of the others count, such as those in the same lane; distances to the rest may be anything.
+        counts: which of the others count, such as those in the same lane; distances to
+            the rest may be anything.
     """
     xp = namespace(distance, counts)
     ahead = counts & (distance > 0)

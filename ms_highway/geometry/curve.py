@@ -1,7 +1,8 @@
 """Curves, and coordinates along and across them, for arrays of NumPy and of JAX.
 
-Curve coordinates are (s, d): s along the curve, d to its right [m]. World coordinates are highway-env's: y points to
-the right of x. In coordinates whose y points to the left, d is to the left.
+Curve coordinates are (s, d): s along the curve, d to its right [m]. World coordinates
+are highway-env's: y points to the right of x. In coordinates whose y points to the
+left, d is to the left.
 """
 
 from dataclasses import dataclass, field, replace
@@ -20,10 +21,12 @@ SPACING = 2.0
 """Default distance between the samples of a curve [m]."""
 
 BEHIND = 20.0
-"""Length of a scene's curve behind the car that follows it [m]; the car is near s = 0."""
+"""Length of a scene's curve behind the car that follows it [m]; the car is near s = 0.
+"""
 
 STEPS = 2  # iterations of a projection, from the nearest sample
-TIGHTEST = 0.2  # smallest distance of a position from a bend's centre, as a share of the radius
+# smallest distance of a position from a bend's centre, as a share of the radius
+TIGHTEST = 0.2
 
 Knots = Float[Any, "*curves samples"]
 Rows = Float[np.ndarray, "rows samples"]
@@ -40,7 +43,8 @@ class Curve:
         x, y: position of the samples [m].
         heading: of the curve, unwrapped [rad].
         curvature: of the curve, positive to the right [1/m].
-        start: s of the first sample [m] (static); in NumPy, several curves may have one each, [curves, 1].
+        start: s of the first sample [m] (static); in NumPy, several curves may have one
+            each, [curves, 1].
         spacing: distance between samples [m] (static).
     """
 
@@ -66,7 +70,9 @@ class Curve:
         return self.start + (np.shape(self.x)[-1] - 1) * self.spacing
 
     def interpolate(self, values: Knots, s: Numbers) -> Numbers:
-        """Interpolate values that belong to the samples; beyond the ends, the outermost are kept."""
+        """Interpolate values that belong to the samples; beyond the ends, the outermost
+        are kept.
+        """
         return interpolate(values, s, self.start, self.spacing)
 
     def place(self, s: Numbers, d: Numbers) -> Pose:
@@ -78,10 +84,11 @@ class Curve:
         return x + beyond * cosine - d * sine, y + beyond * sine + d * cosine, heading
 
     def project(self, x: Numbers, y: Numbers, heading: Numbers) -> Pose:
-        """Return s, d and relative heading in [-pi, pi) of poses: the inverse of `place`.
+        """Return s, d and relative heading in [-pi, pi) of poses: the inverse of
+        `place`.
 
-        From the nearest sample, `STEPS` iterations along the bend find the point whose normal passes through the
-        position.
+        From the nearest sample, `STEPS` iterations along the bend find the point whose
+        normal passes through the position.
         """
         xp = namespace(self.x, x, y)
         several = self.x.ndim > 1
@@ -119,7 +126,9 @@ class Curve:
         return replace(part, start=self.start + low * self.spacing)
 
     def _at(self, s: Numbers) -> list[Numbers]:
-        """Interpolate x, y, heading and curvature; several curves are interpolated row by row."""
+        """Interpolate x, y, heading and curvature; several curves are interpolated row
+        by row.
+        """
         low, share = _between(np.shape(self.x)[-1], s, self.start, self.spacing)
         xp, found = namespace(self.x, s), []
         for values in map(xp.asarray, (self.x, self.y, self.heading, self.curvature)):
@@ -153,7 +162,9 @@ def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]
 def interpolate(
     values: Knots, s: Numbers, start: Numbers = -BEHIND, spacing: float = SPACING
 ) -> Numbers:
-    """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep the outermost beyond the ends."""
+    """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep
+    the outermost beyond the ends.
+    """
     low, share = _between(np.shape(values)[-1], s, start, spacing)
     values = namespace(values, s).asarray(values)
     return values[..., low] * (1 - share) + values[..., low + 1] * share
@@ -162,7 +173,9 @@ def interpolate(
 def _between(
     samples: int, s: Numbers, start: Numbers, spacing: float
 ) -> tuple[Numbers, Numbers]:
-    """Return the number of the sample before s, and the share of the way from it to the next one."""
+    """Return the number of the sample before s, and the share of the way from it to the
+    next one.
+    """
     xp = namespace(s)
     position = xp.minimum(xp.maximum((s - start) / spacing, 0.0), samples - 1.0)
     low = xp.minimum(position.astype(int), samples - 2)
@@ -170,12 +183,16 @@ def _between(
 
 
 def arc_lengths(positions: Rows) -> Float[np.ndarray, "samples"]:
-    """Return the distance along a line from its first point to each point [m], given rows of x and y."""
+    """Return the distance along a line from its first point to each point [m], given
+    rows of x and y.
+    """
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions)))])
 
 
 def resample(rows: Rows, spacing: float) -> Rows:
-    """Interpolate the rows of a line at equal distances along it; the first two rows are x and y [m]."""
+    """Interpolate the rows of a line at equal distances along it; the first two rows
+    are x and y [m].
+    """
     along = arc_lengths(rows[:2])
     even = np.arange(0.0, along[-1], spacing)
     return np.stack([np.interp(even, along, row) for row in rows])

@@ -1,6 +1,7 @@
 """Join highway-env's lanes to smooth curves with evenly spaced samples.
 
-Lanes may have gaps and jumps of curvature where one continues the other; curves bridge gaps and smooth joints.
+Lanes may have gaps and jumps of curvature where one continues the other; curves bridge
+gaps and smooth joints.
 """
 
 from collections.abc import Sequence
@@ -45,7 +46,8 @@ class LaneCurve:
 
     Attributes:
         curve: sampled every `FINE` metres, from s = 0 on.
-        ways: of the samples: the length of all lanes before, plus the longitudinal coordinate on the lane [m].
+        ways: of the samples: the length of all lanes before, plus the longitudinal
+            coordinate on the lane [m].
     """
 
     curve: Curve
@@ -94,16 +96,20 @@ def project_cars(
 
 
 def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
-    """Return curves with s = 0 at the given s, arrays [curves, knots] of single precision.
+    """Return curves with s = 0 at the given s, arrays [curves, knots] of single
+    precision.
 
-    Their headings at s = 0 are wrapped. Beyond the ends of a curve, its outermost sample is repeated.
+    Their headings at s = 0 are wrapped. Beyond the ends of a curve, its outermost
+    sample is repeated.
 
     Args:
         curves: along lanes.
         s: distance from the beginning of each curve [m].
-        knots: number of samples of each path, every `SPACING` metres from `BEHIND` metres behind on.
+        knots: number of samples of each path, every `SPACING` metres from `BEHIND`
+            metres behind on.
     """
-    # The samples of the curves before and after each knot, and the share of the way between them.
+    # The samples of the curves before and after each knot, and the share of the way
+    # between them.
     places = s[:, None] - BEHIND + SPACING * np.arange(knots)
     before = np.floor(places / FINE).astype(int)
     share = places / FINE - before
@@ -122,7 +128,9 @@ def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
 
 
 def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
-    """Return places, positions and headings along a lane every `COARSE` metres between two bounds."""
+    """Return places, positions and headings along a lane every `COARSE` metres between
+    two bounds.
+    """
     s = COARSE * np.arange(np.ceil(low / COARSE), np.floor(high / COARSE) + 1)
     points = np.array([lane.position(place, 0.0) for place in s]).reshape(-1, 2)
     return s, points, np.array([lane.heading_at(place) for place in s])
@@ -136,20 +144,22 @@ def join_lanes(
     widths: Sequence[float],
     within: float = np.inf,
 ) -> LaneCurve:
-    """Return the curve along lanes between two ways; it goes straight on beyond the last lane.
+    """Return the curve along lanes between two ways; it goes straight on beyond the
+    last lane.
 
-    A Hermite spline through positions and headings on the lanes bridges the joints. A Gaussian filter, corrected so
-    that it keeps circles, makes its curvature continuous.
+    A Hermite spline through positions and headings on the lanes bridges the joints. A
+    Gaussian filter, corrected so that it keeps circles, makes its curvature continuous.
 
     Args:
         lanes: that continue each other.
         starts: ways at which the lanes begin, and at which the last one ends [m].
         low: way from which on the curve is needed [m].
         high: way until which the curve is needed [m].
-        widths: of the Gaussian [m], tried in order until no curvature exceeds `MAX_CURVATURE` and the curve is near the
-            lanes.
-        within: distance from the lanes that counts as near [m]. No width is tried by which the curve becomes sharper
-            than before and than the lanes are: it would follow a kink at a joint.
+        widths: of the Gaussian [m], tried in order until no curvature exceeds
+            `MAX_CURVATURE` and the curve is near the lanes.
+        within: distance from the lanes that counts as near [m]. No width is tried by
+            which the curve becomes sharper than before and than the lanes are: it would
+            follow a kink at a joint.
     """
     low, high, end = low - MARGIN, high + MARGIN, starts[-1]
     parts = []
@@ -207,7 +217,9 @@ def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
 
 
 def _smooth(raw: Rows, width: float) -> tuple[LaneCurve, float]:
-    """Return the curve smoothed over a width, without the margins at both ends, and its distance from the lanes [m]."""
+    """Return the curve smoothed over a width, without the margins at both ends, and its
+    distance from the lanes [m].
+    """
     once = gaussian_filter1d(raw[:2], width / FINE, mode="nearest")
     twice = gaussian_filter1d(once, width / FINE, mode="nearest")
     cut = int(0.9 * MARGIN / FINE)

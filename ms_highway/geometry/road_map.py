@@ -1,4 +1,6 @@
-"""Map a highway-env network: which lanes continue each other, and how to reach a goal. Results are cached."""
+"""Map a highway-env network: which lanes continue each other, and how to reach a goal.
+Results are cached.
+"""
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +30,8 @@ class Spot(NamedTuple):
 
 
 Destination: TypeAlias = str | Spot | tuple[tuple[str, str], ...] | None
-"""A node to reach, a spot on a lane, roads to follow from their beginnings on, or None."""
+"""A node to reach, a spot on a lane, roads to follow from their beginnings on, or None.
+"""
 
 LIMIT = 20.0
 """Speed limit where a lane has none [m/s]."""
@@ -42,7 +45,9 @@ SHARPEST_TURN = 2.0  # rad, at a joint
 TURN = 5.0  # lateral gap that counts like a turn of 1 rad at a joint [m]
 BEFORE, AFTER = 70.0, 260.0  # m, sampled before and after a block
 MAX_ROADS = 50  # that a goal looks ahead
-CROOKED = 0.8  # widths of a lane: others take joints that the robot does not, such as exits from inner lanes
+# widths of a lane: others take joints that the robot does not, such as exits from inner
+# lanes
+CROOKED = 0.8
 BRANCHING_DISTANCE = 60.0  # m ahead within which paths of others may branch
 PATH_LENGTH = 140.0  # m, of paths of others
 TENS = 10.0  # m, resolution of the rest of a lane
@@ -51,7 +56,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kept(function: Function) -> Function:
-    """Cache a function's results by its arguments, on its first argument, with which they disappear."""
+    """Cache a function's results by its arguments, on its first argument, with which
+    they disappear.
+    """
 
     @wraps(function)
     def remembered(owner: Any, *rest: Any) -> Any:
@@ -84,7 +91,9 @@ class Lane:
         self.forbidden = bool(shape.forbidden)
 
     def beside(self, steps: int) -> "Lane | None":
-        """Return the lane that is some steps to the right on the same road, None without one."""
+        """Return the lane that is some steps to the right on the same road, None
+        without one.
+        """
         return self.roads.lanes.get((self.start, self.end, self.number + steps))
 
     @property
@@ -103,7 +112,9 @@ class Lane:
 
     @kept
     def following(self, reach: float = REACH) -> "Lanes":
-        """Return the nearest lane of each next road that this lane leads to, the smoothest joint first."""
+        """Return the nearest lane of each next road that this lane leads to, the
+        smoothest joint first.
+        """
         roads = [
             self.roads.road(self.end, end) for end in self.roads.graph.get(self.end, {})
         ]
@@ -123,7 +134,9 @@ class Lane:
 
     @cached_property
     def refuge(self) -> "Lane | None":
-        """The nearest lane of the same road that continues although this one ends, None without one."""
+        """The nearest lane of the same road that continues although this one ends, None
+        without one.
+        """
         onward = (
             ()
             if self.following()
@@ -144,7 +157,9 @@ class Lane:
 
     @kept
     def branches(self, tens: int) -> "list[Chain]":
-        """Return the chains from some tens of metres before the lane's end on, one for each branch."""
+        """Return the chains from some tens of metres before the lane's end on, one for
+        each branch.
+        """
         found: list[Chain] = []
         open_ends: list[tuple[Lanes, float]] = [((self,), TENS * tens)]
         for lanes, covered in open_ends:
@@ -164,8 +179,9 @@ class Joint(NamedTuple):
     """How a lane continues another one.
 
     Attributes:
-        aside: lateral gap between the end of one and the beginning of the other, in widths of a lane. It is measured
-            across the mean of both headings, along which the chord of an arc that touches both lanes lies.
+        aside: lateral gap between the end of one and the beginning of the other, in
+            widths of a lane. It is measured across the mean of both headings, along
+            which the chord of an arc that touches both lanes lies.
         kink: how far the joint is from smooth [m].
     """
 
@@ -187,7 +203,8 @@ def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
 
 
 class Chain:
-    """Lanes that continue each other. A way is a distance along them from the beginning of the first [m].
+    """Lanes that continue each other. A way is a distance along them from the beginning
+    of the first [m].
 
     Attributes:
         lanes: in order.
@@ -208,7 +225,9 @@ class Chain:
     def curve(
         self, block: float, widths: tuple[float, ...] = SMOOTHING, within: float = inf
     ) -> LaneCurve:
-        """Return the curve along the lanes near a block, by its number; see `join_lanes` for smoothing."""
+        """Return the curve along the lanes near a block, by its number; see
+        `join_lanes` for smoothing.
+        """
         low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
         shapes = [lane.shape for lane in self.lanes]
         return join_lanes(shapes, self.starts, low, high, widths, within)
@@ -235,7 +254,9 @@ class Goal:
                     queue.append(start)
 
     def next(self, lane: Lane | None) -> Lane | None:
-        """Return the next lane, towards the goal if this lane leads there; None where the lane ends."""
+        """Return the next lane, towards the goal if this lane leads there; None where
+        the lane ends.
+        """
         wanted = lane and self.towards.get(lane.end)
         nexts = lane.following() if lane else ()
         return min(
@@ -263,11 +284,13 @@ class Goal:
 
     @kept
     def demand(self, lane: Lane) -> tuple[int, float]:
-        """Return the number of lane changes to the right that the goal asks for, and the distance to make them.
+        """Return the number of lane changes to the right that the goal asks for, and
+        the distance to make them.
 
-        The distance is from the beginning of the lane [m]. Changes are needed before the end of the first road on which
-        the followed lane does not lead to the next road, towards the goal if there is one, while other lanes do. A
-        spot has to be reached on its own lane.
+        The distance is from the beginning of the lane [m]. Changes are needed before
+        the end of the first road on which the followed lane does not lead to the next
+        road, towards the goal if there is one, while other lanes do. A spot has to be
+        reached on its own lane.
         """
         passed = 0.0
         for own in islice(self.onward(lane), MAX_ROADS):
@@ -280,15 +303,17 @@ class Goal:
                 if any(wanted in (None, onward.end) for onward in other.following())
             ]
             if leading and own not in leading:
-                return min(
-                    (other.number - own.number for other in leading), key=abs
-                ), passed
+                return (
+                    min((other.number - own.number for other in leading), key=abs),
+                    passed,
+                )
             if not leading:
                 break
         return 0, inf
 
     def changes(self, chain: Chain, way: float) -> tuple[list[int], float]:
-        """Return the lane changes to the right that the goal asks for from three lanes, and the room for them.
+        """Return the lane changes to the right that the goal asks for from three lanes,
+        and the room for them.
 
         The lanes are those to the left, of the chain itself, and to the right.
 
@@ -343,7 +368,9 @@ class RoadMap:
         return Goal(self, destination)
 
     def branches(self, spots: Sequence[tuple[Lane, float]]) -> list[list[Chain]]:
-        """Return, for each place on a lane [m], the chains from there on, one for each branch."""
+        """Return, for each place on a lane [m], the chains from there on, one for each
+        branch.
+        """
         found = []
         for lane, place in spots:
             rest = max(lane.length - place, 0.0)

@@ -1,17 +1,21 @@
-"""Learn a human's reward from recordings: demonstrations, maximum entropy, prediction, evaluation.
+"""Learn a human's reward from recordings: demonstrations, maximum entropy, prediction,
+evaluation.
 
 Imports `ms_highway.recorded` and what stands below it.
 """
 
 DRIVERS = {
     "keyboard": "a person, with the arrow keys",
-    "maxent": "knows where the other cars go, and draws its controls, segment by segment, from "
-    "p(u) ~ exp(R(u) / temperature)",
+    "maxent": (
+        "knows where the other cars go, and draws its controls, segment by segment,"
+        " from p(u) ~ exp(R(u) / temperature)"
+    ),
 }
 """Name and description of each driver that demonstrates."""
 
 TEMPERATURE = 1e-3
-"""Default temperature of the driver ``maxent``, in units of the reward: controls vary by up to 0.005 1/m and 3 m/s^2.
+"""Default temperature of the driver ``maxent``, in units of the reward: controls vary
+by up to 0.005 1/m and 3 m/s^2.
 """
 
 SIMULATED_WEIGHTS = ("speed", "lane_alignment", "collision_risk")

@@ -1,4 +1,6 @@
-"""Convert CommonRoad scenarios, such as those of the US-101 highway, to recordings in lane coordinates."""
+"""Convert CommonRoad scenarios, such as those of the US-101 highway, to recordings in
+lane coordinates.
+"""
 
 from pathlib import Path
 
@@ -12,23 +14,28 @@ from ms_highway.recorded.scenario import SPEED_LIMIT, Points, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.runtime.arrays import Vector
 
-LANE_SPREAD = 0.5  # m, median deviation from the median offset between two lanes, above which they are not parallel
+# m, median deviation from the median offset between two lanes, above which they are not
+# parallel
+LANE_SPREAD = 0.5
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
-    """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
+    """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``,
+    in the order of their names.
 
-    Every vehicle that drives in lanes is a driver, unless it was seen only once or with a gap, or drives against the
-    road; all other road users are only neighbours. Files cut from one recording, such as ``USA_US101-10_4_T-1`` and
-    ``USA_US101-10_5_T-1``, form a group and may share tracks: a track is a driver in the first file that has it, and
-    only a neighbour in the others.
+    Every vehicle that drives in lanes is a driver, unless it was seen only once or with
+    a gap, or drives against the road; all other road users are only neighbours. Files
+    cut from one recording, such as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``,
+    form a group and may share tracks: a track is a driver in the first file that has
+    it, and only a neighbour in the others.
 
     Args:
         directory: of the files.
         first: number of files to read; None for all.
 
     Raises:
-        ValueError: if there is no file, or a file is not a scenario with lanes, drivers and the time step 0.1 s.
+        ValueError: if there is no file, or a file is not a scenario with lanes, drivers
+            and the time step 0.1 s.
     """
     counted, recordings = set[tuple](), []
     for path in scenario_files(directory)[:first]:
@@ -41,7 +48,9 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 
 
 def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
-    """Convert a scenario to a recording; add its drivers to those that earlier files have counted."""
+    """Convert a scenario to a recording; add its drivers to those that earlier files
+    have counted.
+    """
     road, tracks = straight_road(scenario), scenario.tracks
     curve, lanes = _parallel_lanes(road.lines)
     states, drivers = (
@@ -90,7 +99,8 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
 
 
 def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:
-    """Return the curve of the leftmost lane of the road, and the distance of each lane to its right [m], ascending.
+    """Return the curve of the leftmost lane of the road, and the distance of each lane
+    to its right [m], ascending.
 
     The road is the largest set of parallel lines: a ramp is parallel only to itself.
     """
@@ -103,10 +113,12 @@ def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:
 
 
 def _offset(curve: Curve, line: Points) -> float:
-    """Return the median distance of a line to the right of a curve [m]; NaN if it is not parallel, or goes back.
+    """Return the median distance of a line to the right of a curve [m]; NaN if it is
+    not parallel, or goes back.
 
-    A line may be much shorter than the curve. A ramp that approaches is not parallel: in recording 10 of US-101, it
-    comes from 40 m away, and nobody drives at its median offset of 23 m.
+    A line may be much shorter than the curve. A ramp that approaches is not parallel:
+    in recording 10 of US-101, it comes from 40 m away, and nobody drives at its median
+    offset of 23 m.
     """
     along, aside = curve.locate(line)
     middle = float(np.median(aside))

@@ -47,10 +47,11 @@ def record(
     seed: int = 0,
     temperature: float = TEMPERATURE,
 ) -> Iterator[int]:
-    """Record the episodes that a data set lacks; each is on disk before the next begins.
+    """Record the episodes that a data set lacks; each is on disk before the next
+    begins.
 
-    Episode k has the seed ``seed + k``, and the densities take turns. Yields the number of recorded episodes, at the
-    start and after every episode.
+    Episode k has the seed ``seed + k``, and the densities take turns. Yields the number
+    of recorded episodes, at the start and after every episode.
 
     Args:
         driver: one of `DRIVERS`.
@@ -61,22 +62,28 @@ def record(
         temperature: of the driver ``maxent``, in units of the reward.
 
     Raises:
-        ValueError: for an unknown driver, unknown or no densities, impossible numbers, or a data set that was recorded
-            with other settings.
+        ValueError: for an unknown driver, unknown or no densities, impossible numbers,
+            or a data set that was recorded with other settings.
         ImportError: without the packages of the extra ``demonstrations``.
         OSError: if the driver is ``keyboard`` and there is no display.
-        KeyboardInterrupt: if the person closes the window; the current episode is discarded.
+        KeyboardInterrupt: if the person closes the window; the current episode is
+            discarded.
     """
     if driver not in DRIVERS:
         raise ValueError(f"the driver is {driver!r}; give one of {', '.join(DRIVERS)}")
     if episodes < 1 or seed < 0 or not 0 < temperature < np.inf:
-        asked = f"{episodes} episodes from the seed {seed}, with the temperature {temperature}"
+        asked = (
+            f"{episodes} episodes from the seed {seed}, with the temperature"
+            f" {temperature}"
+        )
         raise ValueError(
-            f"{asked}; give one episode at least, no negative seed, and a positive finite temperature"
+            f"{asked}; give one episode at least, no negative seed, and a positive"
+            " finite temperature"
         )
     if not densities or not {*densities} <= {*DENSITIES}:
         raise ValueError(
-            f"the densities are {list(densities)}; give at least one of {', '.join(DENSITIES)}"
+            f"the densities are {list(densities)}; give at least one of"
+            f" {', '.join(DENSITIES)}"
         )
     settings: dict[str, Any] = {
         "driver": driver,
@@ -151,7 +158,8 @@ def actions(
 
     Args:
         driver: one of `DRIVERS`.
-        env: the environment; the caller steps it with every action before it takes the next one.
+        env: the environment; the caller steps it with every action before it takes the
+            next one.
         seed: of the driver's random numbers.
         temperature: of the driver ``maxent``.
     """
@@ -180,17 +188,19 @@ def actions(
 
 
 def load_demonstrations(dataset: str) -> list[Recording]:
-    """Read the episodes of a recorded data set; car 0 is the driver, and every episode is a group.
+    """Read the episodes of a recorded data set; car 0 is the driver, and every episode
+    is a group.
 
     Raises:
-        ValueError: if there is no such data set, or it is damaged or of another version; the message names the problem
-            and the remedy.
+        ValueError: if there is no such data set, or it is damaged or of another
+            version; the message names the problem and the remedy.
         ImportError: without the packages of the extra ``demonstrations``.
     """
     data = _data_directory(dataset)
     if not data.is_dir():
         raise ValueError(
-            f"there is no data set {dataset} in {data.parent}; record it with `ms-highway irl record`"
+            f"there is no data set {dataset} in {data.parent}; record it with"
+            " `ms-highway irl record`"
         )
     with _opened(data) as (stored, made):
         if (made.get("format"), made.get("time_step")) != (FORMAT, TIME_STEP):
@@ -202,7 +212,9 @@ def load_demonstrations(dataset: str) -> list[Recording]:
 
 
 def _episode(name: str, observations: np.ndarray) -> Recording:
-    """Return an episode's observations [times, cars, presence and state] as a recording."""
+    """Return an episode's observations [times, cars, presence and state] as a
+    recording.
+    """
     tracks = np.asarray(observations, dtype=float)
     for step, car, _ in np.argwhere(
         ~np.isfinite(tracks)
@@ -235,8 +247,8 @@ def _data_directory(dataset: str) -> Path:
         ImportError: without the packages of the extra ``demonstrations``.
     """
     with needing("demonstrations"):
-        import h5py  # noqa: F401
-        import minari  # noqa: F401
+        import h5py
+        import minari
         from minari.dataset.minari_dataset import parse_dataset_id
         from minari.namespace import validate_namespace
         from minari.storage import get_dataset_path
@@ -247,7 +259,8 @@ def _data_directory(dataset: str) -> Path:
             validate_namespace(namespace)  # which needs two characters
     except ValueError as error:
         raise ValueError(
-            f"{dataset!r} names no data set ({error}); name it like ms-highway/maxent-v0"
+            f"{dataset!r} names no data set ({error}); name it like"
+            " ms-highway/maxent-v0"
         ) from error
     return get_dataset_path(dataset) / "data"
 
@@ -265,7 +278,10 @@ def _opened(data: Path) -> Iterator[tuple[Any, dict[str, Any]]]:
         stored = minari.MinariDataset(data)
         yield stored, stored.storage.metadata.get(PROVENANCE) or {}
     except BROKEN as error:
-        remedy = "choose another, or delete it and record it again with `ms-highway irl record`"
+        remedy = (
+            "choose another, or delete it and record it again with `ms-highway irl"
+            " record`"
+        )
         raise ValueError(
             f"data set {data.parent} cannot be used ({error}); {remedy}"
         ) from error
@@ -276,8 +292,8 @@ def _store(
 ) -> None:
     """Add an episode, Minari's ``EpisodeBuffer``, to a data set.
 
-    An HDF5 file is unreadable if its process is stopped while it writes. The episode is therefore added to a copy,
-    which then replaces the original.
+    An HDF5 file is unreadable if its process is stopped while it writes. The episode is
+    therefore added to a copy, which then replaces the original.
     """
     import minari
 

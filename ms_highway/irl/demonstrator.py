@@ -1,7 +1,9 @@
-"""The simulated demonstrator: it knows the other cars' future motion and draws its controls by a known reward.
+"""The simulated demonstrator: it knows the other cars' future motion and draws its
+controls by a known reward.
 
-It plans a segment as long as the planner's horizon, executes all of it, and plans the next one. The return R_H of a
-segment is the sum of the reward over its steps, less the discomfort of its controls.
+It plans a segment as long as the planner's horizon, executes all of it, and plans the
+next one. The return R_H of a segment is the sum of the reward over its steps, less the
+discomfort of its controls.
 """
 
 from functools import partial
@@ -25,8 +27,10 @@ DRIVER_WEIGHTS = {
     "comfort_steering": 0.1,
     "comfort_acceleration": 0.1,
 }
-"""Weights of the demonstrated reward: the paper's, without the indicator of a collision, which is not differentiable,
-and with comfort, without which some controls would have no effect on the reward."""
+"""Weights of the demonstrated reward: the paper's, without the indicator of a
+collision, which is not differentiable, and with comfort, without which some controls
+would have no effect on the reward.
+"""
 
 FLOOR = (
     0.05  # least size of the eigenvalues of Hessians: half of the curvature of comfort
@@ -75,7 +79,8 @@ class Search(NamedTuple):
 
 
 def seen_from(car: States, routes: States) -> tuple[States, Motion]:
-    """Return a driver's state and the motion of the others after each step, with x measured from the driver.
+    """Return a driver's state and the motion of the others after each step, with x
+    measured from the driver.
 
     Float32 resolves these better than positions far along the road.
 
@@ -109,10 +114,12 @@ def segment_return(game: Game, car: States, others: Motion) -> Objective:
 
 @jax.jit
 def optimal(game: Game, car: States, others: Motion) -> Optimum:
-    """Find the local optimum of R_H that is uphill from keeping the velocity; takes what `segment_return` takes.
+    """Find the local optimum of R_H that is uphill from keeping the velocity; takes
+    what `segment_return` takes.
 
-    Takes Newton steps, each with its own Hessian, until no component of the gradient exceeds 1e-3, no step earns more,
-    or 50 steps are taken. Where float32 cannot tell which controls earn more, it takes whole steps.
+    Takes Newton steps, each with its own Hessian, until no component of the gradient
+    exceeds 1e-3, no step earns more, or 50 steps are taken. Where float32 cannot tell
+    which controls earn more, it takes whole steps.
     """
     objective = segment_return(game, car, others)
 
@@ -151,11 +158,13 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
 def maxent(
     game: Game, car: States, others: Motion, key: jax.Array, temperature: Scalar
 ) -> Controls:
-    """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum u*, within the limits.
+    """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum
+    u*, within the limits.
 
-    Draws 20 proposals from the Laplace approximation ``N(u*, temperature (-H)^-1)``, in which each eigenvalue l of H is
-    replaced by ``-max(|l|, 0.05)``, and resamples one of them by importance. Where no proposal is within the limits, it
-    returns the optimum.
+    Draws 20 proposals from the Laplace approximation ``N(u*, temperature (-H)^-1)``, in
+    which each eigenvalue l of H is replaced by ``-max(|l|, 0.05)``, and resamples one
+    of them by importance. Where no proposal is within the limits, it returns the
+    optimum.
 
     Args:
         game: see `segment_return`.

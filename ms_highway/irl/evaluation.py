@@ -1,4 +1,6 @@
-"""Evaluate learned drivers on recordings, beside the peers of `ms_highway.irl.prediction`."""
+"""Evaluate learned drivers on recordings, beside the peers of
+`ms_highway.irl.prediction`.
+"""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -43,12 +45,14 @@ class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
 
     Attributes:
         predictors: `metrics` of each predictor, by name.
-        situations: mean ``distance`` [m] and mean ``log_p``, by driving regime (see `driving_regimes`) and predictor;
-            ``windows`` stands beside the predictors and is the number of predictions.
+        situations: mean ``distance`` [m] and mean ``log_p``, by driving regime (see
+            `driving_regimes`) and predictor; ``windows`` stands beside the predictors
+            and is the number of predictions.
         windows: number of predictions.
         tracks: number of drivers.
         folds: weights that were learned in each fold of a cross-validation.
-        learned_from: number of recordings that the drivers were learned from, or that may share drivers with these.
+        learned_from: number of recordings that the drivers were learned from, or that
+            may share drivers with these.
     """
 
     predictors: dict[str, dict[str, ByHorizon]]
@@ -85,13 +89,16 @@ def prediction_errors(mixture: Mixture, recorded: Paths) -> Errors:
 
 
 def metrics(errors: Errors) -> dict[str, ByHorizon]:
-    """Return the metrics of a predictor by name and horizon in seconds, over the drivers that are seen until then.
+    """Return the metrics of a predictor by name and horizon in seconds, over the
+    drivers that are seen until then.
 
     Returns:
-        ``fde``, the mean distance at the horizon [m]; ``ade``, the mean distance up to the horizon [m]; ``rmse``, the
-        root mean square of the distance at the horizon [m]; ``miss``, the share of drivers who are more than 2 m off at
-        the horizon; ``log_p``, the mean log density of the recorded positions [1/m^2]; ``inside 50`` and so on, the
-        share of drivers in the region of highest density that holds 50 % of the probability.
+        ``fde``, the mean distance at the horizon [m]; ``ade``, the mean distance up to
+        the horizon [m]; ``rmse``, the root mean square of the distance at the horizon
+        [m]; ``miss``, the share of drivers who are more than 2 m off at the horizon;
+        ``log_p``, the mean log density of the recorded positions [1/m^2]; ``inside 50``
+        and so on, the share of drivers in the region of highest density that holds 50 %
+        of the probability.
     """
     rows: dict[str, ByHorizon] = {}
     for horizon, at in zip(map(str, HORIZONS), AT, strict=True):
@@ -122,30 +129,36 @@ def evaluate(
     parts: int = 4,
     progress: Progress = silent,
 ) -> Evaluation:
-    """Evaluate learned drivers on recordings; or cross-validate: learn from the other folds to predict each fold.
+    """Evaluate learned drivers on recordings; or cross-validate: learn from the other
+    folds to predict each fold.
 
-    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning that names them.
+    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning
+    that names them.
 
     Args:
-        recordings: all recordings; a cross-validation splits them by group, and so by driver.
+        recordings: all recordings; a cross-validation splits them by group, and so by
+            driver.
         learned: the drivers; None for a cross-validation.
         parts: number of folds of a cross-validation.
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if a peer is missing, a cross-validation has only one fold, or no driver was seen for long enough.
+        ValueError: if a peer is missing, a cross-validation has only one fold, or no
+            driver was seen for long enough.
     """
     snapshots = cut_snapshots(usable_recordings(recordings)[0])
     held_out = folds(snapshots.group, 1 if learned else parts)
     if not learned and len(held_out) < 2:
         raise ValueError(
-            "cross-validation needs two folds and recordings of two groups; give more, or evaluate a theta"
+            "cross-validation needs two folds and recordings of two groups; give more,"
+            " or evaluate a theta"
         )
     results, weights = [], []
     for number, chosen in enumerate(held_out, 1):
         some = snapshots.of(chosen)
         progress(
-            f"fold {number} of {len(held_out)}, with {some.predicted.sum()} drivers to predict"
+            f"fold {number} of {len(held_out)}, with {some.predicted.sum()} drivers to"
+            " predict"
         )
         drivers = learned or learn_drivers(snapshots.only(~chosen), intervals=False)
         weights.append({"drivers": drivers.weights})
@@ -170,11 +183,13 @@ def evaluate(
 
 
 def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
-    """Return which predicted drivers are in each regime, by name; a driver may be in several, or in none.
+    """Return which predicted drivers are in each regime, by name; a driver may be in
+    several, or in none.
 
-    *lane change*: moves 1.5 m to the side within 3 s. *braking*, *accelerating*: by more than 1 m/s^2 on average over
-    3 s. *slow*: below 5 m/s at the start. *no leader*: nobody within 50 m ahead in the own lane at the start.
-    *following*: none of the other regimes. Drivers who are seen for less than 3 s are in none.
+    *lane change*: moves 1.5 m to the side within 3 s. *braking*, *accelerating*: by
+    more than 1 m/s^2 on average over 3 s. *slow*: below 5 m/s at the start. *no
+    leader*: nobody within 50 m ahead in the own lane at the start. *following*: none of
+    the other regimes. Drivers who are seen for less than 3 s are in none.
     """
     start, later = (
         snapshots.drivers(snapshots.now),
@@ -201,7 +216,9 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
 def metrics_by_regime(
     errors: dict[str, Errors], regimes: dict[str, Flags]
 ) -> Situations:
-    """Return the mean distance and log density by regime, predictor and horizon, see `Evaluation.situations`."""
+    """Return the mean distance and log density by regime, predictor and horizon, see
+    `Evaluation.situations`.
+    """
     rows: Situations = {"distance": {}, "log_p": {}}
     for regime, chosen in regimes.items():
         if chosen.any():

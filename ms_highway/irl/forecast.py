@@ -1,4 +1,6 @@
-"""Predict where the cars of one moment of traffic will be, without a recording: modes, means and covariances."""
+"""Predict where the cars of one moment of traffic will be, without a recording: modes,
+means and covariances.
+"""
 
 from typing import Any, NamedTuple
 
@@ -15,18 +17,21 @@ from ms_highway.irl.prediction import predict_with
 from ms_highway.irl.snapshots import Snapshots
 from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 
-ROOM = 16  # cars are padded to a multiple of this, so that functions are compiled for few numbers of cars
+# cars are padded to a multiple of this, so that functions are compiled for few numbers
+# of cars
+ROOM = 16
 WITHIN = (
     2 * np.log(2)
 )  # squared radius, in standard deviations, that holds half of a bivariate normal distribution
 
 
 class Forecast(NamedTuple):
-    """Where cars may be. In mode 0 a car stays in its lane, in mode 1 it changes to the left, in mode 2 to the right.
+    """Where cars may be. In mode 0 a car stays in its lane, in mode 1 it changes to the
+    left, in mode 2 to the right.
 
-    The predicted distributions are Student's t: their tails are heavier than normal, and their variance may be
-    infinite. The covariance of a mode is therefore that of the normal distribution whose region of 50 % probability is
-    the same.
+    The predicted distributions are Student's t: their tails are heavier than normal,
+    and their variance may be infinite. The covariance of a mode is therefore that of
+    the normal distribution whose region of 50 % probability is the same.
 
     Attributes:
         times: of the predicted positions [s].
@@ -58,25 +63,31 @@ def predict(
 ) -> Forecast:
     """Predict all cars of a moment on a straight road, together, every 0.1 s.
 
-    All numbers are in SI units, with x along the road and y to the right. The first call for each predictor compiles
-    functions, and so does the first call for each further 16 cars.
+    All numbers are in SI units, with x along the road and y to the right. The first
+    call for each predictor compiles functions, and so does the first call for each
+    further 16 cars.
 
     Args:
-        states: x, y, heading and speed of every car now [cars, 4]; or [times, cars, 4], every 0.1 s from up to 3 s
-            before until now, NaN where a car was not seen. The past shows what drivers want.
+        states: x, y, heading and speed of every car now [cars, 4]; or [times, cars, 4],
+            every 0.1 s from up to 3 s before until now, NaN where a car was not seen.
+            The past shows what drivers want.
         lanes: lateral position of each lane's centre [m].
-        speed_limit: of the road, to which drivers' desired speeds are proportional [m/s].
+        speed_limit: of the road, to which drivers' desired speeds are proportional
+            [m/s].
         seconds: how far ahead to predict, from 0.1 to 5 s.
-        predictor: of `ms_highway.irl.prediction.PREDICTORS`: ``"model"``, the learned drivers; ``"idm"``, highway-env's
-            Intelligent Driver Model; ``"fitted_idm"``, that model fitted to the same drivers; ``"constant_velocity"``.
+        predictor: of `ms_highway.irl.prediction.PREDICTORS`: ``"model"``, the learned
+            drivers; ``"idm"``, highway-env's Intelligent Driver Model;
+            ``"fitted_idm"``, that model fitted to the same drivers;
+            ``"constant_velocity"``.
         sizes: length and width of all cars, or of each [cars, 2] [m].
         lane_width: of a lane [m].
-        learned: the learned drivers, or a reward with such drivers; they also hold the spread of every predictor. By
-            default, the drivers of US-101 that come with the package.
+        learned: the learned drivers, or a reward with such drivers; they also hold the
+            spread of every predictor. By default, the drivers of US-101 that come with
+            the package.
 
     Raises:
-        ValueError: for arrays of other shapes, cars that are not seen now, an unknown predictor or a number out of
-            range.
+        ValueError: for arrays of other shapes, cars that are not seen now, an unknown
+            predictor or a number out of range.
     """
     past, centres, bodies = (
         np.array(values, dtype=float) for values in (states, lanes, sizes)
@@ -85,9 +96,13 @@ def predict(
     past[..., 2:3] = without_turns(past[..., 2:3])
     shaped = past.ndim == 3 and past.shape[2] == 4 and len(past) <= PAST_STEPS + 1
     if not (shaped and past.size and np.isfinite(past[-1]).all()):
-        message = f"finite numbers [cars, 4], or up to {PAST_STEPS + 1} times of them, finite at the last"
+        message = (
+            f"finite numbers [cars, 4], or up to {PAST_STEPS + 1} times of them, finite"
+            " at the last"
+        )
         raise ValueError(
-            f"states are of shape {np.shape(states)}, or not all seen now; give {message}"
+            f"states are of shape {np.shape(states)}, or not all seen now; give"
+            f" {message}"
         )
     cars, steps = past.shape[1], round(seconds / TIME_STEP)
     for name, value, right in (
@@ -103,7 +118,8 @@ def predict(
     ):
         if not right:
             raise ValueError(
-                f"{name} cannot be {value!r}; give positive finite numbers as `help(predict)` says"
+                f"{name} cannot be {value!r}; give positive finite numbers as"
+                " `help(predict)` says"
             )
     missing = 0, -cars % ROOM
     near = np.pad(

@@ -1,4 +1,6 @@
-"""Learn a reward from recordings: cut them into segments, fit the weights, cross-validate, compare feature counts."""
+"""Learn a reward from recordings: cut them into segments, fit the weights,
+cross-validate, compare feature counts.
+"""
 
 import warnings
 from collections.abc import Sequence
@@ -40,10 +42,13 @@ from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.process import Progress, silent
 
 COMFORT_GIVEN = 0.1
-"""Given comfort weight, which sets the scale of all others; small against the curvature of the published weights."""
+"""Given comfort weight, which sets the scale of all others; small against the curvature
+of the published weights.
+"""
 
 STEADY = 1e-4
-"""Controls that differ by less than this part of the planner's scale from those that keep the velocity are no choice.
+"""Controls that differ by less than this part of the planner's scale from those that
+keep the velocity are no choice.
 
 In SI units, this is 3 mm/s^2; recorded accelerations waver by more than 100.
 """
@@ -52,14 +57,18 @@ SIMULATED = RewardModel(
     SIMULATED_WEIGHTS,
     {"off_road": COMMON_WEIGHTS["off_road"], **dict.fromkeys(COMFORT, COMFORT_GIVEN)},
 )
-"""The model for simulated demonstrations: it learns the weights that every driver in the paper has.
+"""The model for simulated demonstrations: it learns the weights that every driver in
+the paper has.
 
-The weight of leaving the road is given, as it cannot be learned: the feature is 0 on the road, and segments along the
-road's edge are left out, see `ms_highway.irl.segments.regular`.
+The weight of leaving the road is given, as it cannot be learned: the feature is 0 on
+the road, and segments along the road's edge are left out, see
+`ms_highway.irl.segments.regular`.
 """
 
 REAL = RewardModel(REAL_WEIGHTS, {"comfort_acceleration": COMFORT_GIVEN}, tails=True)
-"""The model for real drivers: it also learns weights of interaction with traffic, and of comfort in steering."""
+"""The model for real drivers: it also learns weights of interaction with traffic, and
+of comfort in steering.
+"""
 
 
 def learn_reward(
@@ -71,11 +80,13 @@ def learn_reward(
     *,
     progress: Progress = silent,
 ) -> LearnedReward:
-    """Learn a reward from all drivers of the recordings; from measured recordings, also learn drivers seconds ahead.
+    """Learn a reward from all drivers of the recordings; from measured recordings, also
+    learn drivers seconds ahead.
 
-    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning that names them. Where a driver
-    never steers or never changes its speed, its controls are exactly the best ones, and weights may grow without bound.
-    Only if they do, these segments are left out as well, with a warning.
+    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning
+    that names them. Where a driver never steers or never changes its speed, its
+    controls are exactly the best ones, and weights may grow without bound. Only if they
+    do, these segments are left out as well, with a warning.
 
     Args:
         recordings: the recordings to learn from.
@@ -86,8 +97,8 @@ def learn_reward(
         progress: called with a message when a part begins.
 
     Raises:
-        ValueError: if no driver is usable, no segment is regular, the weights diverge, a fit does not converge, or
-            `learn_drivers` fails.
+        ValueError: if no driver is usable, no segment is regular, the weights diverge,
+            a fit does not converge, or `learn_drivers` fails.
     """
     recordings, left_out = usable_recordings(recordings)
     progress("cutting segments")
@@ -110,22 +121,25 @@ def learn_reward(
         if not steady.any():
             driver = labels[segments.driver[error.likeliest]]
             raise ValueError(
-                f"the weights cannot be learned: {error.what} without bound, because the driving of {driver} fits them "
-                "perfectly; leave this driver out, learn fewer weights, or learn from more driving"
+                f"the weights cannot be learned: {error.what} without bound, because"
+                f" the driving of {driver} fits them perfectly; leave this driver out,"
+                " learn fewer weights, or learn from more driving"
             ) from error
         names = list(
             dict.fromkeys(labels[driver] for driver in segments.driver[steady])
         )
         if steady.all():
             raise ValueError(
-                f"nothing can be learned from {listed(names)}: no driver ever steers, or none changes its speed"
+                f"nothing can be learned from {listed(names)}: no driver ever steers,"
+                " or none changes its speed"
             ) from error
         left_out |= dict.fromkeys(
             names, "has segments in which its speed or heading does not change at all"
         )
         warnings.warn(
-            f"{steady.sum()} of {len(segments)} segments are left out, in which the speed or the heading does not "
-            f"change at all ({listed(names)}): with them, {error.what} without bound",
+            f"{steady.sum()} of {len(segments)} segments are left out, in which the"
+            f" speed or the heading does not change at all ({listed(names)}): with"
+            f" them, {error.what} without bound",
             stacklevel=2,
         )
         segments = segments.of(~steady)
@@ -192,16 +206,20 @@ def keeps_velocity(segments: Segments) -> Flags:
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def best_controls(game: Game, segment: Segments) -> Controls:
-    """Return the unscaled controls of a local optimum in each segment under the weights of a `driver_game`."""
+    """Return the unscaled controls of a local optimum in each segment under the weights
+    of a `driver_game`.
+    """
     best = optimal(with_segment(game, segment), segment.start, observe(segment.others))
     return best.controls * game.planner.control_scale
 
 
 def expected_features(segments: Segments, found: Fit) -> Vector:
-    """Return the expected sums of the features over a segment under the fit's distribution of controls.
+    """Return the expected sums of the features over a segment under the fit's
+    distribution of controls.
 
-    They are means over the segments, to second order around the best controls u*: ``phi(u*) + tr(H_phi S) / 2`` with
-    ``S = T (-H)^-1``, where the eigenvalues of -H are bounded as in the fit.
+    They are means over the segments, to second order around the best controls u*:
+    ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, where the eigenvalues of -H
+    are bounded as in the fit.
     """
     sharp = {name: weight / found.temperature for name, weight in found.weights.items()}
     best = in_batches(partial(best_controls, driver_game(segments, sharp)), segments)

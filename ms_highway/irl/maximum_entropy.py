@@ -1,21 +1,26 @@
-"""Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
+"""Maximum-entropy inverse reinforcement learning: the reward that makes recorded
+driving likely.
 
-The model: a driver draws the d controls u of a segment, in the planner's scaled units, from
+The model: a driver draws the d controls u of a segment, in the planner's scaled units,
+from
 
     p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
 
-where phi sums the features along the segment, comfort among them, while the other cars move as recorded. Let g and H
-be the gradient and the Hessian of R / T at the recorded controls. Laplace's approximation of the integral around these
-controls gives (Levine and Koltun 2012, Eq. 4)
+where phi sums the features along the segment, comfort among them, while the other cars
+move as recorded. Let g and H be the gradient and the Hessian of R / T at the recorded
+controls. Laplace's approximation of the integral around these controls gives (Levine
+and Koltun 2012, Eq. 4)
 
     log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
 
-The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
-theta: the features' derivatives are computed once, and a fit then takes seconds.
+The first term is large if the driver was near an optimum, the second if that optimum is
+sharp. g and H are linear in theta: the features' derivatives are computed once, and a
+fit then takes seconds.
 
-Real drivers are mostly near an optimum, and now and then far from it. Their temperature therefore varies from segment
-to segment: it is T times an inverse-gamma variable with both parameters ``nu / 2``. This makes p a multivariate
-Student t distribution with nu degrees of freedom, called its *tails*::
+Real drivers are mostly near an optimum, and now and then far from it. Their temperature
+therefore varies from segment to segment: it is T times an inverse-gamma variable with
+both parameters ``nu / 2``. This makes p a multivariate Student t distribution with nu
+degrees of freedom, called its *tails*::
 
     log p(u) = -(nu + d) / 2 log(1 - g^T H^-1 g / nu) + log det(-H) / 2
                + log Gamma((nu + d) / 2) - log Gamma(nu / 2) - (d / 2) log(nu pi)
@@ -47,7 +52,9 @@ from ms_highway.runtime.arrays import Scalar, Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
-PRIOR_SPREAD = 4.0  # standard deviation of log |theta| and log T around 0: weak, as two of them are a factor of 3000
+# standard deviation of log |theta| and log T around 0: weak, as two of them are a
+# factor of 3000
+PRIOR_SPREAD = 4.0
 DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
 TOLERANCE = (
     1e-3  # largest slope of the loss, in any logarithm, of a fit that has converged
@@ -66,7 +73,8 @@ TRUST_REGION = {
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FeatureDerivatives(Rows):
-    """The features of n segments and their derivatives in the d scaled controls, at the recorded controls.
+    """The features of n segments and their derivatives in the d scaled controls, at the
+    recorded controls.
 
     Attributes:
         features: phi, summed along each segment.
@@ -83,7 +91,8 @@ class DivergenceError(ValueError):
     """The likelihood has no maximum.
 
     Attributes:
-        what: which weights grow, and whether the temperature grows or falls, without bound.
+        what: which weights grow, and whether the temperature grows or falls, without
+            bound.
         likeliest: number of the segment whose likelihood grows most.
     """
 
@@ -91,8 +100,8 @@ class DivergenceError(ValueError):
         self.what = what
         self.likeliest = likeliest
         super().__init__(
-            f"the weights cannot be learned: {what} without bound, because some driving fits them perfectly; learn "
-            "fewer weights, or from more driving"
+            f"the weights cannot be learned: {what} without bound, because some driving"
+            " fits them perfectly; learn fewer weights, or from more driving"
         )
 
 
@@ -102,13 +111,16 @@ class Fit:
 
     Attributes:
         model: the weights that were learned and those given.
-        logarithms: of the learned weights' sizes, of the temperature T and, in a model with tails, of nu.
-        covariance: of the logarithms: the inverse of minus the Hessian of the log-likelihood and prior; if drivers are
-            given, `grouped_covariance`, as the segments of one driver are not independent.
+        logarithms: of the learned weights' sizes, of the temperature T and, in a model
+            with tails, of nu.
+        covariance: of the logarithms: the inverse of minus the Hessian of the
+            log-likelihood and prior; if drivers are given, `grouped_covariance`, as the
+            segments of one driver are not independent.
         iterations: of the optimiser.
         log_likelihood: mean over the segments.
         weights: all of them, by name.
-        temperature: T, the spread of the drivers around the optimum, in units of the reward.
+        temperature: T, the spread of the drivers around the optimum, in units of the
+            reward.
         tails: degrees of freedom nu, None for a normal distribution.
     """
 
@@ -140,7 +152,8 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
         segment = np.isfinite(sums).argmin()
         start = segments.start[segment]
         raise ValueError(
-            f"the features of segment {segment} have no finite derivatives; it starts at {start}"
+            f"the features of segment {segment} have no finite derivatives; it starts"
+            f" at {start}"
         )
     return derivatives
 
@@ -148,7 +161,9 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
-    """Return the derivatives of all features and of `COMFORT`, so that one compilation serves any choice of them."""
+    """Return the derivatives of all features and of `COMFORT`, so that one compilation
+    serves any choice of them.
+    """
 
     def features(controls: jax.Array) -> jax.Array:
         return summed_features(game, segment, controls.reshape(-1, 2))
@@ -170,7 +185,8 @@ def log_likelihoods(
     floor: float,
     tails: float | Scalar | None = None,
 ) -> Vector:
-    """Return Laplace's log p of the scaled controls in every segment; eigenvalues of -H are at least ``floor / T``.
+    """Return Laplace's log p of the scaled controls in every segment; eigenvalues of -H
+    are at least ``floor / T``.
 
     Args:
         derivatives: of the features in every segment.
@@ -210,7 +226,9 @@ def log_likelihoods(
 
 
 def segment_log_likelihoods(derivatives: FeatureDerivatives, found: Fit) -> Vector:
-    """Return `log_likelihoods` of the scaled controls in every segment under a fit, in double precision."""
+    """Return `log_likelihoods` of the scaled controls in every segment under a fit, in
+    double precision.
+    """
     with double_precision():
         theta = np.array([found.weights[name] for name in found.model.names])
         return np.asarray(
@@ -226,19 +244,23 @@ def fit_weights(
     near: Fit | None = None,
     drivers: Numbers | None = None,
 ) -> Fit:
-    """Fit the weights and the temperature that make segments most likely under a weak prior, in double precision.
+    """Fit the weights and the temperature that make segments most likely under a weak
+    prior, in double precision.
 
-    The logarithms of the weights' sizes and of the temperature have independent normal priors with mean 0 and standard
-    deviation 4. Where the segments carry no information about a weight, its prior remains, and the covariance shows it.
+    The logarithms of the weights' sizes and of the temperature have independent normal
+    priors with mean 0 and standard deviation 4. Where the segments carry no information
+    about a weight, its prior remains, and the covariance shows it.
 
     Args:
         derivatives: of the features ``model.names``, in their order.
         model: the weights to learn and those given.
         near: a fit to start from.
-        drivers: number of each segment's driver, for the covariance; by default, all segments are independent.
+        drivers: number of each segment's driver, for the covariance; by default, all
+            segments are independent.
 
     Raises:
-        DivergenceError: if weights grow, or the temperature grows or falls, without bound.
+        DivergenceError: if weights grow, or the temperature grows or falls, without
+            bound.
         ValueError: if the fit does not converge.
     """
     learned, remedy = len(model.learned), "learn fewer weights, or from more driving"
@@ -292,7 +314,10 @@ def fit_weights(
         best, weights, hessian = found.x, model.weights(found.x), curvature(found.x)
         (_, likelihoods), slope = _loss(best, *data)
         if np.abs(slope).max() >= TOLERANCE:
-            far = f"{names[np.abs(slope).argmax()]} still changes after {found.nit} iterations"
+            far = (
+                f"{names[np.abs(slope).argmax()]} still changes after {found.nit}"
+                " iterations"
+            )
             raise ValueError(f"the fit has not converged: {far}; {remedy}")
         covariance = np.linalg.pinv(
             len(derivatives) * (hessian + hessian.T) / 2, hermitian=True
@@ -339,9 +364,10 @@ def _segment_likelihoods(
 def _loss(logarithms: Parameters, *data: Any) -> tuple[Scalar, Vector]:
     """Return minus the mean log p under the prior, and log p of each segment."""
     each = _segment_likelihoods(logarithms, *data)
-    return jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(
-        each
-    ), each
+    return (
+        jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each),
+        each,
+    )
 
 
 _segment_scores = jit_quickly(

@@ -1,4 +1,6 @@
-"""Predicted distributions of drivers' positions: mixtures of Student t distributions around the paths of modes."""
+"""Predicted distributions of drivers' positions: mixtures of Student t distributions
+around the paths of modes.
+"""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +15,8 @@ from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.runtime.arrays import Scalar, plain
 
 DRAWS = 256
-"""Number of draws from a predicted distribution by which `density_level` is estimated."""
+"""Number of draws from a predicted distribution by which `density_level` is estimated.
+"""
 
 LEAST, FARTHEST = (
     1e-30,
@@ -21,7 +24,9 @@ LEAST, FARTHEST = (
 )  # of a chi-square, and of a draw [m]: heavy tails exceed floating-point numbers
 
 SIDES = np.array([0, -1, 1])
-"""Number of lanes to the right by which a driver changes in each mode of the learned drivers."""
+"""Number of lanes to the right by which a driver changes in each mode of the learned
+drivers.
+"""
 
 EVERY = 5  # steps between those at which distributions are fitted
 FIRST = (
@@ -66,7 +71,9 @@ class Mixture(NamedTuple):
 
 
 def expected_path(modes: Modes) -> Paths:
-    """Return the mean of the modes' paths, the single path from which errors are measured."""
+    """Return the mean of the modes' paths, the single path from which errors are
+    measured.
+    """
     return np.einsum(
         "nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path)
     )
@@ -74,7 +81,9 @@ def expected_path(modes: Modes) -> Paths:
 
 @jax.jit
 def log_density(mixture: Mixture, positions: Paths) -> Steps:
-    """Return the log density of positions after each step [1/m^2]; NaN where a position is NaN."""
+    """Return the log density of positions after each step [1/m^2]; NaN where a position
+    is NaN.
+    """
     modes, spread = mixture
     scales, freedom = (
         spread.scales(*modes.path.shape[1:3]),
@@ -90,9 +99,11 @@ def log_density(mixture: Mixture, positions: Paths) -> Steps:
 
 
 def density_level(mixture: Mixture, positions: Paths) -> Steps:
-    """Estimate the probability of the region of highest density that has each position on its edge, by `DRAWS` draws.
+    """Estimate the probability of the region of highest density that has each position
+    on its edge, by `DRAWS` draws.
 
-    If the predicted spread is right, levels are distributed uniformly: half of the drivers are in the 50 % region.
+    If the predicted spread is right, levels are distributed uniformly: half of the
+    drivers are in the 50 % region.
     """
     (probability, paths), spread = mixture
     random, path = np.random.default_rng(0), np.asarray(paths)

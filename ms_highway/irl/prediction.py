@@ -1,11 +1,14 @@
-"""Predict recorded drivers: by learned drivers, or by their peers, predictors of the literature.
+"""Predict recorded drivers: by learned drivers, or by their peers, predictors of the
+literature.
 
-Learned drivers have traits, which their past shows. All cars of a snapshot first drive on together, in closed loop at
-10 Hz, each for the reward of its own traits. Each driver's modes, to keep its lane or to change to the left or right,
-are then predicted among the others as they drove there. Predictors use nothing of the future.
+Learned drivers have traits, which their past shows. All cars of a snapshot first drive
+on together, in closed loop at 10 Hz, each for the reward of its own traits. Each
+driver's modes, to keep its lane or to change to the left or right, are then predicted
+among the others as they drove there. Predictors use nothing of the future.
 
-The peers are constant velocity and the Intelligent Driver Model (IDM). By IDM, all cars of a snapshot drive on together
-and steer to the centre of their first lane, as highway-env's vehicles do.
+The peers are constant velocity and the Intelligent Driver Model (IDM). By IDM, all cars
+of a snapshot drive on together and steer to the centre of their first lane, as
+highway-env's vehicles do.
 """
 
 from dataclasses import replace
@@ -44,8 +47,10 @@ from ms_highway.planning.manoeuvres import idm_acceleration
 from ms_highway.runtime.arrays import Scalar, Structure, pytree, read
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 
-NEARNESS = 30.0  # m, gap at which the speed of a leader counts 1 / e as much when lanes are compared
-AXLES = 2.5  # m, half of a car's length, with which highway-env turns slip angles into yaw rates
+# m, gap at which the speed of a leader counts 1 / e as much when lanes are compared
+NEARNESS = 30.0
+# m, half of a car's length, with which highway-env turns slip angles into yaw rates
+AXLES = 2.5
 SLIP = np.sin(np.arctan(np.tan(np.pi / 3) / 2))  # sine of the largest slip angle
 SINE = np.sin(np.pi / 4)  # of the largest heading
 EVALUATIONS = 50  # of the error of IDM, in a fit
@@ -64,14 +69,16 @@ class IdmParameters(Structure):
     """Parameters of the Intelligent Driver Model, and of its lane keeping.
 
     Attributes:
-        speed: least desired speed [m/s]; cars that are faster at the start keep that speed as their desired one.
+        speed: least desired speed [m/s]; cars that are faster at the start keep that
+            speed as their desired one.
         headway: desired time headway [s].
         gap: desired gap at standstill [m], see `lengths`.
         acceleration: from standstill on a free road [m/s^2].
         braking: comfortable deceleration [m/s^2].
         settling: time constant with which the offset from the lane's centre decays [s].
         steering: time constant with which the heading follows [s].
-        lengths: 1 if gaps are from bumper to bumper, 0 if they are from centre to centre.
+        lengths: 1 if gaps are from bumper to bumper, 0 if they are from centre to
+            centre.
         margin: how far beyond the lane's edge the centre of a leader may be [m].
     """
 
@@ -89,7 +96,8 @@ class IdmParameters(Structure):
 HIGHWAY_ENV_IDM = IdmParameters(
     0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0
 )
-"""Parameters of highway-env's IDMVehicle, whose desired speed is the one at the start."""
+"""Parameters of highway-env's IDMVehicle, whose desired speed is the one at the start.
+"""
 
 FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
 """Parameters that a fit starts from."""
@@ -113,9 +121,13 @@ def predict_with(
             f"predictor is {name!r}; choose one of {', '.join(PREDICTORS)}"
         )
     if learned is None or name not in ("model", *learned.peers):
-        remedy = "learn it from real recordings with `ms-highway irl fit`, or use us101, which comes with the package"
+        remedy = (
+            "learn it from real recordings with `ms-highway irl fit`, or use us101,"
+            " which comes with the package"
+        )
         raise ValueError(
-            f"this reward has nothing learned seconds ahead for the predictor {name}; {remedy}"
+            f"this reward has nothing learned seconds ahead for the predictor {name};"
+            f" {remedy}"
         )
     if name == "model":
         return Mixture(predict_drivers(snapshots, learned), learned.spread)
@@ -132,7 +144,8 @@ def check_peers(learned: LearnedDrivers) -> None:
     for name in PREDICTORS:
         if name != "model" and name not in learned.peers:
             raise ValueError(
-                f"drivers.peers lacks {name}; learn the reward again with `ms-highway irl fit`"
+                f"drivers.peers lacks {name}; learn the reward again with `ms-highway"
+                " irl fit`"
             )
     for name, peer in learned.peers.items():
         if peer.parameters:
@@ -164,10 +177,11 @@ def predict_peer(
 
 
 def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
-    """Fit the spread of every peer, by name, and the parameters of IDM that predict best, in closed loop.
+    """Fit the spread of every peer, by name, and the parameters of IDM that predict
+    best, in closed loop.
 
-    Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS over the logarithms of the
-    parameters.
+    Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS
+    over the logarithms of the parameters.
     """
     first, data = np.log(jax.tree.leaves(FIRST_IDM)[:7]), jax.device_put(snapshots)
     best = np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist()
@@ -192,7 +206,8 @@ def _mean_idm_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
 def robust_errors(
     paths: CarStates, future: CarStates, chosen: CarFlags
 ) -> tuple[CarStates, CarFlags]:
-    """Return ``sqrt(1 + (error / scale)^2) - 1`` along and across the road after 1, 2, 3 and 5 s, for fits.
+    """Return ``sqrt(1 + (error / scale)^2) - 1`` along and across the road after 1, 2,
+    3 and 5 s, for fits.
 
     Args:
         paths: predicted positions after each step [*n, 50, cars, 2].
@@ -200,7 +215,8 @@ def robust_errors(
         chosen: cars whose errors count [*n, 1, cars].
 
     Returns:
-        The errors [*n, 4, cars, 2], 0 where they do not count; and whether they count [*n, 4, cars].
+        The errors [*n, 4, cars, 2], 0 where they do not count; and whether they count
+        [*n, 4, cars].
     """
     recorded = future[..., AT, :, :2]
     known = jnp.isfinite(recorded).all(axis=-1) & chosen
@@ -263,7 +279,9 @@ _idm_paths = jit_quickly(_idm_of_all)
 
 
 def predict_drivers(snapshots: Snapshots, drivers: Drivers) -> Modes:
-    """Predict the drivers of snapshots by learned drivers: they keep their lane, or change to the left or right."""
+    """Predict the drivers of snapshots by learned drivers: they keep their lane, or
+    change to the left or right.
+    """
     modes = in_batches(partial(_modes_of_all, drivers), snapshots)
     return Modes(*map(snapshots.drivers, modes))
 
@@ -295,7 +313,8 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
 
 
 def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
-    """Return the advantages of the lanes to the left and right [cars, 2, 6], and whether these lanes exist.
+    """Return the advantages of the lanes to the left and right [cars, 2, 6], and
+    whether these lanes exist.
 
     The advantages are those that `ms_highway.game.learned_drivers.Intention` weighs.
     """
@@ -308,7 +327,9 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     own = leader_of(snapshot, states, states, centre)
 
     def relative_speed(leader: Leader) -> Cars:
-        """Return the speed of leaders relative to their followers, weighed by their nearness [m/s]."""
+        """Return the speed of leaders relative to their followers, weighed by their
+        nearness [m/s].
+        """
         near = jnp.where(
             leader.there, jnp.exp(-jnp.maximum(leader.gap, 0.0) / NEARNESS), 0.0
         )
@@ -324,9 +345,10 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
             right * drifted,
         ]
         faster = relative_speed(other) - relative_speed(own)
-        return jnp.stack(
-            [*sideways, faster, room / 10, speed / 10], axis=-1
-        ), beside != centre
+        return (
+            jnp.stack([*sideways, faster, room / 10, speed / 10], axis=-1),
+            beside != centre,
+        )
 
     found, exist = zip(*map(advantages, (-1, 1)), strict=True)
     return jnp.stack(found, axis=1), jnp.stack(exist, axis=1)

@@ -1,7 +1,9 @@
-"""Recorded driving, simulated or real: the states of all cars in lane coordinates, and smooth tracks of drivers.
+"""Recorded driving, simulated or real: the states of all cars in lane coordinates, and
+smooth tracks of drivers.
 
-In lane coordinates, x runs along the road, y is the distance to the right of the leftmost lane's centre, and headings
-are relative to the road's direction. Recorded roads are then straight, like those of `ms_highway.game.scene`.
+In lane coordinates, x runs along the road, y is the distance to the right of the
+leftmost lane's centre, and headings are relative to the road's direction. Recorded
+roads are then straight, like those of `ms_highway.game.scene`.
 """
 
 import warnings
@@ -33,9 +35,10 @@ CarStates = Float[Any, "*n cars 4"]
 
 MIN_LANES = 6  # to which lanes are padded, so that one compilation serves most roads
 
-# Standard deviations. Errors of position and jerks together decide how smooth tracks are: oscillations faster than
-# (JERK dt / POSITION)^(1/3) / dt, here a third of a hertz, count as noise. The other three are wide: they only decide
-# what positions do not determine, such as the steering of a standing car.
+# Standard deviations. Errors of position and jerks together decide how smooth tracks
+# are: oscillations faster than (JERK dt / POSITION)^(1/3) / dt, here a third of a
+# hertz, count as noise. The other three are wide: they only decide what positions do
+# not determine, such as the steering of a standing car.
 POSITION = 0.2  # m, error of recorded positions
 JERK = 2.0  # m/s^3, along the road
 LATERAL_JERK = 0.5  # m/s^3, across it
@@ -44,15 +47,22 @@ HEADING = 0.2  # rad, at the start
 CURVATURE = 0.02  # 1/m
 
 # Cars whose recorded driving says nothing, see `usable`
-STANDS = 1.0  # m, extent of all positions of a car that only stands: five standard deviations of their errors
-SLOWEST = 0.5  # m/s, mean speed below which such a car stands; others were only seen for too few steps
-JUMP = 4.0  # m, change of velocity in a step of 0.1 s: 400 m/s^2; real recordings have changes of up to 1.6 m
+# m, extent of all positions of a car that only stands: five standard deviations of
+# their errors
+STANDS = 1.0
+# m/s, mean speed below which such a car stands; others were only seen for too few steps
+SLOWEST = 0.5
+# m, change of velocity in a step of 0.1 s: 400 m/s^2; real recordings have changes of
+# up to 1.6 m
+JUMP = 4.0
 BACKWARDS = -0.5  # m/s
 SAME_PLACE = 0.01  # m, between the centres of two cars that are one
 SHOWN = 3  # names in a warning
 
 CURVATURE_LIMIT = 0.2  # 1/m, with the front wheels turned by 45 degrees
-ROUNDS = 2  # in each, speeds are fitted for the last headings, then headings for these speeds; one is nearly enough
+# in each, speeds are fitted for the last headings, then headings for these speeds; one
+# is nearly enough
+ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -61,16 +71,21 @@ class Recording:
 
     Attributes:
         name: of the source, for messages.
-        group: name of the recordings that may share drivers; a split into folds keeps them together.
-        states: ``(x, y, heading, speed)`` of every car at every time [times, cars, 4]; NaN where a car was not seen.
+        group: name of the recordings that may share drivers; a split into folds keeps
+            them together.
+        states: ``(x, y, heading, speed)`` of every car at every time [times, cars, 4];
+            NaN where a car was not seen.
         drivers: indices of the cars to learn from and to predict.
         sizes: length and width of every car [cars, 2, m].
         lanes: lateral position of each lane's centre, ascending [m].
         lane_width: width of a lane [m].
         speed_limit: of the road [m/s].
-        measured: whether states were measured, with noise; otherwise they were simulated.
-        labels: name of each car in the source, for messages; by default, cars are numbered.
-        fingerprint: of the source's content, by which it is known again under another name; empty if it is not known.
+        measured: whether states were measured, with noise; otherwise they were
+            simulated.
+        labels: name of each car in the source, for messages; by default, cars are
+            numbered.
+        fingerprint: of the source's content, by which it is known again under another
+            name; empty if it is not known.
         left_out: reasons why cars are no drivers although they drive, by their labels.
     """
 
@@ -88,19 +103,24 @@ class Recording:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that states have three axes, and that every driver was seen without a gap, at two times or more.
+        """Check that states have three axes, and that every driver was seen without a
+        gap, at two times or more.
 
         Raises:
             ValueError: naming the recording, and the shape or the car.
         """
         if np.ndim(self.states) != 3 or np.shape(self.states)[2] != 4:
             raise ValueError(
-                f"{self.name}: states have shape {np.shape(self.states)}; they must be [times, cars, 4]"
+                f"{self.name}: states have shape {np.shape(self.states)}; they must be"
+                " [times, cars, 4]"
             )
         for car in self.drivers:
             times = np.flatnonzero(self.seen[:, car])
             if len(times) < 2 or np.ptp(times) >= len(times):
-                steps = f"{len(times)} steps, not at two or more without a gap; leave it out of the drivers"
+                steps = (
+                    f"{len(times)} steps, not at two or more without a gap; leave it"
+                    " out of the drivers"
+                )
                 raise ValueError(f"{self.name}: {self.label(car)} is finite at {steps}")
 
     def label(self, car: int) -> str:
@@ -120,7 +140,9 @@ def fingerprint(numbers: np.ndarray) -> str:
 
 
 def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
-    """Return the fingerprints of recordings by their group, as files of learned rewards keep them."""
+    """Return the fingerprints of recordings by their group, as files of learned rewards
+    keep them.
+    """
     found: dict[str, list[str]] = {}
     for recording in recordings:
         found.setdefault(recording.group, []).append(recording.fingerprint)
@@ -130,10 +152,12 @@ def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
 def known_from(
     recordings: Sequence[Recording], learned_from: Mapping[str, Sequence[str]]
 ) -> list[Recording]:
-    """Return those recordings whose drivers may be among those that were learned from, given their `sources`.
+    """Return those recordings whose drivers may be among those that were learned from,
+    given their `sources`.
 
-    A recording may share drivers with one of the same content or, if they were measured, of the same group. Simulated
-    episodes have the same groups in all data sets.
+    A recording may share drivers with one of the same content or, if they were
+    measured, of the same group. Simulated episodes have the same groups in all data
+    sets.
     """
     contents = set(chain(*learned_from.values())) - {""}
     return [
@@ -147,10 +171,12 @@ def known_from(
 def numbered(
     recordings: Sequence[Recording],
 ) -> Iterator[tuple[Recording, int, int, Vector]]:
-    """Number the groups and the drivers of recordings, and pad their lanes to one length.
+    """Number the groups and the drivers of recordings, and pad their lanes to one
+    length.
 
-    Yields every recording; the number of its group, in order of appearance; the number of its first driver among the
-    drivers of all recordings; and its lanes, of which the last is repeated, which changes no feature.
+    Yields every recording; the number of its group, in order of appearance; the number
+    of its first driver among the drivers of all recordings; and its lanes, of which the
+    last is repeated, which changes no feature.
     """
     most = max((MIN_LANES, *(len(item.lanes) for item in recordings)))
     groups: dict[str, int] = {}
@@ -164,7 +190,9 @@ def numbered(
 
 
 def folds(groups: Numbers, number: int) -> list[Flags]:
-    """Return which rows each fold holds out, given their group numbers; every group is held out once."""
+    """Return which rows each fold holds out, given their group numbers; every group is
+    held out once.
+    """
     names = np.unique(groups)
     return [
         np.isin(groups, held_out)
@@ -173,14 +201,17 @@ def folds(groups: Numbers, number: int) -> list[Flags]:
 
 
 def usable(recording: Recording) -> Recording:
-    """Return the recording without drivers whose driving is impossible or says nothing; they are in ``left_out``.
+    """Return the recording without drivers whose driving is impossible or says nothing;
+    they are in ``left_out``.
 
-    They remain as neighbours, except that one of two cars that are always in the same place disappears.
+    They remain as neighbours, except that one of two cars that are always in the same
+    place disappears.
     """
     states = recording.states.copy()
     reasons = dict(recording.left_out)
 
-    # Two cars that are always in the same place are one car: the second hides the road from the first.
+    # Two cars that are always in the same place are one car: the second hides the road
+    # from the first.
     for first, second in _duplicates(recording):
         states[:, second] = np.nan
         reasons[recording.label(second)] = (
@@ -217,11 +248,13 @@ def usable_recordings(
     told = listed([f"{label}, which {why}" for label, why in left_out.items()])
     if not any(len(recording.drivers) for recording in kept):
         raise ValueError(
-            f"the recordings have no driver{f' but {told}' if told else ''}; give more recordings"
+            f"the recordings have no driver{f' but {told}' if told else ''}; give more"
+            " recordings"
         )
     if told:
         warnings.warn(
-            f"{len(left_out)} {'driver is' if len(left_out) == 1 else 'drivers are'} left out: {told}",
+            f"{len(left_out)} {'driver is' if len(left_out) == 1 else 'drivers are'}"
+            f" left out: {told}",
             stacklevel=3,
         )
     return kept, left_out
@@ -252,7 +285,9 @@ def _unusable(states: States, measured: bool) -> str:
 
 
 def _duplicates(recording: Recording) -> Iterator[tuple[int, int]]:
-    """Yield each pair of cars that are in the same place whenever both are seen, if twice or more; drivers first."""
+    """Yield each pair of cars that are in the same place whenever both are seen, if
+    twice or more; drivers first.
+    """
     positions = np.where(recording.seen[..., None], recording.states[..., :2], np.nan)
     left = [
         *recording.drivers,
@@ -283,7 +318,8 @@ class Rows:
 
 
 class Track(NamedTuple):
-    """States and the controls that lead from each state to the next, by `ms_highway.game.dynamics.step`.
+    """States and the controls that lead from each state to the next, by
+    `ms_highway.game.dynamics.step`.
 
     Attributes:
         states: ``(x, y, heading, speed)``, one more than the controls.
@@ -295,7 +331,9 @@ class Track(NamedTuple):
 
 
 def track_of(recording: Recording, car: int) -> Track:
-    """Return the track of a car while it was seen: `smoothed` if it was measured, as recorded if it was simulated."""
+    """Return the track of a car while it was seen: `smoothed` if it was measured, as
+    recorded if it was simulated.
+    """
     states = recording.states[recording.seen[:, car], car]
     if recording.measured:
         return smoothed(states[:, :2])
@@ -303,17 +341,19 @@ def track_of(recording: Recording, car: int) -> Track:
 
 
 def smoothed(recorded: Points) -> Track:
-    """Return the most likely track of a car, given its recorded positions and priors of accelerations and jerks.
+    """Return the most likely track of a car, given its recorded positions and priors of
+    accelerations and jerks.
 
-    Recorded speeds and headings are not used: they were derived from noisy positions. With the distance of a step
-    ``d = (v + v_next) dt / 2``, two linear least-squares problems are solved in turn: one for the initial x, the
-    initial speed v and the accelerations a; one for the initial y, the initial heading h and the curvatures c::
+    Recorded speeds and headings are not used: they were derived from noisy positions.
+    With the distance of a step ``d = (v + v_next) dt / 2``, two linear least-squares
+    problems are solved in turn: one for the initial x, the initial speed v and the
+    accelerations a; one for the initial y, the initial heading h and the curvatures c::
 
         x = x_0 + sum of d cos(h)    v = v_0 + sum of a dt
         y = y_0 + sum of d sin(h)    h = h_0 + sum of v c dt
 
-    They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and h_0: a standing car therefore
-    keeps its heading, and its curvature decays to 0.
+    They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and
+    h_0: a standing car therefore keeps its heading, and its curvature decays to 0.
     """
     dt, each = TIME_STEP, np.eye(len(recorded) - 1)
     change, cosine = np.diff(each, axis=0), np.ones(len(each))
@@ -348,7 +388,8 @@ def smoothed(recorded: Points) -> Track:
 
 
 def _cumulative(increments: np.ndarray) -> np.ndarray:
-    """Return the matrix from a quantity's initial value and the unknowns of its increments to all its values.
+    """Return the matrix from a quantity's initial value and the unknowns of its
+    increments to all its values.
 
     Args:
         increments: matrix from the unknowns to the increments.
@@ -365,7 +406,8 @@ def _least_squares(
     Args:
         positions: matrix from the unknowns to the positions.
         recorded: positions [m].
-        penalties: matrices from the last of the unknowns to errors in standard deviations.
+        penalties: matrices from the last of the unknowns to errors in standard
+            deviations.
     """
     likely = np.vstack(
         [

@@ -1,8 +1,10 @@
-"""Learn drivers from where they are seconds later: weights, traits, lane changes and the spread around predictions.
+"""Learn drivers from where they are seconds later: weights, traits, lane changes and
+the spread around predictions.
 
-Segments of half a second (`ms_highway.irl.maximum_entropy`) are mostly noise: recorded accelerations waver by more than
-drivers' preferences differ. The weights that matter in a lane are therefore those under which all cars of a snapshot,
-driving on together, come closest to where they were recorded 1, 2, 3 and 5 s later.
+Segments of half a second (`ms_highway.irl.maximum_entropy`) are mostly noise: recorded
+accelerations waver by more than drivers' preferences differ. The weights that matter in
+a lane are therefore those under which all cars of a snapshot, driving on together, come
+closest to where they were recorded 1, 2, 3 and 5 s later.
 """
 
 from itertools import count
@@ -79,10 +81,12 @@ AT_ONCE = 35  # snapshots, so that gradients fit in memory
 def learn_drivers(
     snapshots: Snapshots, intervals: bool = True, progress: Progress = silent
 ) -> LearnedDrivers:
-    """Learn drivers with the weights `LEARNED` and the given weight 0.1 of the comfort of acceleration; fit all peers.
+    """Learn drivers with the weights `LEARNED` and the given weight 0.1 of the comfort
+    of acceleration; fit all peers.
 
     Args:
-        snapshots: to learn from; their number sets the shapes for which functions are compiled, see `Snapshots.only`.
+        snapshots: to learn from; their number sets the shapes for which functions are
+            compiled, see `Snapshots.only`.
         intervals: whether to compute the drivers' ``deviations``.
         progress: called with a message when a part begins.
 
@@ -91,7 +95,8 @@ def learn_drivers(
     """
     if not np.any(_labels(snapshots)[0]):
         raise ValueError(
-            f"no driver was seen for {SURE / 10:g} s; nothing can be learned seconds ahead"
+            f"no driver was seen for {SURE / 10:g} s; nothing can be learned seconds"
+            " ahead"
         )
     found, drivers = _fit_drivers(snapshots, progress)
     groups = np.unique(snapshots.group[snapshots.which])
@@ -132,7 +137,8 @@ def _fit_drivers(
     first: Parameters = FIRST,
     iterations: int = ITERATIONS,
 ) -> tuple[Parameters, Drivers]:
-    """Return the logarithms, as in `FIRST`, under which drivers come closest to the recording; and these drivers.
+    """Return the logarithms, as in `FIRST`, under which drivers come closest to the
+    recording; and these drivers.
 
     The drivers have the intention that makes their lane changes most likely.
     """
@@ -172,10 +178,11 @@ def _drivers_of(logarithms: Parameters) -> Drivers:
 
 
 def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
-    """Return which cars of a snapshot are learned from, and by how many lanes to the right each of these changes.
+    """Return which cars of a snapshot are learned from, and by how many lanes to the
+    right each of these changes.
 
-    A driver to predict is learned from if it is seen for 2 s, and if its last position within 5 s is in its own lane or
-    in a lane beside it.
+    A driver to predict is learned from if it is seen for 2 s, and if its last position
+    within 5 s is in its own lane or in a lane beside it.
     """
     y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]
     seen = jnp.isfinite(y[1:]).sum(axis=0)
@@ -191,7 +198,9 @@ _labels = jax.jit(jax.vmap(_label))
 @jax.jit
 @jax.value_and_grad
 def _mean_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
-    """Return the mean of `robust_errors` in a joint simulation, in which each driver aims at its recorded lane."""
+    """Return the mean of `robust_errors` in a joint simulation, in which each driver
+    aims at its recorded lane.
+    """
     return _shares(logarithms, snapshots).sum()
 
 
@@ -216,10 +225,11 @@ _scores = jax.jit(
 
 
 def _deviations(found: Parameters, snapshots: Snapshots) -> list[float]:
-    """Return the standard deviations of the logarithms that were found, with drivers as the independent units.
+    """Return the standard deviations of the logarithms that were found, with drivers as
+    the independent units.
 
-    The scores are the slopes of each driver's errors in all its snapshots; the Hessian, with the prior, is by finite
-    differences.
+    The scores are the slopes of each driver's errors in all its snapshots; the Hessian,
+    with the prior, is by finite differences.
     """
     data, learned_from = jax.device_put(snapshots), np.asarray(_labels(snapshots)[0])
     hessian = slope_differences(

@@ -1,6 +1,8 @@
-"""Cut recordings into segments, each with a driver's controls and its neighbours, and compute their features.
+"""Cut recordings into segments, each with a driver's controls and its neighbours, and
+compute their features.
 
-Maximum entropy learns from segments of half a second, see `ms_highway.irl.maximum_entropy`.
+Maximum entropy learns from segments of half a second, see
+`ms_highway.irl.maximum_entropy`.
 """
 
 import itertools
@@ -40,16 +42,18 @@ SATURATED = 0.8  # share of the limits of plans, from which controls count as sa
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Segments(Rows):
-    """n segments of K steps: arrays of NumPy or JAX in SI units with a leading axis [n]; one segment has no such axis.
+    """n segments of K steps: arrays of NumPy or JAX in SI units with a leading axis
+    [n]; one segment has no such axis.
 
     Attributes:
         scenes: the road and the driver's own size.
         speed_limit: of the road [m/s].
         start: state of the driver before the first step.
         controls: of the driver, unscaled.
-        others: states after each step of the six cars that were its neighbours at the start, see
-            `ms_highway.game.scene`.
-        driver: number of the driver among those of all recordings; segments of a driver are adjacent.
+        others: states after each step of the six cars that were its neighbours at the
+            start, see `ms_highway.game.scene`.
+        driver: number of the driver among those of all recordings; segments of a driver
+            are adjacent.
         group: number of the recording's group, by which segments are split into folds.
     """
 
@@ -63,7 +67,8 @@ class Segments(Rows):
 
 
 def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
-    """Cut the drivers' tracks into consecutive segments without overlap; return those that are `regular`.
+    """Cut the drivers' tracks into consecutive segments without overlap; return those
+    that are `regular`.
 
     Args:
         recordings: the recordings to cut.
@@ -107,14 +112,17 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     segments = jax.tree.map(lambda *parts: np.stack(parts), *rows) if rows else None
     if segments is None or not (chosen := regular(segments)).any():
         raise ValueError(
-            f"nothing can be learned from the {len(recordings)} recordings: no driver was seen for {steps + 1} samples "
-            "without a gap, or all are at the limits of control or at the edge of the road"
+            f"nothing can be learned from the {len(recordings)} recordings: no driver"
+            f" was seen for {steps + 1} samples without a gap, or all are at the limits"
+            " of control or at the edge of the road"
         )
     return segments.of(chosen)
 
 
 def _extrapolated(states: CarStates) -> CarStates:
-    """Return the states, in which each car goes on at constant velocity after it was last seen."""
+    """Return the states, in which each car goes on at constant velocity after it was
+    last seen.
+    """
     states = states.copy()
     for before, after in itertools.pairwise(states):
         kept = step(PAPER_DYNAMICS, before, keep_velocity(PAPER_DYNAMICS, before))
@@ -123,11 +131,13 @@ def _extrapolated(states: CarStates) -> CarStates:
 
 
 def regular(segments: Segments) -> Flags:
-    """Return whether each segment's gradient at the driver's controls identifies the reward.
+    """Return whether each segment's gradient at the driver's controls identifies the
+    reward.
 
-    It does not where controls are near their limit: the limit and not the reward decides them. Nor does it where a car
-    is off the road and points along it: ``off_road`` has a kink there, as another corner becomes the outermost, and a
-    car that slides along the edge stays at the kink whatever the weight is.
+    It does not where controls are near their limit: the limit and not the reward
+    decides them. Nor does it where a car is off the road and points along it:
+    ``off_road`` has a kink there, as another corner becomes the outermost, and a car
+    that slides along the edge stays at the kink whatever the weight is.
     """
     paths = rollout(PAPER_DYNAMICS, segments.start, segments.controls)
     off_road = (
@@ -143,9 +153,11 @@ def regular(segments: Segments) -> Flags:
 def driver_game(
     segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()
 ) -> Game:
-    """Return a game whose robot is a recorded driver with these weights by name; `with_segment` sets its scene.
+    """Return a game whose robot is a recorded driver with these weights by name;
+    `with_segment` sets its scene.
 
-    It computes `FEATURES`, and those user-defined features that have a weight or are among the names.
+    It computes `FEATURES`, and those user-defined features that have a weight or are
+    among the names.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], segments.scenes)
     computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
@@ -169,9 +181,11 @@ def with_segment(game: Game, segment: Segments) -> Game:
 def summed_features(
     game: Game, segment: Segments, controls: Controls
 ) -> Float[jax.Array, "features"]:
-    """Return the features of the game and of comfort, summed over a segment's steps under scaled controls.
+    """Return the features of the game and of comfort, summed over a segment's steps
+    under scaled controls.
 
-    The features of comfort are ``-sum d^2 / 2``, with d the deviation from the controls that keep the velocity.
+    The features of comfort are ``-sum d^2 / 2``, with d the deviation from the controls
+    that keep the velocity.
     """
     here, start = with_segment(game, segment), jnp.asarray(segment.start)
     path = Motion(*move(game, start, controls))

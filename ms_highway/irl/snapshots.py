@@ -1,6 +1,8 @@
-"""Cut recordings into snapshots: all cars at one time, their past, and where they went afterwards.
+"""Cut recordings into snapshots: all cars at one time, their past, and where they went
+afterwards.
 
-Predictors start from snapshots; `ms_highway.irl.seconds_ahead` learns drivers from them.
+Predictors start from snapshots; `ms_highway.irl.seconds_ahead` learns drivers from
+them.
 """
 
 from collections.abc import Sequence
@@ -32,7 +34,9 @@ AT = 10 * np.array(HORIZONS) - 1
 """Indices of the horizons among the steps."""
 
 SCALES = np.array([[0.4, 0.1], [1.0, 0.3], [1.8, 0.5], [3.5, 0.8]])
-"""Typical errors at the horizons, along and across the road [m], by which fits divide errors."""
+"""Typical errors at the horizons, along and across the road [m], by which fits divide
+errors.
+"""
 
 APART = 10  # steps between two snapshots in which a driver is predicted
 SHORTEST = 10  # steps for which a driver must be seen after a snapshot
@@ -46,13 +50,17 @@ Paths = Float[Any, "n 50 2"]  # x and y after each step of 5 s
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Snapshots(Rows):
-    """n snapshots of recorded traffic: arrays of NumPy or JAX, in SI units and lane coordinates.
+    """n snapshots of recorded traffic: arrays of NumPy or JAX, in SI units and lane
+    coordinates.
 
     Attributes:
-        past: states of every car at each step from 3 s before until now [n, 31, cars, 4]; NaN where it was not seen.
-        future: states of every car after each of the coming steps [n, 50, cars, 4]; NaN where it was not seen.
+        past: states of every car at each step from 3 s before until now [n, 31, cars,
+            4]; NaN where it was not seen.
+        future: states of every car after each of the coming steps [n, 50, cars, 4]; NaN
+            where it was not seen.
         sizes: length and width of every car [m].
-        lanes: lateral position of each lane's centre [n, lanes], ascending; the last is repeated.
+        lanes: lateral position of each lane's centre [n, lanes], ascending; the last is
+            repeated.
         lane_width: of a lane [m].
         speed_limit: of the road [m/s].
         predicted: which cars are drivers to predict.
@@ -77,7 +85,9 @@ class Snapshots(Rows):
 
     @property
     def recorded(self) -> Paths:
-        """Positions of the predicted drivers after each step, NaN where a driver was not seen."""
+        """Positions of the predicted drivers after each step, NaN where a driver was
+        not seen.
+        """
         return self.drivers(np.moveaxis(self.future[..., :2], 1, 2))
 
     @property
@@ -86,16 +96,21 @@ class Snapshots(Rows):
         return np.nonzero(self.predicted)[0]
 
     def drivers(self, values: Any) -> Any:
-        """Return those of the values [n, cars, ...] that belong to predicted drivers, snapshot after snapshot."""
+        """Return those of the values [n, cars, ...] that belong to predicted drivers,
+        snapshot after snapshot.
+        """
         return values[self.predicted]
 
     def only(self, chosen: Flags) -> Self:
-        """Return all snapshots, in which only drivers of the chosen ones are predicted; the shapes stay the same."""
+        """Return all snapshots, in which only drivers of the chosen ones are predicted;
+        the shapes stay the same.
+        """
         return replace(self, predicted=self.predicted & chosen[:, None])
 
 
 def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
-    """Cut a snapshot at the start of each driver's track, and one every second after it.
+    """Cut a snapshot at the start of each driver's track, and one every second after
+    it.
 
     Raises:
         ValueError: if no driver was seen for a second.
@@ -128,6 +143,7 @@ def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
             )
     if not rows:
         raise ValueError(
-            f"no driver of the {len(recordings)} recordings was seen for {SHORTEST / 10:g} s"
+            f"no driver of the {len(recordings)} recordings was seen for"
+            f" {SHORTEST / 10:g} s"
         )
     return jax.tree.map(lambda *parts: np.stack(parts), *rows)

@@ -1,4 +1,5 @@
-"""Drive in closed loop: live, by any rule among any number of humans, and many episodes at once in JAX.
+"""Drive in closed loop: live, by any rule among any number of humans, and many episodes
+at once in JAX.
 
 Imports `ms_highway.choice` and what stands below it.
 """

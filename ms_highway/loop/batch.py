@@ -1,7 +1,8 @@
-"""Run many episodes of the closed loop at once in pure JAX: a rule decides, robot and humans plan, the world moves.
+"""Run many episodes of the closed loop at once in pure JAX: a rule decides, robot and
+humans plan, the world moves.
 
-Environments call the same pure functions, so that both loops agree. Planning times are not measured: T comes from a
-table, and no plan is late.
+Environments call the same pure functions, so that both loops agree. Planning times are
+not measured: T comes from a table, and no plan is late.
 """
 
 from collections.abc import Callable
@@ -56,12 +57,15 @@ EPISODES = "episodes"  # axis of a chunk, over which JAX maps
 
 
 def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> Records:
-    """Run episodes, shared by devices, see `ms_highway.runtime.compilation.share_among`.
+    """Run episodes, shared by devices, see
+    `ms_highway.runtime.compilation.share_among`.
 
-    A device computes the episodes chunk by chunk, and a human model only for chunks that use it. With several humans,
-    it computes episodes one by one, as a plan takes as many rounds as there are humans to predict.
+    A device computes the episodes chunk by chunk, and a human model only for chunks
+    that use it. With several humans, it computes episodes one by one, as a plan takes
+    as many rounds as there are humans to predict.
 
-    Numbers are not checked: rewards are not finite where a state or a weight is not finite.
+    Numbers are not checked: rewards are not finite where a state or a weight is not
+    finite.
 
     Args:
         loop: what the episodes share.
@@ -94,7 +98,8 @@ def checked_records(loop: Loop, records: Records) -> Records:
     """Return records without what was to be checked in them.
 
     Raises:
-        ValueError: if a rule of the user's chose what is no rung, or a user-defined feature is not finite.
+        ValueError: if a rule of the user's chose what is no rung, or a user-defined
+            feature is not finite.
     """
     if records.chosen is not None:
         refuse_rungs(loop.rule, records.chosen)
@@ -151,7 +156,9 @@ def _simulate(loop: Loop, episodes: Episodes) -> Records:
 
 
 def begin_episodes(loop: Loop, starts: State) -> Now:
-    """Return what episodes carry into their first step, given the states [episodes, cars, 4] of all cars."""
+    """Return what episodes carry into their first step, given the states [episodes,
+    cars, 4] of all cars.
+    """
     game = loop.game
 
     def begun(start: State) -> Now:
@@ -176,7 +183,9 @@ def step_episodes(
 def _step(
     loop: Loop, own: Episodes, now: Now, inputs: StepInputs
 ) -> tuple[Now, Records]:
-    """Advance an episode by one step: the robot plans, or executes an agent's control; then the world moves."""
+    """Advance an episode by one step: the robot plans, or executes an agent's control;
+    then the world moves.
+    """
     if inputs.controls is not None:
         return _steer(loop, now, own, inputs.controls)
     game = believed(loop.game, own)
@@ -192,15 +201,18 @@ def _step(
         result.choice.rungs,
         result.status,
         gains=jnp.asarray(decision.gains, jnp.float32),
-        chosen=None
-        if is_of_package(loop.rule)
-        else jnp.where(by_rule, decision.memory.rungs, 0),
+        chosen=(
+            None
+            if is_of_package(loop.rule)
+            else jnp.where(by_rule, decision.memory.rungs, 0)
+        ),
     )
     return _world(loop, now._replace(robot=robot), own, control, records)
 
 
 def batch_parts(loop: Loop, own: Episodes, scheduled: Rungs) -> Parts:
-    """Return the parts of a step of the robot in an episode, see `ms_highway.loop.step`; no plan is late.
+    """Return the parts of a step of the robot in an episode, see
+    `ms_highway.loop.step`; no plan is late.
 
     Args:
         loop: what the episodes share.
@@ -225,7 +237,9 @@ def _decide(
     memory: Memory,
     outcome: Outcome,
 ) -> Decision:
-    """Take the models of a schedule or, where it says so, let the rule decide at the episode's price."""
+    """Take the models of a schedule or, where it says so, let the rule decide at the
+    episode's price.
+    """
     by_rule = scheduled == DECIDES
     decision = _where_needed(
         loop,
@@ -240,7 +254,9 @@ def _decide(
 def _where_needed(
     loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any
 ) -> Any:
-    """Compute a function if some episode of the chunk needs it; the other episodes keep ``otherwise``."""
+    """Compute a function if some episode of the chunk needs it; the other episodes keep
+    ``otherwise``.
+    """
     somewhere = jax.lax.pmax(needed, EPISODES) if loop.together > 1 else needed
     found = jax.lax.cond(somewhere, function, lambda: otherwise)
     return jax.tree.map(partial(jnp.where, needed), found, otherwise)
@@ -249,7 +265,9 @@ def _where_needed(
 def _plan(
     loop: Loop, game: Game, state: State, choice: Choice, last: RemainingPlan
 ) -> NewPlan:
-    """Plan for an episode; with one human, compute only the models that some episode of the chunk uses."""
+    """Plan for an episode; with one human, compute only the models that some episode of
+    the chunk uses.
+    """
     rungs = choice.rungs
     start = plan_start(loop.models, game, state, rungs, last)
 
@@ -270,7 +288,9 @@ def _plan(
 def _steer(
     loop: Loop, now: Now, own: Episodes, control: Control
 ) -> tuple[Now, Records]:
-    """Let the robot execute a control, the humans plan and the world move; reward the robot."""
+    """Let the robot execute a control, the humans plan and the world move; reward the
+    robot.
+    """
     none = jnp.zeros(loop.game.number, jnp.int32)
     gains = jnp.full(
         (loop.game.number, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32
@@ -293,7 +313,9 @@ def _executed(game: Game, speed: Any, controls: Any) -> Any:
 def _world(
     loop: Loop, now: Now, own: Episodes, robot: Control, records: Records
 ) -> tuple[Now, Records]:
-    """Let the humans plan and the world move under the robot's control, not scaled; complete the records."""
+    """Let the humans plan and the world move under the robot's control, not scaled;
+    complete the records.
+    """
     game = believed(loop.game, own)
     state = now.state
     last = 1 + game.number

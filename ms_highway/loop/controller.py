@@ -1,7 +1,9 @@
-"""Define controllers and the records of their steps; drive humans by functions of the state instead of plans.
+"""Define controllers and the records of their steps; drive humans by functions of the
+state instead of plans.
 
-Controllers take and return float64 NumPy states and controls in SI units. They drive car 0; the next cars are its
-partners. Two functions of the package drive humans: one who never yields, and one who always yields.
+Controllers take and return float64 NumPy states and controls in SI units. They drive
+car 0; the next cars are its partners. Two functions of the package drive humans: one
+who never yields, and one who always yields.
 """
 
 import re
@@ -47,19 +49,22 @@ class ControlStep:
         plan: controls over the horizon; fewer where only part of the last plan is left.
         humans: controls that the plan expects of every human.
         models: for every human, the name of the model that predicted it in this plan.
-        planning_seconds: wall time of the plan and of the check of its way out, without compilation.
-        decision_seconds: wall time of choosing the models, with the belief, without compilation; 0 if nothing is chosen
-            or inferred.
+        planning_seconds: wall time of the plan and of the check of its way out, without
+            compilation.
+        decision_seconds: wall time of choosing the models, with the belief, without
+            compilation; 0 if nothing is chosen or inferred.
         compile_seconds: wall time of compiling and warming up in this step.
         ladder: names of the models to choose from.
-        gains: estimated gain of each of them over the first one for every human, before the price of its time, see
-            `ms_highway.choice.rule.Estimate`; NaN where none was estimated.
+        gains: estimated gain of each of them over the first one for every human, before
+            the price of its time, see `ms_highway.choice.rule.Estimate`; NaN where none
+            was estimated.
         choice_failed: whether the rule failed to choose, see there.
         status: where the control comes from, see `ms_highway.loop.step.Status`.
-        belief: for every human, the probability that each of `ms_highway.planning.ladders.PACKAGE_MODELS` predicts it;
-            None where it is not inferred.
-        planned: for every human, the name of its model in the plan of this step, which is not ``plan`` if it is late or
-            failed.
+        belief: for every human, the probability that each of
+            `ms_highway.planning.ladders.PACKAGE_MODELS` predicts it; None where it is
+            not inferred.
+        planned: for every human, the name of its model in the plan of this step, which
+            is not ``plan`` if it is late or failed.
         plan_steps: number of ascent steps of this plan.
         converged: whether the last of them hardly moved the plan.
     """
@@ -127,26 +132,38 @@ MIN_GAP = 0.5  # m, below which braking grows no further
 YIELD_LANES = 1.5  # lanes to the side, within which a human makes room
 
 RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
-REMEMBER = "give add_driver an object with `reset(key)`, which keeps its memory and its random numbers in itself"
-SAME_ANSWER = 1e-6  # largest relative difference between two answers to the same question, for rounding
+REMEMBER = (
+    "give add_driver an object with `reset(key)`, which keeps its memory and its random"
+    " numbers in itself"
+)
+# largest relative difference between two answers to the same question, for rounding
+SAME_ANSWER = 1e-6
 KEYS = 2**31  # number of keys of episodes; NumPy and JAX take each of them as a seed
 
 DriverFunction: TypeAlias = Callable[[Game, State], Control]
-"""Control of a car from its own game, where it is car 0, and the state of all cars [cars, 4]."""
+"""Control of a car from its own game, where it is car 0, and the state of all cars
+[cars, 4].
+"""
 
 
 class RememberingDriver(Protocol):
-    """A driver that remembers or draws; every car that it drives in an episode gets a copy of its own."""
+    """A driver that remembers or draws; every car that it drives in an episode gets a
+    copy of its own.
+    """
 
     def reset(self, key: int) -> Any:
-        """Forget the past, before a new episode, and take ``key`` as the seed of all random numbers."""
+        """Forget the past, before a new episode, and take ``key`` as the seed of all
+        random numbers.
+        """
 
     def __call__(self, game: Game, state: State) -> Control:
         """Return the control of the coming step."""
 
 
 def remembers(driver: Any) -> bool:
-    """Return whether a driver has a memory, see `RememberingDriver`, or is a class of such drivers."""
+    """Return whether a driver has a memory, see `RememberingDriver`, or is a class of
+    such drivers.
+    """
     return hasattr(driver, "reset") and not is_vehicle(driver)
 
 
@@ -156,19 +173,24 @@ def is_vehicle(driver: Any) -> bool:
 
 
 def new_driver(driver: Any) -> DriverFunction:
-    """Return what drives one car in one episode: a function itself, a copy of an object, or an object of a class."""
+    """Return what drives one car in one episode: a function itself, a copy of an
+    object, or an object of a class.
+    """
     if not remembers(driver):
         return driver
     return driver() if isinstance(driver, type) else deepcopy(driver)
 
 
 def draw_key(driver: Any, random: np.random.Generator) -> int:
-    """Return the key of an episode for a driver that remembers; draw nothing for others."""
+    """Return the key of an episode for a driver that remembers; draw nothing for
+    others.
+    """
     return int(random.integers(KEYS)) if remembers(driver) else 0
 
 
 def check_driver(name: str, driver: Any) -> None:
-    """Check that something drives: a function, an object or a class with a memory, or a class of vehicles.
+    """Check that something drives: a function, an object or a class with a memory, or a
+    class of vehicles.
 
     Raises:
         ValueError: if it does not; it names the driver and a remedy.
@@ -177,7 +199,10 @@ def check_driver(name: str, driver: Any) -> None:
     if is_vehicle(driver):
         return
     if not callable(driver) or (isinstance(driver, type) and not remembers(driver)):
-        remedy = "give a function of the game and the state, an object with `reset(key)` that is called like one"
+        remedy = (
+            "give a function of the game and the state, an object with `reset(key)`"
+            " that is called like one"
+        )
         raise ValueError(f"{place}; {remedy}, or a class of highway-env vehicles")
     if not remembers(driver):
         return
@@ -185,22 +210,30 @@ def check_driver(name: str, driver: Any) -> None:
         own = new_driver(driver)
         signature(own.reset).bind(0)  # type: ignore[attr-defined]
     except Exception as error:  # anything that code of the user's raises
-        remedy = "give a class that is made without arguments or an object that can be copied; let `reset` take a key"
+        remedy = (
+            "give a class that is made without arguments or an object that can be"
+            " copied; let `reset` take a key"
+        )
         raise ValueError(
             f"{place}, which cannot begin an episode: {error}; {remedy}"
         ) from error
     if not callable(own) or own is driver:
-        remedy = "give an object of a class with the methods `reset(key)` and `__call__(game, state)`"
+        remedy = (
+            "give an object of a class with the methods `reset(key)` and"
+            " `__call__(game, state)`"
+        )
         raise ValueError(
             f"{place}, which cannot be copied or cannot be called; {remedy}"
         )
 
 
 class FunctionDriver:
-    """Drive a car by a function of the state, or by an object that remembers; plan nothing.
+    """Drive a car by a function of the state, or by an object that remembers; plan
+    nothing.
 
-    A function has to answer the same question in the same way. In the first, second, fourth, eighth step and so on, it
-    is asked once more what it was asked in the first one. An object with a memory is not.
+    A function has to answer the same question in the same way. In the first, second,
+    fourth, eighth step and so on, it is asked once more what it was asked in the first
+    one. An object with a memory is not.
 
     Args:
         game: of which car 0 is driven.
@@ -237,8 +270,9 @@ class FunctionDriver:
         """Return the control of the coming step.
 
         Raises:
-            ValueError: if the driver does not return two finite numbers, writes into what it is given, or is a function
-                that answers the same question in two ways.
+            ValueError: if the driver does not return two finite numbers, writes into
+                what it is given, or is a function that answers the same question in two
+                ways.
         """
         seen = read_only(facing(state))
         start = perf_counter()
@@ -265,7 +299,9 @@ class FunctionDriver:
         return control
 
     def _check_answers(self, state: State, control: Control) -> None:
-        """Ask a function the first question again in steps 1, 2, 4, 8 and so on, and compare its answers."""
+        """Ask a function the first question again in steps 1, 2, 4, 8 and so on, and
+        compare its answers.
+        """
         self._steps += 1
         if remembers(self._added) or self._steps & (self._steps - 1):
             return
@@ -276,18 +312,21 @@ class FunctionDriver:
         if not np.allclose(again, first, rtol=SAME_ANSWER, atol=SAME_ANSWER):
             answers = f"{first.tolist()} and then {again.tolist()} in the same state"
             raise ValueError(
-                f"the driver {self.name!r} returned {answers}, so it remembers or draws; {REMEMBER}"
+                f"the driver {self.name!r} returned {answers}, so it remembers or"
+                f" draws; {REMEMBER}"
             )
 
 
 def unmoved_control(
     game: Game, state: Float[SameArray, "cars 4"], yields: Any
 ) -> Float[SameArray, "2"]:
-    """Return the control, not scaled, of car 0, which yields to car 1, the robot, always or else never.
+    """Return the control, not scaled, of car 0, which yields to car 1, the robot,
+    always or else never.
 
-    It keeps its velocity, and brakes in time for a slower car ahead in its lane. If it never yields, it ignores the
-    robot. If it always yields, it brakes for a robot in its lane or the next one as soon as the robot's front has
-    passed its own centre, until there is room for the robot, unless another car is between them.
+    It keeps its velocity, and brakes in time for a slower car ahead in its lane. If it
+    never yields, it ignores the robot. If it always yields, it brakes for a robot in
+    its lane or the next one as soon as the robot's front has passed its own centre,
+    until there is room for the robot, unless another car is between them.
     """
     xp, scene, own, others = (
         state.__array_namespace__(),
@@ -322,8 +361,9 @@ never_yields: DriverFunction = partial(unmoved_control, yields=False)
 always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
 HUMAN_DRIVERS: dict[str, Any] = {"never": never_yields, "always": always_yields}
-"""Human drivers by name. They do not plan: each is a function, a driver that remembers or its class, or a class of
-highway-env vehicles."""
+"""Human drivers by name. They do not plan: each is a function, a driver that remembers
+or its class, or a class of highway-env vehicles.
+"""
 
 keep_apart("a human driver", lambda: HUMAN_DRIVERS)
 
@@ -334,11 +374,12 @@ def function_names() -> list[str]:
 
 
 def traceable(name: str, game: Game) -> DriverFunction:
-    """Return the function of a human driver, if JAX can trace it as part of a simulation.
+    """Return the function of a human driver, if JAX can trace it as part of a
+    simulation.
 
     Raises:
-        ValueError: if the driver is a class of vehicles, the keyboard, a driver that remembers, or a function that JAX
-            cannot trace or traces in two ways.
+        ValueError: if the driver is a class of vehicles, the keyboard, a driver that
+            remembers, or a function that JAX cannot trace or traces in two ways.
     """
     driver, remedy = (
         HUMAN_DRIVERS.get(name),
@@ -350,7 +391,8 @@ def traceable(name: str, game: Game) -> DriverFunction:
         )
     if remembers(driver):
         raise ValueError(
-            f"config['human_driver'] is {name!r}, which remembers and cannot be simulated; {remedy}"
+            f"config['human_driver'] is {name!r}, which remembers and cannot be"
+            f" simulated; {remedy}"
         )
     question = swap_roles(game), jnp.zeros((2 + game.number, 4))
     try:
@@ -365,13 +407,16 @@ def traceable(name: str, game: Game) -> DriverFunction:
         raise ValueError(f"the human driver {name!r} returns {control}; {RETURN}")
     if len(programs) > 1:
         raise ValueError(
-            f"the human driver {name!r} computes something else when it is asked again; {REMEMBER}"
+            f"the human driver {name!r} computes something else when it is asked again;"
+            f" {REMEMBER}"
         )
     return driver
 
 
 def _is_key(constant: Any) -> bool:
-    """Return whether a constant holds keys of JAX's random numbers, which NumPy cannot convert."""
+    """Return whether a constant holds keys of JAX's random numbers, which NumPy cannot
+    convert.
+    """
     return jnp.issubdtype(constant.dtype, jax.dtypes.prng_key)
 
 

@@ -55,13 +55,17 @@ QUANTILE = 0.99  # of decisions' seconds, for budgets
 def drivable(
     rule: Rule[GameEvidence], belief: bool
 ) -> tuple[Rule[GameEvidence], int | None]:
-    """Return the rule for a `Driver`, and the rung that predicts unresponsive humans (None without a belief).
+    """Return the rule for a `Driver`, and the rung that predicts unresponsive humans
+    (None without a belief).
 
     Raises:
         ValueError: as `Driver` does.
     """
     if not isinstance(rule, Rule):
-        remedy = "make one with ms_highway.in_order(rungs, ladder) or ms_highway.always(model)"
+        remedy = (
+            "make one with ms_highway.in_order(rungs, ladder) or"
+            " ms_highway.always(model)"
+        )
         raise ValueError(f"a driver is given {shown(rule)}, which is no Rule; {remedy}")
     rule.check()
     return for_unresponsive(rule) if belief else (rule, None)
@@ -72,10 +76,11 @@ class StepSeconds:
     """Seconds that the parts of a step took, without compilation.
 
     Attributes:
-        choosing: of choosing the models, with the belief; 0 if nothing is chosen or inferred.
+        choosing: of choosing the models, with the belief; 0 if nothing is chosen or
+            inferred.
         planning: of the plan.
-        checking: of the search for a way out; until this step has searched, the last step's, by which a plan counts
-            as late.
+        checking: of the search for a way out; until this step has searched, the last
+            step's, by which a plan counts as late.
     """
 
     choosing: float = 0.0
@@ -86,20 +91,25 @@ class StepSeconds:
 class Driver:
     """Plan every step with the models that a rule chooses.
 
-    Where a plan is not finite, the robot follows the rest of the last finite plan, then brakes. With a budget, a late
-    plan is followed from the next step on; in its own step, the robot goes on with the rest of the last one. A rule is
-    told of the plan that was followed in a step, and of the models of that plan.
+    Where a plan is not finite, the robot follows the rest of the last finite plan, then
+    brakes. With a budget, a late plan is followed from the next step on; in its own
+    step, the robot goes on with the rest of the last one. A rule is told of the plan
+    that was followed in a step, and of the models of that plan.
 
     Args:
-        game: of which car 0 is driven, with the humans' rewards as the robot believes them.
+        game: of which car 0 is driven, with the humans' rewards as the robot believes
+            them.
         rule: chooses the models.
         budget: time of a cycle, decision and plan [s]; None for no limit.
-        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out`.
-        belief: whether to infer which model predicts every human. Humans who show that they do not respond are then
-            predicted by the first rung, or by naive under an order, instead of by a model that responds.
+        way_out: whether a control that leaves no way out is replaced, see
+            `ms_highway.planning.way_out`.
+        belief: whether to infer which model predicts every human. Humans who show that
+            they do not respond are then predicted by the first rung, or by naive under
+            an order, instead of by a model that responds.
 
     Raises:
-        ValueError: for impossible costs, prices or ladders, or if with a belief the first rung responds.
+        ValueError: for impossible costs, prices or ladders, or if with a belief the
+            first rung responds.
     """
 
     def __init__(
@@ -121,7 +131,9 @@ class Driver:
 
     @property
     def rule(self) -> Rule:
-        """Rule that chooses the models; between steps, it may be replaced by one of the same ladder."""
+        """Rule that chooses the models; between steps, it may be replaced by one of the
+        same ladder.
+        """
         return self._rule
 
     @rule.setter
@@ -132,7 +144,8 @@ class Driver:
             new = " ".join(model.name for model in rule.ladder)
             old = " ".join(model.name for model in last.ladder)
             raise ValueError(
-                f"the rule is on the ladder {new}, and the driver on {old}; make a new driver"
+                f"the rule is on the ladder {new}, and the driver on {old}; make a new"
+                " driver"
             )
         self._rule = rule
         self._unresponsive = unresponsive
@@ -142,7 +155,9 @@ class Driver:
 
     @property
     def game(self) -> Game:
-        """Game that is played; it may be replaced between steps, and a game of the same shapes compiles nothing."""
+        """Game that is played; it may be replaced between steps, and a game of the same
+        shapes compiles nothing.
+        """
         return self._game
 
     @game.setter
@@ -156,7 +171,9 @@ class Driver:
         self._warm = False
 
     def _place(self) -> None:
-        """Hold what decisions take: the numbers of rule and game, and whether they depend on the last step."""
+        """Hold what decisions take: the numbers of rule and game, and whether they
+        depend on the last step.
+        """
         self._placed = Placed((self.rule, single(self.game)))
         self._looks_back = self._rule.estimates or self.infers
 
@@ -166,7 +183,8 @@ class Driver:
         self._seconds = StepSeconds()
 
     def step(self, state: State) -> ControlStep:
-        """Choose the models from the outcome of the last step, plan, and return the control of the coming step.
+        """Choose the models from the outcome of the last step, plan, and return the
+        control of the coming step.
 
         Args:
             state: the robot, all humans and the scripted cars now.
@@ -242,7 +260,9 @@ class Driver:
         return NewPlan(plan, plan, solution.steps, solution.converged)
 
     def _is_late(self) -> bool:
-        """Return whether the budget will be spent after a search for a way out that takes as long as the last one."""
+        """Return whether the budget will be spent after a search for a way out that
+        takes as long as the last one.
+        """
         assert self.budget is not None
         return perf_counter() - self._started + self._seconds.checking > self.budget
 
@@ -254,7 +274,9 @@ class Driver:
     # Compilation
 
     def _warm_up(self, state: State) -> float:
-        """Compile before the first control of a game; return the seconds spent, timing of decisions included."""
+        """Compile before the first control of a game; return the seconds spent, timing
+        of decisions included.
+        """
         if self._warm:
             return 0.0
         refuse_after_fork()  # later, every compiled function refuses
@@ -290,7 +312,9 @@ class Driver:
 
 @cache
 def choice_function(unresponsive: int | None) -> Compiled:
-    """Compile `ms_highway.loop.step.choose` by a rule, given the rung that predicts unresponsive humans."""
+    """Compile `ms_highway.loop.step.choose` by a rule, given the rung that predicts
+    unresponsive humans.
+    """
 
     def chosen(rule: Rule, game: Game, carry: Carry, now: State) -> Choice:
         return choose(
@@ -301,7 +325,8 @@ def choice_function(unresponsive: int | None) -> Compiled:
 
 
 def fixed(game: Game, model: HumanModel | None = None) -> Driver:
-    """Return a driver that always predicts by the same model, by default naive, as humans in environments do.
+    """Return a driver that always predicts by the same model, by default naive, as
+    humans in environments do.
 
     Args:
         game: of which car 0 is driven; for a human, `ms_highway.game.game.swap_roles`.

@@ -1,4 +1,6 @@
-"""Hold what a simulation takes and returns: what its episodes share, the episodes, and the records of their steps."""
+"""Hold what a simulation takes and returns: what its episodes share, the episodes, and
+the records of their steps.
+"""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -14,12 +16,14 @@ from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import CHUNK
 
 DECIDES = -1
-"""Entry of a schedule: the rule chooses the model of this human in this step; other entries, from 0, are numbers of
-`Loop.models`."""
+"""Entry of a schedule: the rule chooses the model of this human in this step; other
+entries, from 0, are numbers of `Loop.models`.
+"""
 
 HUMAN_PLANS = 0
-"""Number of a human's driver if the human plans for its reward; ``HUMAN_PLANS + 1 + place`` is the number of the driver
-at this place in `Loop.drivers`."""
+"""Number of a human's driver if the human plans for its reward; ``HUMAN_PLANS + 1 +
+place`` is the number of the driver at this place in `Loop.drivers`.
+"""
 
 
 @jax.tree_util.register_dataclass
@@ -30,14 +34,18 @@ class Loop:
     Attributes:
         game: that is played, with the humans' rewards as the robot believes them.
         rule: chooses rungs of its ladder; every episode has its own price.
-        others: models that schedules may use beside the ladder; their numbers follow those of the rungs (static).
-        way_out: whether a control that leaves no way out is replaced, see `ms_highway.planning.way_out` (static).
-        belief: whether the robot infers which model predicts every human, see `ms_highway.loop.driver` (static).
+        others: models that schedules may use beside the ladder; their numbers follow
+            those of the rungs (static).
+        way_out: whether a control that leaves no way out is replaced, see
+            `ms_highway.planning.way_out` (static).
+        belief: whether the robot infers which model predicts every human, see
+            `ms_highway.loop.driver` (static).
         drivers: of humans who do not plan, see `ms_highway.add_driver` (static).
-        chunk: number of episodes computed together with one human (static); with several humans, episodes are computed
-            one by one. A chunk computes only the human models that it uses: smaller chunks waste less computation,
-            larger ones use wide hardware better. The last digits of results depend on it, and chaotic episodes (Stay
-            Back) amplify them.
+        chunk: number of episodes computed together with one human (static); with
+            several humans, episodes are computed one by one. A chunk computes only the
+            human models that it uses: smaller chunks waste less computation, larger
+            ones use wide hardware better. The last digits of results depend on it, and
+            chaotic episodes (Stay Back) amplify them.
     """
 
     game: Game
@@ -55,10 +63,12 @@ class Loop:
 
     @property
     def unresponsive(self) -> int | None:
-        """The number of the model that predicts unresponsive humans; None without a belief.
+        """The number of the model that predicts unresponsive humans; None without a
+        belief.
 
         Raises:
-            ValueError: see `for_unresponsive`; if the order needs naive, and no model is it.
+            ValueError: see `for_unresponsive`; if the order needs naive, and no model
+                is it.
         """
         if not self.belief:
             return None
@@ -85,9 +95,11 @@ class Episodes:
     Attributes:
         starts: all cars at the start: robot, humans, scripted cars.
         prices: lambda, where the rule decides.
-        schedules: number of the model that predicts each human in each step, or `DECIDES`.
+        schedules: number of the model that predicts each human in each step, or
+            `DECIDES`.
         robot_weights: of the robot's reward, in the order of its features.
-        human_weights: of the rewards that the humans drive for; with one human, the robot knows them.
+        human_weights: of the rewards that the humans drive for; with one human, the
+            robot knows them.
         drivers: number of each human's driver, see `HUMAN_PLANS`.
     """
 
@@ -103,18 +115,23 @@ class Episodes:
 
 
 class Records(NamedTuple):
-    """Records of all steps, with the columns of `ms_highway.experiments.runner.episode`.
+    """Records of all steps, with the columns of
+    `ms_highway.experiments.runner.episode`.
 
     Attributes:
-        rungs: number of the model that predicted each human in the plan that was followed, in `Loop.models`.
-        planned: the same in the step's own plan, whose T is counted; it is not followed where it is not finite.
+        rungs: number of the model that predicted each human in the plan that was
+            followed, in `Loop.models`.
+        planned: the same in the step's own plan, whose T is counted; it is not followed
+            where it is not finite.
         status: of the robot's control, its place in `ms_highway.loop.step.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
-        gains: of each rung for each human, estimated before the step, see `ms_highway.choice.rule.Estimate`.
+        gains: of each rung for each human, estimated before the step, see
+            `ms_highway.choice.rule.Estimate`.
         states: all cars after the step.
-        chosen: what a rule that is not the package's chose, 0 where a schedule did; to be checked by
-            `ms_highway.choice.rule.refuse_rungs`. None for the package's rules.
+        chosen: what a rule that is not the package's chose, 0 where a schedule did; to
+            be checked by `ms_highway.choice.rule.refuse_rungs`. None for the package's
+            rules.
     """
 
     rungs: Int[Array, "episodes steps humans"]

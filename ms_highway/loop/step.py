@@ -1,8 +1,9 @@
 """One step of a robot among humans: live, in a batch, or on a stock road.
 
-`step` is a function of what the robot carries from step to step. Whatever differs between
-live steps, batches and stock roads is in its `Parts`: live, they are compiled and timed; in
-a batch, JAX traces them; on a stock road, the robot chooses and plans among proposals.
+`step` is a function of what the robot carries from step to step. Whatever differs
+between live steps, batches and stock roads is in its `Parts`: live, they are compiled
+and timed; in a batch, JAX traces them; on a stock road, the robot chooses and plans
+among proposals.
 
 Everything here works for numbers of NumPy and of JAX, see `branch`.
 """
@@ -34,10 +35,12 @@ from ms_highway.runtime.arrays import (
 )
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
-"""Source of a control: ``planned``, this step's plan; ``previous plan``, the rest of the last finite plan, if this one
-is not finite; ``braking`` in lane, if nothing is left of that plan; ``late``, the rest of the last plan or braking, if
-this plan is late; ``way out``, an escape from cars that keep their velocity, if the planned control leaves no such
-escape. The rest of an escape is then the rest of the last plan."""
+"""Source of a control: ``planned``, this step's plan; ``previous plan``, the rest of
+the last finite plan, if this one is not finite; ``braking`` in lane, if nothing is left
+of that plan; ``late``, the rest of the last plan or braking, if this plan is late;
+``way out``, an escape from cars that keep their velocity, if the planned control leaves
+no such escape. The rest of an escape is then the rest of the last plan.
+"""
 
 STATUSES: tuple[Status, ...] = get_args(Status)
 """All statuses, in the order of their numbers."""
@@ -52,9 +55,11 @@ class RemainingPlan(NamedTuple):
 
     Attributes:
         plan: scaled; beyond its end, its last controls are repeated.
-        steps: number of its controls that are left, this step's included; with 0, the robot brakes.
+        steps: number of its controls that are left, this step's included; with 0, the
+            robot brakes.
         rungs: of every human in this plan.
-        warm_start: where the next plan may start: this plan or, if it is an escape, the one that it replaced.
+        warm_start: where the next plan may start: this plan or, if it is an escape, the
+            one that it replaced.
     """
 
     plan: Plan
@@ -75,9 +80,11 @@ class Carry(NamedTuple):
 
     Attributes:
         memory: of its rule.
-        outcome: of the last step; before the first one, of a step in which no car moved.
+        outcome: of the last step; before the first one, of a step in which no car
+            moved.
         belief: probability that each of the package's models predicts each human.
-        fallback: plan to fall back on in the next step, its first control counted as executed.
+        fallback: plan to fall back on in the next step, its first control counted as
+            executed.
     """
 
     memory: Memory
@@ -92,7 +99,8 @@ class Choice(NamedTuple):
     Attributes:
         belief: after the last step.
         decision: what the rule or a schedule chose.
-        rungs: of every human in the coming plan; other than chosen for humans who do not respond.
+        rungs: of every human in the coming plan; other than chosen for humans who do
+            not respond.
         evidence: what was looked at, if the plan needs it.
     """
 
@@ -124,8 +132,8 @@ class StepResult(NamedTuple):
     """What drives in a step, and where it comes from.
 
     Attributes:
-        driven: what drives; its first control is executed. If the robot brakes, the rungs are
-            those of the step's own plan.
+        driven: what drives; its first control is executed. If the robot brakes, the
+            rungs are those of the step's own plan.
         status: place of the status in `STATUSES`.
         choice: the models of the step's own plan.
         planned: that plan, whether it drives or not.
@@ -141,12 +149,16 @@ class Parts(NamedTuple):
     """What differs between live steps, batches and stock roads.
 
     Attributes:
-        choose: looks at the last step, and chooses the models from what the robot carries and the cars now.
-        plan: plans among the cars now, with a choice, perhaps starting from the plan to fall back on.
-        brake: returns what is left of a plan with braking in place of its controls, given the cars now.
-        is_late: whether the plan, which was just made, is too late for this step; None if no plan ever is.
-        escape: returns the control to execute now instead of a planned one, if that leaves no way out; None
-            without such a search.
+        choose: looks at the last step, and chooses the models from what the robot
+            carries and the cars now.
+        plan: plans among the cars now, with a choice, perhaps starting from the plan to
+            fall back on.
+        brake: returns what is left of a plan with braking in place of its controls,
+            given the cars now.
+        is_late: whether the plan, which was just made, is too late for this step; None
+            if no plan ever is.
+        escape: returns the control to execute now instead of a planned one, if that
+            leaves no way out; None without such a search.
     """
 
     choose: Callable[[Carry, Any], Choice]
@@ -157,10 +169,12 @@ class Parts(NamedTuple):
 
 
 def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
-    """Drive one step: choose a model of each human by what the last step showed, plan, and execute the first control.
+    """Drive one step: choose a model of each human by what the last step showed, plan,
+    and execute the first control.
 
-    A step of the paper's meta-MDP, whose action is the choice of the models (Sec. III). A robot that cannot follow its
-    plan falls back on the last one, then brakes; one that would have no way out escapes.
+    A step of the paper's meta-MDP, whose action is the choice of the models (Sec. III).
+    A robot that cannot follow its plan falls back on the last one, then brakes; one
+    that would have no way out escapes.
 
     Args:
         carry: what the robot carries into the step.
@@ -177,7 +191,8 @@ def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
     planned = parts.plan(now, choice, carry.fallback)
     late = parts.is_late is not None and parts.is_late()
 
-    # Follow the plan. If it is not finite or late, follow the last one; where that has ended, brake.
+    # Follow the plan. If it is not finite or late, follow the last one; where that has
+    # ended, brake.
     driven, fallback, status = follow(
         planned, choice.rungs, carry.fallback, now, parts.brake, late
     )
@@ -204,7 +219,9 @@ def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
 def branch(
     flag: Flag | bool, then: Callable[[], Any], otherwise: Callable[[], Any]
 ) -> Any:
-    """Return one of two results; for a flag of JAX, compute both, and select each number."""
+    """Return one of two results; for a flag of JAX, compute both, and select each
+    number.
+    """
     if isinstance(flag, jax.Array):
         return jax.tree.map(lambda *both: jnp.where(flag, *both), then(), otherwise())
     return then() if flag else otherwise()
@@ -247,12 +264,14 @@ def choose(
     carry: Carry,
     now: State,
 ) -> Choice:
-    """Complete the outcome of the last step and the belief, and choose a model for each human.
+    """Complete the outcome of the last step and the belief, and choose a model for each
+    human.
 
     Args:
         game: as the robot believes it.
         models: which rungs name.
-        unresponsive: rung that predicts humans who do not respond; None to count on everybody, without a belief.
+        unresponsive: rung that predicts humans who do not respond; None to count on
+            everybody, without a belief.
         decide: chooses rungs by the outcome, see `ms_highway.choice.rule.decide`.
         carry: into the step.
         now: all cars.
@@ -298,8 +317,9 @@ def plan_start(
 ) -> Plan | None:
     """Return the scaled plan from which the coming one starts.
 
-    Humans continue the last plan if the planner or their model wants that; the robot does
-    if any human does. All others start cold. It is None if no model ever continues.
+    Humans continue the last plan if the planner or their model wants that; the robot
+    does if any human does. All others start cold. It is None if no model ever
+    continues.
 
     Args:
         models: that rungs name.
@@ -328,7 +348,8 @@ def follow(
     brake: Callable[[RemainingPlan, Any], RemainingPlan],
     late: bool = False,
 ) -> tuple[RemainingPlan, RemainingPlan, Index]:
-    """Follow a plan or, if it is late or not finite, the last one, and brake where nothing is left of that.
+    """Follow a plan or, if it is late or not finite, the last one, and brake where
+    nothing is left of that.
 
     Args:
         planned: of this step.
@@ -336,10 +357,12 @@ def follow(
         last: plan to fall back on in this step.
         now: all cars.
         brake: see `Parts`.
-        late: whether the plan is too late for this step; a finite one is followed from the next step on.
+        late: whether the plan is too late for this step; a finite one is followed from
+            the next step on.
 
     Returns:
-        What drives, the plan to fall back on in the next step, and the number of the status.
+        What drives, the plan to fall back on in the next step, and the number of the
+        status.
     """
     plan = planned.plan
     xp = plan.robot.__array_namespace__()
@@ -367,7 +390,8 @@ def fall_back(
     now: Any,
     brake: Callable[[RemainingPlan, Any], RemainingPlan],
 ) -> tuple[RemainingPlan, Index]:
-    """Go on with the last plan, or brake where nothing is left of it; return what drives and its status, see `follow`.
+    """Go on with the last plan, or brake where nothing is left of it; return what
+    drives and its status, see `follow`.
 
     Braking counts under the models of the step's own plan.
     """
@@ -383,21 +407,26 @@ def fall_back(
 def follow_escape(
     driven: RemainingPlan, fallback: RemainingPlan, status: Index, escape: Escape
 ) -> tuple[RemainingPlan, RemainingPlan, Index]:
-    """Follow an escape, and fall back on it, if it replaces the control; return the same as `follow`.
+    """Follow an escape, and fall back on it, if it replaces the control; return the
+    same as `follow`.
 
-    Late and failed plans keep their status. The rungs remain those of the plan, although an escape counts on nobody.
+    Late and failed plans keep their status. The rungs remain those of the plan,
+    although an escape counts on nobody.
     """
     plan = driven.plan._replace(robot=escape.controls)
     own = RemainingPlan(plan, len(escape.controls), driven.rungs, fallback.warm_start)
     replaced = escape.replaces & (status == PLANNED)
     status = branch(replaced, lambda: WAY_OUT, lambda: status)
-    return *branch(
-        escape.replaces, lambda: (own, own), lambda: (driven, fallback)
-    ), status
+    return (
+        *branch(escape.replaces, lambda: (own, own), lambda: (driven, fallback)),
+        status,
+    )
 
 
 def brake(game: Game, left: RemainingPlan, now: State) -> RemainingPlan:
-    """Return what is left of a plan, with braking in lane in place of the robot's controls."""
+    """Return what is left of a plan, with braking in lane in place of the robot's
+    controls.
+    """
     robot = left.plan.robot
     xp = robot.__array_namespace__()
     with np.errstate(over="ignore", invalid="ignore"):
@@ -408,9 +437,11 @@ def brake(game: Game, left: RemainingPlan, now: State) -> RemainingPlan:
 
 
 def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:
-    """Return the control that brakes and aligns a car with the road, within the limits of plans.
+    """Return the control that brakes and aligns a car with the road, within the limits
+    of plans.
 
-    It is finite in every finite state, even if friction or the acceleration that stops the car is not finite.
+    It is finite in every finite state, even if friction or the acceleration that stops
+    the car is not finite.
     """
     xp = car.__array_namespace__()
     heading = car[2]

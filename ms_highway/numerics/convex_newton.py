@@ -1,9 +1,12 @@
-"""Climb by Newton steps whose result is a continuous function of the start, for plans of seconds.
+"""Climb by Newton steps whose result is a continuous function of the start, for plans
+of seconds.
 
-The curvature of the reward is made convex (`ms_highway.game.payoff`) and the trajectory is taken as linear
-(Gauss-Newton), so that every factorisation succeeds and no damping is searched for. The share of a step that is taken
-is at the top of the parabola with the slopes at both ends of the step: float32 resolves slopes where it loses the gain
-in rounding. Nothing is chosen among candidates, so that plans from similar starts are similar.
+The curvature of the reward is made convex (`ms_highway.game.payoff`) and the trajectory
+is taken as linear (Gauss-Newton), so that every factorisation succeeds and no damping
+is searched for. The share of a step that is taken is at the top of the parabola with
+the slopes at both ends of the step: float32 resolves slopes where it loses the gain in
+rounding. Nothing is chosen among candidates, so that plans from similar starts are
+similar.
 """
 
 from collections.abc import Callable
@@ -29,23 +32,32 @@ from ms_highway.runtime.arrays import (
 Point = TypeVar("Point", bound=PyTree)
 
 STEPS, JOINT_STEPS = 8, 4
-"""Largest numbers of steps of a plan by default, see `until_still`: alone, and where others respond to each step.
+"""Largest numbers of steps of a plan by default, see `until_still`: alone, and where
+others respond to each step.
 
-Steps to which others respond climb no single reward, and more of them are less steady. Measured in Dense Merge under
-theory of mind, for 95 % of 100 starts that are 10 um apart: two seconds later, they are within 0.73 mm of each other
-with four such steps, 2.0 mm with six and 13 mm with eight. With naive plans of eight steps, they are within 0.27 mm."""
+Steps to which others respond climb no single reward, and more of them are less steady.
+Measured in Dense Merge under theory of mind, for 95 % of 100 starts that are 10 um
+apart: two seconds later, they are within 0.73 mm of each other with four such steps,
+2.0 mm with six and 13 mm with eight. With naive plans of eight steps, they are within
+0.27 mm.
+"""
 
 EASE = 5.0
-"""Usual ease of `ms_highway.numerics.solvers.Newton`: braking by 4 m/s^2 costs 0.04 per step.
+"""Usual ease of `ms_highway.numerics.solvers.Newton`: braking by 4 m/s^2 costs 0.04 per
+step.
 
-Measured in 60 starts of Dense Merge under theory of mind, with an earlier damping of 10: 6.06 per step and 3 collisions
-at 2, 6.63 and none at 5, 6.33 and 1 at 10."""
+Measured in 60 starts of Dense Merge under theory of mind, with an earlier damping of
+10: 6.06 per step and 3 collisions at 2, 6.63 and none at 5, 6.33 and 1 at 10.
+"""
 
 DAMPING = 2.0
-"""Reward per squared scaled control: a step is short where nothing else bends the reward.
+"""Reward per squared scaled control: a step is short where nothing else bends the
+reward.
 
-Measured like the number of steps to which others respond, with four of them and an earlier cost of room to stop: starts
-are within 1.1 mm of each other two seconds later with a damping of 1.5, and within 1.5 mm with 1."""
+Measured like the number of steps to which others respond, with four of them and an
+earlier cost of room to stop: starts are within 1.1 mm of each other two seconds later
+with a damping of 1.5, and within 1.5 mm with 1.
+"""
 
 MAX_STEP = 1.0  # norm of a step [scaled controls]: full braking for two seconds
 STEP_TOLERANCE = 1e-3  # norm of a step that is not worth taking [scaled controls]
@@ -86,8 +98,9 @@ def expand(
 ) -> Local:
     """Expand an objective around controls.
 
-    With ``J_k = ds_k / du`` of the motion at step k, the reward's convex curvature Q_k there and the costs' second
-    derivative D, ``C = sum_k J_k^T Q_k J_k + D + DAMPING I``.
+    With ``J_k = ds_k / du`` of the motion at step k, the reward's convex curvature Q_k
+    there and the costs' second derivative D, ``C = sum_k J_k^T Q_k J_k + D + DAMPING
+    I``.
 
     Args:
         objective: to climb.
@@ -117,10 +130,12 @@ def expand(
 
 
 def share(slope: Scalar, after: Scalar) -> Scalar:
-    """Return the share of a step at the top of the parabola that has the step's slopes at both ends.
+    """Return the share of a step at the top of the parabola that has the step's slopes
+    at both ends.
 
-    With the slopes g at the start and g' at the end, it is ``g / (g - g')``, at least `MIN_SHARE` and at most 1; it is
-    1 where the reward still rises at the end. NaN where g is not finite, so that the plan fails and says so.
+    With the slopes g at the start and g' at the end, it is ``g / (g - g')``, at least
+    `MIN_SHARE` and at most 1; it is 1 where the reward still rises at the end. NaN
+    where g is not finite, so that the plan fails and says so.
 
     Args:
         slope: derivative of the reward along the whole step, at its start.
@@ -135,8 +150,8 @@ def share(slope: Scalar, after: Scalar) -> Scalar:
 def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
     """Return controls after a step, projected on the limits.
 
-    At least `MIN_SHARE` of a step is taken; where that leads beyond a wall of the reward, controls may earn less for a
-    step.
+    At least `MIN_SHARE` of a step is taken; where that leads beyond a wall of the
+    reward, controls may earn less for a step.
 
     Args:
         objective: to climb.
@@ -160,8 +175,9 @@ def until_still(
 ) -> tuple[Point, Index, Flag]:
     """Repeat a step until it hardly moves anything.
 
-    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a shorter one not
-    at all. So a similar start that takes one step more or less ends in nearly the same point.
+    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a
+    shorter one not at all. So a similar start that takes one step more or less ends in
+    nearly the same point.
 
     Args:
         step: takes the number of the step and a point, and returns the next point.
@@ -170,7 +186,8 @@ def until_still(
         controls: of a point; their change is the norm of a step.
 
     Returns:
-        The last point, the number of steps, and whether the last one hardly moved the controls.
+        The last point, the number of steps, and whether the last one hardly moved the
+        controls.
     """
 
     def go(now: tuple[Point, Scalar, Index]) -> tuple[Point, Scalar, Index]:

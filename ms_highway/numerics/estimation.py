@@ -1,4 +1,6 @@
-"""Estimate parameters from data: the minimum of a loss, and the covariance of the estimate."""
+"""Estimate parameters from data: the minimum of a loss, and the covariance of the
+estimate.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +19,8 @@ def minimum(
     """Return the parameters at which a loss is least, by L-BFGS.
 
     Args:
-        loss: of parameters and the arguments; returns its value and its slope, in any precision.
+        loss: of parameters and the arguments; returns its value and its slope, in any
+            precision.
         first: parameters to start from.
         arguments: of the loss.
         options: of `scipy.optimize.minimize`.
@@ -49,9 +52,11 @@ def grouped_covariance(
     scores: Float[np.ndarray, "n parameters"],
     groups: Int[np.ndarray, "n"],
 ) -> Matrix:
-    """Return the covariance of estimates from groups of data that depend on each other (Huber 1967).
+    """Return the covariance of estimates from groups of data that depend on each other
+    (Huber 1967).
 
-    With the score s_i, the slope of the loss over all data of group i, it is ``B sum_i s_i s_i^T B``.
+    With the score s_i, the slope of the loss over all data of group i, it is ``B sum_i
+    s_i s_i^T B``.
 
     Args:
         inverse: B, of the loss's Hessian.

@@ -30,7 +30,8 @@ from ms_highway.runtime.arrays import (
 
 
 class Objective(NamedTuple):
-    """Maximise ``reward(path(controls)) - cost(controls)`` over scaled controls within limits.
+    """Maximise ``reward(path(controls)) - cost(controls)`` over scaled controls within
+    limits.
 
     Attributes:
         path: trajectory under controls.
@@ -38,8 +39,8 @@ class Objective(NamedTuple):
         cost: of the controls themselves, a sum over them.
         bounded: projects controls on their limits.
         slope: derivative of the reward in a trajectory.
-        curvature: a convex form of minus the reward's second derivatives at each step of a trajectory, for
-            `ms_highway.numerics.convex_newton`.
+        curvature: a convex form of minus the reward's second derivatives at each step
+            of a trajectory, for `ms_highway.numerics.convex_newton`.
         jacobian: derivative of the path in the ravelled controls, for the same.
     """
 
@@ -52,7 +53,9 @@ class Objective(NamedTuple):
     jacobian: Callable[[Controls], Float[Any, "fields steps controls"]] | None = None
 
     def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:
-        """Return what controls earn on their path; the path is computed unless it is given."""
+        """Return what controls earn on their path; the path is computed unless it is
+        given.
+        """
         return self.reward(self.path(controls) if path is None else path) - self.cost(
             controls
         )
@@ -76,13 +79,17 @@ class Objective(NamedTuple):
     def search_line(
         self, controls: Controls, step: Controls, shares: Float[Any, "shares"]
     ) -> tuple[ManyControls, Float[Any, "shares"]]:
-        """Return the controls after shares of a step, limited by `bounded`, and the value of `earned` for each."""
+        """Return the controls after shares of a step, limited by `bounded`, and the
+        value of `earned` for each.
+        """
         candidates = self.bounded(controls + shares[:, None, None] * step)
         return candidates, jax.vmap(self.earned)(candidates)
 
 
 def best_of(candidates: Numbers, earned: Float[Any, "candidates"]) -> Numbers:
-    """Return the candidate that earns most among those with a finite reward; NaN where there is none."""
+    """Return the candidate that earns most among those with a finite reward; NaN where
+    there is none.
+    """
     known = jnp.isfinite(earned)
     best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
     return jnp.where(known.any(), best, jnp.nan)
@@ -99,10 +106,12 @@ MIN_DAMPING, DAMPING_GROWTH, MAX_DAMPING = (
 
 
 def damped_solve(hessian: Matrix, vector: Vector) -> Vector:
-    """Return ``(d I - H)^-1 vector``, with the first damping d of 1, 6, 36, ... for which a Cholesky factor exists.
+    """Return ``(d I - H)^-1 vector``, with the first damping d of 1, 6, 36, ... for
+    which a Cholesky factor exists.
 
-    Where the reward is not concave, the multiple of the identity makes its negative Hessian definite, without
-    eigenvalues (Levenberg 1944; Nocedal and Wright). Zero where the result is not finite.
+    Where the reward is not concave, the multiple of the identity makes its negative
+    Hessian definite, without eigenvalues (Levenberg 1944; Nocedal and Wright). Zero
+    where the result is not finite.
     """
     symmetric, identity = (hessian + hessian.T) / 2, jnp.eye(len(hessian))
 

@@ -1,4 +1,6 @@
-"""Differentiate a trajectory's reward twice in the controls, and compute steps and responses from the Hessian."""
+"""Differentiate a trajectory's reward twice in the controls, and compute steps and
+responses from the Hessian.
+"""
 
 from collections.abc import Callable
 from typing import Literal, NamedTuple, TypeAlias
@@ -48,14 +50,17 @@ def second_order_expansion(
     cost: Callable[[Controls], Scalar],
     jacobian: Float[jax.Array, "fields steps n"] | None = None,
 ) -> Expansion:
-    """Return gradient and Hessian in the controls, by the chain rule, of a sum over steps, less a cost.
+    """Return gradient and Hessian in the controls, by the chain rule, of a sum over
+    steps, less a cost.
 
-    With s_k the motion at step k, ``J_k = ds_k / du``, and g_k and Q_k the reward's gradient and Hessian at s_k::
+    With s_k the motion at step k, ``J_k = ds_k / du``, and g_k and Q_k the reward's
+    gradient and Hessian at s_k::
 
         gradient = sum_k J_k^T g_k;  H = sum_k J_k^T Q_k J_k + sum_k g_k d2s_k / du2
 
-    The expensive reward is differentiated twice in as many directions as a motion has fields, whatever the number of
-    controls; only the cheap trajectory is differentiated in every control.
+    The expensive reward is differentiated twice in as many directions as a motion has
+    fields, whatever the number of controls; only the cheap trajectory is differentiated
+    in every control.
 
     Args:
         path: trajectory under the controls.
@@ -63,7 +68,8 @@ def second_order_expansion(
         slope: g of all steps.
         bends: Q of all steps.
         cost: of the controls themselves, a sum over them.
-        jacobian: J; if it is given, the trajectory is taken as linear (Gauss-Newton), ``d2s_k / du2 = 0``.
+        jacobian: J; if it is given, the trajectory is taken as linear (Gauss-Newton),
+            ``d2s_k / du2 = 0``.
     """
 
     def ravelled(controls: Vector) -> Trajectory:
@@ -80,7 +86,8 @@ def second_order_expansion(
         hessian += jax.jacfwd(
             lambda controls: jax.vjp(ravelled, controls)[1](slope)[0]
         )(point)
-    # Of a sum over controls, the derivative along all of them at once is the diagonal of the Hessian.
+    # Of a sum over controls, the derivative along all of them at once is the diagonal
+    # of the Hessian.
     marginal, diagonal = jax.jvp(
         jax.grad(cost), (controls,), (jnp.ones_like(controls),)
     )
@@ -92,9 +99,11 @@ def second_order_expansion(
 def along_fields(
     function: Callable[[Trajectory], Numbers], steps: Trajectory
 ) -> tuple[Numbers, Numbers]:
-    """Return a function of trajectories and its derivatives in each field [fields, *value].
+    """Return a function of trajectories and its derivatives in each field [fields,
+    *value].
 
-    The value at each step may depend only on the fields at this step, so that one direction per field serves all steps.
+    The value at each step may depend only on the fields at this step, so that one
+    direction per field serves all steps.
     """
     each = jnp.eye(len(steps)).reshape(len(steps), len(steps), *[1] * (steps.ndim - 1))
     directions = jnp.broadcast_to(each, (len(steps), *steps.shape))
@@ -107,11 +116,14 @@ def along_fields(
 def response(
     influence: Influence, hessian: Matrix, vector: Float[jax.Array, "n *columns"]
 ) -> Float[jax.Array, "n *columns"]:
-    """Compute ``-H^-1 vector``: how the optimum of a reward with Hessian H moves if its gradient changes by ``vector``.
+    """Compute ``-H^-1 vector``: how the optimum of a reward with Hessian H moves if its
+    gradient changes by ``vector``.
 
-    * ``exact`` takes H as it is, like the paper and its released code. Before convergence, H may be indefinite or
-      singular; the response is then arbitrary or not finite.
-    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, so that every response ascends and is bounded.
+    * ``exact`` takes H as it is, like the paper and its released code. Before
+      convergence, H may be indefinite or singular; the response is then arbitrary or
+      not finite.
+    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, so that every response
+      ascends and is bounded.
     """
     if influence == "damped":
         return damped_inverse(hessian, 1.0) @ vector
@@ -119,7 +131,9 @@ def response(
 
 
 def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
-    """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``: positive definite, so steps ascend."""
+    """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``:
+    positive definite, so steps ascend.
+    """
     values, vectors = jnp.linalg.eigh(hessian)
     return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
 
@@ -130,8 +144,9 @@ def floored(
 ) -> Float[jax.Array, "d d"]:
     """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
 
-    Its derivative is exact even at equal eigenvalues, where derivatives of eigenvectors are not finite: with divided
-    differences F of max(., floor), ``d floored = V (F * (V^T dA V)) V^T``.
+    Its derivative is exact even at equal eigenvalues, where derivatives of eigenvectors
+    are not finite: with divided differences F of max(., floor), ``d floored = V (F *
+    (V^T dA V)) V^T``.
     """
     values, vectors = jnp.linalg.eigh(symmetric)
     return (vectors * jnp.maximum(values, floor)) @ vectors.T

@@ -1,7 +1,7 @@
 """Solvers of plans, and the number and size of gradient steps.
 
-A solver is an object with its own numbers. It repeats a step of `ms_highway.planning.joint` and
-says how many it took, and whether they converged.
+A solver is an object with its own numbers. It repeats a step of
+`ms_highway.planning.joint` and says how many it took, and whether they converged.
 """
 
 from collections.abc import Callable
@@ -49,7 +49,8 @@ class Ascent:
         step_size: length of a step per unit of gradient.
         iterations: number of steps (static).
         continues: whether plans start from the rest of the last plan (static).
-        smooth: whether plans climb a reward without jumps, see `ms_highway.game.payoff` (static).
+        smooth: whether plans climb a reward without jumps, see `ms_highway.game.payoff`
+            (static).
     """
 
     step_size: Scalar = 0.03
@@ -64,7 +65,8 @@ class Ascent:
     def with_steps(self, number: int, longest: Scalar) -> "Ascent":
         """Return the solver with its own number of steps, as long as is safe.
 
-        A step is `COUNTED_STEP` long or, if that is shorter, `STEP_SHARE` of the longest step.
+        A step is `COUNTED_STEP` long or, if that is shorter, `STEP_SHARE` of the
+        longest step.
 
         Args:
             number: of steps.
@@ -90,7 +92,8 @@ class Ascent:
             step: takes the number of the step and a point, and returns the next point.
             start: first point.
             most: number of steps.
-            controls: of a point; the norm of their change tells whether the last step moved them.
+            controls: of a point; the norm of their change tells whether the last step
+                moved them.
         """
 
         def go(number: Index, now: tuple[Point, Scalar]) -> tuple[Point, Scalar]:
@@ -112,13 +115,13 @@ class Newton:
     Similar states give similar plans, see `ms_highway.numerics.convex_newton`.
 
     Attributes:
-        ease: cost of plans, beside their reward, per squared scaled control that changes the
-            velocity, so that they do not follow every bump of the reward at once; less for steering
-            at low speed, see `ms_highway.game.game.discomfort`.
+        ease: cost of plans, beside their reward, per squared scaled control that
+            changes the velocity, so that they do not follow every bump of the reward at
+            once; less for steering at low speed, see `ms_highway.game.game.discomfort`.
         steps: largest number of steps where no human responds to them (static).
         joint_steps: largest number of steps to which humans respond (static).
-        continues: whether plans start from the rest of the last plan or, if that earns more, from a
-            simple manoeuvre (static).
+        continues: whether plans start from the rest of the last plan or, if that earns
+            more, from a simple manoeuvre (static).
     """
 
     ease: Scalar = 0.0
@@ -128,7 +131,9 @@ class Newton:
     smooth: ClassVar[bool] = True
 
     def most_steps(self, responds: bool) -> int:
-        """Return the largest number of steps of a plan to which humans respond or do not."""
+        """Return the largest number of steps of a plan to which humans respond or do
+        not.
+        """
         return self.joint_steps if responds else self.steps
 
     def with_steps(self, number: int, longest: Scalar) -> "Newton":
@@ -136,7 +141,9 @@ class Newton:
         return replace(self, steps=number, joint_steps=number)
 
     def of_human(self) -> "Newton":
-        """Return the solver for humans, without ease and without continuing the last plan."""
+        """Return the solver for humans, without ease and without continuing the last
+        plan.
+        """
         return replace(self, continues=False, ease=0.0)
 
     def repeat(
@@ -159,12 +166,12 @@ class Planner:
     """Horizon, limits and solver of plans.
 
     Attributes:
-        control_scale: unit of each control; steps are taken in ``u / control_scale``, so that a
-            larger scale means larger steps of that control. ``(1, 1)`` in the units of the reward
-            is the plain gradient.
+        control_scale: unit of each control; steps are taken in ``u / control_scale``,
+            so that a larger scale means larger steps of that control. ``(1, 1)`` in the
+            units of the reward is the plain gradient.
         control_limit: bound on the magnitude of each control, infinite for none.
-        grip: total acceleration that tyres hold [m/s^2]; plans are cut down to it and do not
-            reverse, see `ms_highway.game.game.bounded`. None for no such limit.
+        grip: total acceleration that tyres hold [m/s^2]; plans are cut down to it and
+            do not reverse, see `ms_highway.game.game.bounded`. None for no such limit.
         solver: improves plans.
         horizon: number of planned controls, K in the paper (static).
     """
@@ -184,14 +191,18 @@ MAX_ITERATIONS = 5000
 COUNTED_STEP = 0.1
 """Length of the steps of a model with its own number of them.
 
-The reward of a plan depends on the summed length of its steps: 6 of them earn as much as the paper's 20 of 0.03, and
-more of them earn more. At the paper's horizon, some plans overshoot and collide from 0.15 on."""
+The reward of a plan depends on the summed length of its steps: 6 of them earn as much
+as the paper's 20 of 0.03, and more of them earn more. At the paper's horizon, some
+plans overshoot and collide from 0.15 on.
+"""
 
 PAPER_STEPS = 20, 0.03  # number and size
 STEP_SHARE = 0.6
 """Share of the `longest_step` that plans take where the wanted step is longer."""
 
-STEEPEST = 1000.0  # the largest weight on a squared lateral distance in the paper's scenes [1 / length unit^2]
+# the largest weight on a squared lateral distance in the paper's scenes [1 / length
+# unit^2]
+STEEPEST = 1000.0
 SPEED = 0.6  # the paper's speed limit [length units per second]
 
 
@@ -199,9 +210,11 @@ SPEED = 0.6  # the paper's speed limit [length units per second]
 class PlanningSettings:
     """Horizon, time step and gradient steps of the plans of robot and human alike.
 
-    They depend on each other: the reward's curvature in the controls grows with the fourth power of the horizon, and a
-    gradient step longer than `longest_step` overshoots. With K = 10, the paper's step size of 0.03 makes theory of mind
-    earn -9 in Merger; 60 steps of 0.01 earn 6.4. `gradient_steps` chooses the values that are None.
+    They depend on each other: the reward's curvature in the controls grows with the
+    fourth power of the horizon, and a gradient step longer than `longest_step`
+    overshoots. With K = 10, the paper's step size of 0.03 makes theory of mind earn -9
+    in Merger; 60 steps of 0.01 earn 6.4. `gradient_steps` chooses the values that are
+    None.
 
     Attributes:
         horizon: number of planned controls, K.
@@ -222,11 +235,13 @@ PAPER_PLANNING = PlanningSettings()
 
 @cache
 def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
-    """Return the number and the size of a plan's gradient steps, chosen where the settings leave them open.
+    """Return the number and the size of a plan's gradient steps, chosen where the
+    settings leave them open.
 
-    The step size is the paper's 0.03 or, if that is shorter, 0.6 of the `longest_step`. The number of steps times
-    their size is that of the paper, 20 times 0.03, but there are at least 20 steps. With time steps of 0.1 s, these are
-    20 steps of 0.03 up to K = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
+    The step size is the paper's 0.03 or, if that is shorter, 0.6 of the `longest_step`.
+    The number of steps times their size is that of the paper, 20 times 0.03, but there
+    are at least 20 steps. With time steps of 0.1 s, these are 20 steps of 0.03 up to K
+    = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
     """
     number, size = PAPER_STEPS
     length = planning.step_size or min(
@@ -236,11 +251,13 @@ def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
 
 
 def longest_step(horizon: int, time_step: Scalar) -> Scalar:
-    """Return the longest gradient step that does not overshoot the optimum of the paper's steepest feature.
+    """Return the longest gradient step that does not overshoot the optimum of the
+    paper's steepest feature.
 
-    To first order, control j moves the car sideways by ``y_k = v dt^2 (k - 1 - j)`` at step k. With s the largest
-    singular value of this matrix, the curvature of ``-w y^2``, summed over the steps, is at most ``2 w s^2``. The
-    inverse of the curvature is the step that reaches the optimum at once.
+    To first order, control j moves the car sideways by ``y_k = v dt^2 (k - 1 - j)`` at
+    step k. With s the largest singular value of this matrix, the curvature of ``-w
+    y^2``, summed over the steps, is at most ``2 w s^2``. The inverse of the curvature
+    is the step that reaches the optimum at once.
 
     Args:
         horizon: number of planned controls.

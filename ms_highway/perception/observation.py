@@ -1,4 +1,6 @@
-"""Observe the road from a vehicle as a `RoadScene`; measure the lanes beside its route and the edges of the road."""
+"""Observe the road from a vehicle as a `RoadScene`; measure the lanes beside its route
+and the edges of the road.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -55,7 +57,8 @@ class Corridor:
 
     Attributes:
         curve: of the route.
-        rows: lateral positions of the lanes left of it, on it, right of it, and of the road's edges [m].
+        rows: lateral positions of the lanes left of it, on it, right of it, and of the
+            road's edges [m].
         open: where the robot may drive on the lanes.
     """
 
@@ -64,7 +67,9 @@ class Corridor:
     open: Bool[np.ndarray, "lanes samples"]
 
     def at(self, s: Row) -> dict[str, Any]:
-        """Return the fields of a ``RoadScene`` that describe lanes, at distances from the curve's beginning [m]."""
+        """Return the fields of a ``RoadScene`` that describe lanes, at distances from
+        the curve's beginning [m].
+        """
         rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
         return {
@@ -114,12 +119,14 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
 def _sections(
     chain: Chain, goal: Goal, until: float
 ) -> Iterator[tuple[float, tuple[Lane | None, ...]]]:
-    """Yield the sections of a route: the way at their end, and the lane left of the route, its own, and right of it.
+    """Yield the sections of a route: the way at their end, and the lane left of the
+    route, its own, and right of it.
 
-    None stands for a closed lane. A lane beside the route continues as long as it is on the route's roads or leads to
-    the goal; otherwise the neighbour of the route's next lane follows, unless it is forbidden. Where the route's last
-    lane ends but its neighbours continue, the route's own lane is closed from there on; at the end of the network, it
-    stays open.
+    None stands for a closed lane. A lane beside the route continues as long as it is on
+    the route's roads or leads to the goal; otherwise the neighbour of the route's next
+    lane follows, unless it is forbidden. Where the route's last lane ends but its
+    neighbours continue, the route's own lane is closed from there on; at the end of the
+    network, it stays open.
     """
     sides: list[Lane | None] = [None, None]
     for own, end in zip(chain.lanes, chain.starts[1:], strict=True):
@@ -154,13 +161,17 @@ def _fill(rows: Rows) -> None:
 
 
 def _outermost(lane: Lane, step: int) -> Lane:
-    """Return the last lane to the left (step -1) or to the right (1) before a forbidden one."""
+    """Return the last lane to the left (step -1) or to the right (1) before a forbidden
+    one.
+    """
     other = lane.beside(step)
     return lane if other is None or other.forbidden else _outermost(other, step)
 
 
 def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
-    """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN beyond the lane's ends."""
+    """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN
+    beyond the lane's ends.
+    """
     x, y, heading = curve.x[here], curve.y[here], curve.heading[here]
     ends = sorted(
         lane.shape.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1)
@@ -197,7 +208,8 @@ NEEDED, PLANNED = (
 
 @dataclass
 class Memory:
-    """What a robot remembers between observations; stored on the vehicle, so that copies of it observe the same.
+    """What a robot remembers between observations; stored on the vehicle, so that
+    copies of it observe the same.
 
     Attributes:
         goal: to which the lanes lead.
@@ -220,14 +232,16 @@ def observe_road(
 ) -> RoadScene:
     """Observe the road from a vehicle.
 
-    The vehicle remembers its lanes, so that its route does not jump where lanes meet. Without a destination it follows
-    its ``route`` to its end, if it has one, and then the road that continues the present one best.
+    The vehicle remembers its lanes, so that its route does not jump where lanes meet.
+    Without a destination it follows its ``route`` to its end, if it has one, and then
+    the road that continues the present one best.
 
     Args:
         vehicle: the robot.
         destination: node of the network to drive to, or a spot.
         applied: last curvature and acceleration of the robot [1/m, m/s^2].
-        intentions: whether the ``route`` of each of the others is known, as from indicators.
+        intentions: whether the ``route`` of each of the others is known, as from
+            indicators.
     """
     roads = road_map(vehicle.road.network)
     memory = vars(vehicle).setdefault("road_memory", Memory())
@@ -293,7 +307,9 @@ def _pose_on(
 def _continued(
     vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory
 ) -> Ride | None:
-    """Return the lanes to follow and the place on them; None if the robot has changed lanes."""
+    """Return the lanes to follow and the place on them; None if the robot has changed
+    lanes.
+    """
     # Where the robot is on the lanes that it has followed so far.
     chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
     block = memory.way // BLOCK
@@ -319,7 +335,9 @@ def _continued(
 
 
 def _begun(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
-    """Return the lanes to follow, beginning behind the robot's present lane, and the present way along them."""
+    """Return the lanes to follow, beginning behind the robot's present lane, and the
+    present way along them.
+    """
     lane = goal.roads.lanes[vehicle.lane_index]
     place = float(lane.shape.local_coordinates(rear)[0])
     behind = lane.behind(KEPT_BEHIND - place)

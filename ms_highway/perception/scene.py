@@ -1,7 +1,9 @@
-"""A stretch of any road as arrays of fixed shapes: the robot's route, its lanes and edges, and the traffic on it.
+"""A stretch of any road as arrays of fixed shapes: the robot's route, its lanes and
+edges, and the traffic on it.
 
-Road coordinates are (s, d): s along a path, d to its right [m]. A state is ``(s, d, heading, speed)``, the heading
-relative to the path. World coordinates are highway-env's: y points to the right of x.
+Road coordinates are (s, d): s along a path, d to its right [m]. A state is ``(s, d,
+heading, speed)``, the heading relative to the path. World coordinates are
+highway-env's: y points to the right of x.
 """
 
 from dataclasses import dataclass
@@ -16,7 +18,9 @@ from ms_highway.geometry.curve import Curve, Knots
 from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
 
 KNOTS, TRAFFIC_KNOTS = 96, 64
-"""Number of knots of the robot's route (20 m behind to 170 m ahead), and of the paths of others (to 106 m ahead)."""
+"""Number of knots of the robot's route (20 m behind to 170 m ahead), and of the paths
+of others (to 106 m ahead).
+"""
 
 LANES = 3
 """Number of lanes that the robot can choose: left of its own, its own, right of it."""
@@ -46,15 +50,20 @@ Places = Int[Any, "traffic"]
 class RoadScene:
     """What the robot observes of a road.
 
-    The traffic is described path by path: `TRAFFIC` paths, several for a car that may go several ways.
+    The traffic is described path by path: `TRAFFIC` paths, several for a car that may
+    go several ways.
 
     Attributes:
         route: smooth curve along the lanes that the robot follows.
-        lanes: lateral positions of the centres of `LANES` lanes at the knots of the route: left, own, right [m].
+        lanes: lateral positions of the centres of `LANES` lanes at the knots of the
+            route: left, own, right [m].
         open: where the robot may drive on each of these lanes.
-        edges: lateral positions of the left and the right edge of the road at the knots [m].
-        changes: lane changes to the right that the goal asks for from each lane, negative to the left.
-        room: distance left for these changes [m]; infinite where the goal asks for none.
+        edges: lateral positions of the left and the right edge of the road at the knots
+            [m].
+        changes: lane changes to the right that the goal asks for from each lane,
+            negative to the left.
+        room: distance left for these changes [m]; infinite where the goal asks for
+            none.
         robot: state of the middle of the robot's rear axle.
         size: length and width of the robot [m].
         applied: last curvature and acceleration of the robot [1/m, m/s^2].
@@ -64,7 +73,8 @@ class RoadScene:
         limits: speed limits of others [m/s].
         leaders: index of the path of the car ahead on each path, -1 without one.
         gaps: distance between the centres of each car and the car ahead [m].
-        owners: number of the car that each path belongs to, constant while the car is in sight; -1 for unused paths.
+        owners: number of the car that each path belongs to, constant while the car is
+            in sight; -1 for unused paths.
         moving: which of the others can move; obstacles and unused paths cannot.
         accelerations: of others since the last look, 0 for new ones [m/s^2].
     """
@@ -95,11 +105,15 @@ class RoadScene:
 
     @property
     def askew(self) -> Sizes:
-        """Constant part of the angle of each of the others to its path: 0 for cars that drive."""
+        """Constant part of the angle of each of the others to its path: 0 for cars that
+        drive.
+        """
         return jnp.where(self.moving, 0.0, self.states[:, 2])[:, None]
 
     @property
     def reach(self) -> Sizes:
-        """Longitudinal and lateral distance of centres at which the robot and each other car touch [m]."""
+        """Longitudinal and lateral distance of centres at which the robot and each
+        other car touch [m].
+        """
         turned = jnp.abs(jnp.sin(self.askew)) * self.sizes[:, ::-1]
         return (self.size + jnp.abs(jnp.cos(self.askew)) * self.sizes + turned) / 2

@@ -25,7 +25,9 @@ MAX_VEHICLES, MAX_WAYS = 16, 3
 ONCOMING_COSINE = (
     -0.7
 )  # cosine of the angle between headings below which a vehicle is oncoming
-ON_LANE = 1.0  # m beside a lane that begins where the vehicle's own does, up to which it may follow that lane
+# m beside a lane that begins where the vehicle's own does, up to which it may follow
+# that lane
+ON_LANE = 1.0
 ALONG_COSINE = cos(
     0.3
 )  # cosine of the angle to such a lane, above which the vehicle may follow it
@@ -46,7 +48,8 @@ class Way(NamedTuple):
         owner: number of the vehicle or obstacle.
         car: vehicle or obstacle.
         moves: whether it can move.
-        chain: lanes that it follows; None for one that goes straight on, such as a pedestrian.
+        chain: lanes that it follows; None for one that goes straight on, such as a
+            pedestrian.
         place: its way along these lanes [m].
     """
 
@@ -58,7 +61,9 @@ class Way(NamedTuple):
 
 
 Option: TypeAlias = tuple[int, float, Chain]
-"""The rank of a branch, smoothest first, the place where it begins along its lanes [m], and its lanes."""
+"""The rank of a branch, smoothest first, the place where it begins along its lanes [m],
+and its lanes.
+"""
 
 
 def traffic_of(
@@ -161,11 +166,14 @@ def _ways(
     roads: RoadMap,
     intentions: bool,
 ) -> list[Way]:
-    """Return the paths that each vehicle may take, given its position, heading and lane.
+    """Return the paths that each vehicle may take, given its position, heading and
+    lane.
 
-    If its route is known, these are the paths that share most of its roads with the route.
+    If its route is known, these are the paths that share most of its roads with the
+    route.
     """
-    # Places on the lanes that each vehicle may be following; none for those that follow no lanes.
+    # Places on the lanes that each vehicle may be following; none for those that follow
+    # no lanes.
     spots: list[tuple[Lane, float]] = []
     seen: list[tuple[RoadObject, bool, range]] = []
     for car in cars:
@@ -213,8 +221,9 @@ def _along_route(options: list[Option], route: Sequence[LaneIndex]) -> list[Opti
 def _begun(car: Vehicle, own: Lane) -> list[Lane]:
     """Return the lanes that a vehicle may be following.
 
-    These are its own lane, all lanes from the same node as long as its position and heading fit them, the neighbour to
-    which it moves within a second, and the neighbour of a lane that ends.
+    These are its own lane, all lanes from the same node as long as its position and
+    heading fit them, the neighbour to which it moves within a second, and the neighbour
+    of a lane that ends.
     """
     place, aside = own.shape.local_coordinates(car.position)
     found = [own]
@@ -233,7 +242,8 @@ def _begun(car: Vehicle, own: Lane) -> list[Lane]:
 
 
 def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row]:
-    """Return the index of the path of the car ahead on each path, -1 without one, and the distance to this car.
+    """Return the index of the path of the car ahead on each path, -1 without one, and
+    the distance to this car.
 
     Of the paths of the car ahead, the index is that of the first.
     """

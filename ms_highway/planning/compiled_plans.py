@@ -1,4 +1,6 @@
-"""Plan with a human model for each human, by functions that are compiled once, called with few arguments, and timed."""
+"""Plan with a human model for each human, by functions that are compiled once, called
+with few arguments, and timed.
+"""
 
 from collections.abc import Sequence
 from functools import cache, partial
@@ -59,13 +61,16 @@ def plan_for(
     rungs: Rungs | None,
     start: Plan | None = None,
 ) -> Solution:
-    """Plan with a model for each human; all controls keep to `ms_highway.game.game.bounded`.
+    """Plan with a model for each human; all controls keep to
+    `ms_highway.game.game.bounded`.
 
-    A single model is known before the call, so that the program holds only what it needs.
+    A single model is known before the call, so that the program holds only what it
+    needs.
 
-    With several models, one program plans under all assignments. For each model that predicts, a loop
-    takes one round for every human on it. In each step of the ascent, a loop takes one round for every
-    responding human. So the time of a plan is a sum over the humans.
+    With several models, one program plans under all assignments. For each model that
+    predicts, a loop takes one round for every human on it. In each step of the ascent,
+    a loop takes one round for every responding human. So the time of a plan is a sum
+    over the humans.
 
     Args:
         models: human models.
@@ -80,7 +85,8 @@ def plan_for(
     begin = last
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
 
-    # A model starts the plans of responding humans, or it predicts the controls of the others.
+    # A model starts the plans of responding humans, or it predicts the controls of the
+    # others.
     for rung, model in enumerate(models):
         chosen = None if len(models) == 1 else rungs == rung
         if model.responds:
@@ -109,7 +115,8 @@ def _predicted(
     start: Plan,
     expected: HumansControls,
 ) -> HumansControls:
-    """Predict the chosen humans by a model, each in the game of the robot with this human alone.
+    """Predict the chosen humans by a model, each in the game of the robot with this
+    human alone.
 
     Args:
         model: that predicts.
@@ -143,7 +150,8 @@ def _started(
     last: Plan,
     start: Plan,
 ) -> Plan:
-    """Replace the start of a plan by a model's own start, for the chosen humans and the robot.
+    """Replace the start of a plan by a model's own start, for the chosen humans and the
+    robot.
 
     The robot takes the model's start for the first chosen human.
 
@@ -174,10 +182,11 @@ def _started(
 def assigned_responders(
     models: tuple[HumanModel, ...], game: Game, rungs: Rungs
 ) -> AssignedResponders:
-    """Return the responding humans under an assignment of models, and the steps of all cars.
+    """Return the responding humans under an assignment of models, and the steps of all
+    cars.
 
-    Each human takes the steps of its own model. The robot takes those of the model in use with the
-    most steps; where somebody responds, of the models that respond.
+    Each human takes the steps of its own model. The robot takes those of the model in
+    use with the most steps; where somebody responds, of the models that respond.
     """
     solvers = [own_solver(model, game) for model in models]
     responds = jnp.array([model.responds for model in models])[rungs]
@@ -188,7 +197,8 @@ def assigned_responders(
         [solver.most_steps(responds=False) for solver in solvers], rungs
     )
 
-    # Humans with more steps come first. The robot takes as many steps as the first of them.
+    # Humans with more steps come first. The robot takes as many steps as the first of
+    # them.
     steps = jnp.where(responds, joint_steps, 0).astype(jnp.int32)
     order = jnp.argsort(-steps, stable=True)
     longest = steps.max()
@@ -197,7 +207,8 @@ def assigned_responders(
     if not own_sizes or all(solver is game.planner.solver for solver in solvers):
         return AssignedResponders(order, steps, robot_steps)
 
-    # Each human's gradient steps have the length of its model, the robot's that of the leading model.
+    # Each human's gradient steps have the length of its model, the robot's that of the
+    # leading model.
     sizes = jnp.stack([jnp.asarray(size, jnp.float32) for size in own_sizes])[rungs]
     leading = jnp.argmax(jnp.where(longest > 0, steps, steps_alone))
     return AssignedResponders(order, steps, robot_steps, sizes, sizes[leading])
@@ -214,9 +225,11 @@ REPEATS = 20  # of timed plans and decisions
 
 
 class CompiledPlans:
-    """Plan in a game with the models of a ladder, compiled once for all games of the same shapes.
+    """Plan in a game with the models of a ladder, compiled once for all games of the
+    same shapes.
 
-    With one human, each model has a function of its own; among several, one serves all assignments.
+    With one human, each model has a function of its own; among several, one serves all
+    assignments.
 
     Args:
         game: may differ in numbers from the games that it was compiled for.
@@ -234,12 +247,14 @@ class CompiledPlans:
     def plan(
         self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
     ) -> tuple[Solution, float]:
-        """Return the solution in a `checked_state`, as NumPy arrays, and the seconds that it took.
+        """Return the solution in a `checked_state`, as NumPy arrays, and the seconds
+        that it took.
 
         Args:
             state: all cars now.
             rungs: of every human.
-            start: scaled plan to improve; by default, `ms_highway.planning.plans.cold_start`.
+            start: scaled plan to improve; by default,
+                `ms_highway.planning.plans.cold_start`.
         """
         function, *arguments = self.call(state, rungs, start)
         solution, seconds = timed(function, *arguments)
@@ -248,7 +263,9 @@ class CompiledPlans:
     def call(
         self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
     ) -> tuple:
-        """Return the compiled function of a plan, see `plan_function`, and its arguments."""
+        """Return the compiled function of a plan, see `plan_function`, and its
+        arguments.
+        """
         # Plans that may continue have one program, which takes a start in any case.
         if start is None and self._continues:
             start = cold_start(self.game, np.asarray(state))
@@ -262,7 +279,9 @@ class CompiledPlans:
         return plan_function(models).of(*arguments), *arguments
 
     def warm_up(self, state: State, way_out: bool = False) -> float:
-        """Compile and run what has not run before: plans and, if wanted, the way out; return the seconds spent."""
+        """Compile and run what has not run before: plans and, if wanted, the way out;
+        return the seconds spent.
+        """
         check_own_features(self.game.scene, self.game.robot, self.game.number, state)
         warn_of_limits(self.ladder, self.game, state)
 
@@ -277,7 +296,9 @@ class CompiledPlans:
         return seconds
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
-        """Return the result of `ms_highway.planning.way_out.keep_way_out`, and the seconds that it took."""
+        """Return the result of `ms_highway.planning.way_out.keep_way_out`, and the
+        seconds that it took.
+        """
         found, seconds = timed(
             escape, self._placed.take(), state, np.asarray(control, np.float32)
         )
@@ -289,36 +310,44 @@ escape = jit_quickly(keep_way_out)
 
 @cache
 def plan_function(models: tuple[HumanModel, ...]) -> Compiled:
-    """Compile `ms_highway.planning.compiled_plans.plan_for` once for these models, whatever the game's numbers."""
+    """Compile `ms_highway.planning.compiled_plans.plan_for` once for these models,
+    whatever the game's numbers.
+    """
     return jit_quickly(partial(plan_for, models))
 
 
 def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
-    """Plan in one situation: return the robot's controls [steps, 2], and the controls that it expects of the humans.
+    """Plan in one situation: return the robot's controls [steps, 2], and the controls
+    that it expects of the humans.
 
-    Controls are curvatures [1/m] and accelerations before friction [m/s^2]: with the paper's friction, 4 m/s^2 keep
-    20 m/s. Compiled once for all games of the same shapes.
+    Controls are curvatures [1/m] and accelerations before friction [m/s^2]: with the
+    paper's friction, 4 m/s^2 keep 20 m/s. Compiled once for all games of the same
+    shapes.
 
     Args:
         game: what is played, see `ms_highway.game.scenario`.
-        state: x, y [m], heading [rad], speed [m/s] of all cars: the robot, the humans, then scripted cars.
+        state: x, y [m], heading [rad], speed [m/s] of all cars: the robot, the humans,
+            then scripted cars.
         model: human model of all humans, or its name.
 
     Raises:
         TypeError: if the game is no `Game`.
-        ValueError: for an unknown model, a state that is not a finite array [cars, 4] of the game's cars or more, or a
-            user-defined feature that is not finite in it.
+        ValueError: for an unknown model, a state that is not a finite array [cars, 4]
+            of the game's cars or more, or a user-defined feature that is not finite in
+            it.
     """
     if not isinstance(game, Game):
         raise TypeError(
-            f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game or driving_game"
+            f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game"
+            " or driving_game"
         )
     refuse_after_fork()
     known = human_model(model) if isinstance(model, str) else model
     now = checked_state(state)
     if len(now) <= game.number:
         raise ValueError(
-            f"the state has {len(now)} cars; the game has a robot and {game.number} humans"
+            f"the state has {len(now)} cars; the game has a robot and {game.number}"
+            " humans"
         )
     check_own_features(game.scene, game.robot, game.number, now)
     solution, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
@@ -327,15 +356,18 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 
 
 def checked_state(state: State) -> State:
-    """Convert a state to single precision without whole turns in headings, by NumPy, which is faster than JAX.
+    """Convert a state to single precision without whole turns in headings, by NumPy,
+    which is faster than JAX.
 
     Raises:
-        ValueError: if it is not a finite array [cars, 4] of two cars or more, in that precision.
+        ValueError: if it is not a finite array [cars, 4] of two cars or more, in that
+            precision.
     """
     state = np.asarray(state)
     if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
         raise ValueError(
-            f"a state has shape [cars, 4] with the robot, its partner and any others; got {state.shape}"
+            "a state has shape [cars, 4] with the robot, its partner and any others;"
+            f" got {state.shape}"
         )
     with np.errstate(over="ignore", invalid="ignore"):
         single = facing(state).astype(np.float32)

@@ -1,4 +1,6 @@
-"""Say what planning time costs: T(M) of every human model, and of plans that predict humans by them."""
+"""Say what planning time costs: T(M) of every human model, and of plans that predict
+humans by them.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -97,13 +99,15 @@ def measure_costs(
     quantile: float,
     way_out: bool,
 ) -> Costs:
-    """Measure T on this machine, by warm plans in this state with all humans on the same rung.
+    """Measure T on this machine, by warm plans in this state with all humans on the
+    same rung.
 
     Args:
         game: that is played.
         ladder: human models.
         state: all cars.
-        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for budgets.
+        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for
+            budgets.
         way_out: whether the time includes the check of the way out.
 
     Raises:

@@ -2,12 +2,12 @@
 
 A `HumanModel` predicts one human, in the game of the robot with that human alone
 (`ms_highway.game.game.pair`), or lets it respond to the robot's plan;
-`ms_highway.planning.compiled_plans` plans with a model for every human. Predictions are in SI units;
-plans and their starts are scaled, see `ms_highway.game.game`.
+`ms_highway.planning.compiled_plans` plans with a model for every human. Predictions are
+in SI units; plans and their starts are scaled, see `ms_highway.game.game`.
 
-A model has an effort: its number of steps, and the plan from which they start. ``tom@8`` is theory
-of mind in 8 ascent steps, ``tom+warm`` starts from the rest of the last plan, and ``tom@8+warm``
-does both.
+A model has an effort: its number of steps, and the plan from which they start.
+``tom@8`` is theory of mind in 8 ascent steps, ``tom+warm`` starts from the rest of the
+last plan, and ``tom@8+warm`` does both.
 """
 
 from collections.abc import Iterable, Mapping
@@ -46,15 +46,17 @@ HEADWAY, STANDSTILL = (
 class HumanModel:
     """A rung of the ladder; hashable, as a plan is compiled once per model.
 
-    A model predicts the human, by `predict`, or it ``responds``: then the human improves its own
-    controls in every step of the robot's plan, alone and among several humans, in the steps of
-    `solver` from `start`.
+    A model predicts the human, by `predict`, or it ``responds``: then the human
+    improves its own controls in every step of the robot's plan, alone and among several
+    humans, in the steps of `solver` from `start`.
 
     Attributes:
-        name: in configurations and reports, with the effort; that of the class is without.
+        name: in configurations and reports, with the effort; that of the class is
+            without.
         responds: whether the human responds to the robot's plan.
         steps: number of steps of each ascent; None for the planner's.
-        warm: whether plans start from the rest of the last plan, of any model, instead of a cold start.
+        warm: whether plans start from the rest of the last plan, of any model, instead
+            of a cold start.
     """
 
     name: ClassVar[str]
@@ -69,12 +71,13 @@ class HumanModel:
             object.__setattr__(self, "name", type(self).name + effort)
 
     def solver(self, game: Game) -> Solver:
-        """Return the solver of plans under this model: the planner's, in the model's number of steps.
+        """Return the solver of plans under this model: the planner's, in the model's
+        number of steps.
 
         A model of one's own may return the planner's solver with other steps:
-        ``iterations`` and ``step_size`` of an `ms_highway.numerics.solvers.Ascent`, ``steps``
-        and ``joint_steps`` of a `ms_highway.numerics.solvers.Newton`. Everything else belongs
-        to the robot's plan, which all humans share.
+        ``iterations`` and ``step_size`` of an `ms_highway.numerics.solvers.Ascent`,
+        ``steps`` and ``joint_steps`` of a `ms_highway.numerics.solvers.Newton`.
+        Everything else belongs to the robot's plan, which all humans share.
         """
         usual = game.planner.solver
         if self.steps is None:
@@ -83,23 +86,25 @@ class HumanModel:
         return usual.with_steps(self.steps, longest)
 
     def start(self, game: Game, state: State, last: Plan) -> Plan:
-        """Return the scaled plan from which plans under this model start, of robot and human.
+        """Return the scaled plan from which plans under this model start, of robot and
+        human.
 
-        Only models that respond have a start of their own. Among several humans, the robot
-        starts as the most expensive of these models in use wants.
+        Only models that respond have a start of their own. Among several humans, the
+        robot starts as the most expensive of these models in use wants.
 
         Args:
             game: of the robot and this human.
             state: of the robot, the human and all other cars.
-            last: rest of the last plan, if the model or the planner continues it, or else a cold start.
+            last: rest of the last plan, if the model or the planner continues it, or
+                else a cold start.
         """
         return last
 
     def seconds(self, costs: Mapping[str, float], usual: int) -> float | None:
         """Return T(M) [s]; None where it does not follow from the costs.
 
-        It is the cost of the model's name, or else of the name without ``+warm``, as a start costs nothing, or else it
-        is proportional to the number of steps.
+        It is the cost of the model's name, or else of the name without ``+warm``, as a
+        start costs nothing, or else it is proportional to the number of steps.
 
         Args:
             costs: T(M) by name [s].
@@ -114,17 +119,21 @@ class HumanModel:
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Predict the human's controls over the horizon, in SI units and traced by JAX.
 
-        Under a control (omega, a), the speed v changes by ``v' = a - friction v`` and the heading by ``v omega``; so
-        `ms_highway.game.dynamics.keep_velocity` plus (0, -4) brakes by 4 m/s^2. Plans cut predictions to their limits,
-        with a warning if they do so at the start of an episode.
+        Under a control (omega, a), the speed v changes by ``v' = a - friction v`` and
+        the heading by ``v omega``; so `ms_highway.game.dynamics.keep_velocity` plus (0,
+        -4) brakes by 4 m/s^2. Plans cut predictions to their limits, with a warning if
+        they do so at the start of an episode.
 
         Args:
-            game: of the robot and this human; ``game.planner.horizon`` steps of ``game.dynamics.time_step`` seconds.
-            state: x, y [m], heading [rad] and speed [m/s] of the robot, the human and all other cars, [cars, 4].
+            game: of the robot and this human; ``game.planner.horizon`` steps of
+                ``game.dynamics.time_step`` seconds.
+            state: x, y [m], heading [rad] and speed [m/s] of the robot, the human and
+                all other cars, [cars, 4].
             start: scaled plan that the robot's starts from; None for a cold start.
 
         Returns:
-            Curvature omega [1/m] and acceleration a before friction [m/s^2] of each step, [horizon, 2].
+            Curvature omega [1/m] and acceleration a before friction [m/s^2] of each
+            step, [horizon, 2].
         """
         if not self.responds:
             raise NotImplementedError(f"human model {self.name!r} defines no `predict`")
@@ -153,7 +162,8 @@ class Naive(PredictedHuman):
 
 @dataclass(frozen=True)
 class IntelligentDriver(PredictedHuman):
-    """The human follows the car ahead in its lane, such as the robot, by the Intelligent Driver Model.
+    """The human follows the car ahead in its lane, such as the robot, by the
+    Intelligent Driver Model.
 
     Its desired speed is the speed limit. All others keep their velocity.
     """
@@ -172,7 +182,9 @@ class IntelligentDriver(PredictedHuman):
 
 
 def following_control(game: Game, state: State) -> Control:
-    """Return the control, not scaled, of car 1 if it follows the car ahead by the Intelligent Driver Model."""
+    """Return the control, not scaled, of car 1 if it follows the car ahead by the
+    Intelligent Driver Model.
+    """
     scene, own, others = game.scene, state[1], jnp.concatenate([state[:1], state[2:]])
     offset = others[:, :2] - own[:2]
     leader, leads = nearest_ahead(
@@ -188,7 +200,9 @@ def following_control(game: Game, state: State) -> Control:
 
 @dataclass(frozen=True)
 class Turn(PredictedHuman):
-    """The human optimises its own reward against a robot that keeps its velocity, whatever the robot plans."""
+    """The human optimises its own reward against a robot that keeps its velocity,
+    whatever the robot plans.
+    """
 
     name: ClassVar[str] = "turn"
 
@@ -223,14 +237,17 @@ PACKAGE_TYPES = (Naive, IntelligentDriver, Turn, TheoryOfMind)
 
 
 def is_of_package(model: HumanModel) -> bool:
-    """Return whether a model is the package's own; the controls of these keep to the limits of plans by themselves."""
+    """Return whether a model is the package's own; the controls of these keep to the
+    limits of plans by themselves.
+    """
     return type(model) in PACKAGE_TYPES
 
 
 def scaled_prediction(
     model: HumanModel, game: Game, state: State, start: Plan | None = None
 ) -> Controls:
-    """Return a model's prediction, scaled; a registered model's is cut to the limits of plans.
+    """Return a model's prediction, scaled; a registered model's is cut to the limits of
+    plans.
 
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
@@ -245,8 +262,8 @@ def own_solver(model: HumanModel, game: Game) -> Solver:
     """Return the solver of a model, see `HumanModel.solver`.
 
     Raises:
-        ValueError: for a solver that differs from the planner's in more than its steps, or
-            that takes none.
+        ValueError: for a solver that differs from the planner's in more than its steps,
+            or that takes none.
     """
     solver = model.solver(game)
     usual = game.planner.solver
@@ -293,7 +310,10 @@ def own_start(model: HumanModel, game: Game, state: State, last: Plan) -> Plan:
         found = f"arrays {robot.shape} and {humans.shape}"
         if robot.shape == steps and humans.shape == (1, *steps):
             return Plan(robot, humans)
-    remedy = f"return a Plan of scaled controls: the robot's {steps}, and the human's {(1, *steps)}"
+    remedy = (
+        f"return a Plan of scaled controls: the robot's {steps}, and the human's"
+        f" {(1, *steps)}"
+    )
     raise ValueError(f"human model {model.name!r} starts from {found}; {remedy}")
 
 
@@ -322,12 +342,17 @@ def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
         ):
             return array
         found = f"an array of shape {array.shape} and type {array.dtype}"
-    remedy = f"predict numbers {wanted}: curvature [1/m] and acceleration [m/s^2] in every step of the horizon"
+    remedy = (
+        f"predict numbers {wanted}: curvature [1/m] and acceleration [m/s^2] in every"
+        " step of the horizon"
+    )
     raise ValueError(f"human model {model.name!r} predicts {found}; {remedy}")
 
 
 def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> None:
-    """Warn of registered models whose prediction of the first human is cut by limits, or not finite, in a start."""
+    """Warn of registered models whose prediction of the first human is cut by limits,
+    or not finite, in a start.
+    """
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue

@@ -1,11 +1,13 @@
-"""Improve the robot's plan jointly with the responses of any number of humans, or of none.
+"""Improve the robot's plan jointly with the responses of any number of humans, or of
+none.
 
-Under theory of mind, a human responds to the robot's plan: every step of the ascent also improves
-the human's controls. All others drive as predicted. So the derivative of the humans' controls in the robot's
-is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i du_R``. The robot climbs along
-``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each responding human along ``dR_i/du_i``. J is never formed
-(adjoint method): ``J_i^T dR_R/du_i`` follows from one linear response of the human to ``dR_R/du_i``
-and from the derivatives of its reward in both trajectories.
+Under theory of mind, a human responds to the robot's plan: every step of the ascent
+also improves the human's controls. All others drive as predicted. So the derivative of
+the humans' controls in the robot's is block-diagonal, ``J_i = -H_i^-1 d2R_i / du_i
+du_R``. The robot climbs along ``dR_R/du_R + sum_i J_i^T dR_R/du_i``, each responding
+human along ``dR_i/du_i``. J is never formed (adjoint method): ``J_i^T dR_R/du_i``
+follows from one linear response of the human to ``dR_R/du_i`` and from the derivatives
+of its reward in both trajectories.
 """
 
 from collections.abc import Callable
@@ -87,7 +89,8 @@ class KnownResponders:
     def fold(
         self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
     ) -> Carry:
-        """Apply a function to the number of every human who responds in a step, one by one.
+        """Apply a function to the number of every human who responds in a step, one by
+        one.
 
         Args:
             count: number of humans who respond in the step, of `count`.
@@ -106,9 +109,11 @@ class AssignedResponders:
 
     Attributes:
         order: numbers of all humans, those who respond in most steps first.
-        steps: number of the first steps in which each human responds, by its own number.
+        steps: number of the first steps in which each human responds, by its own
+            number.
         robot_steps: number of the robot's steps at most.
-        step_sizes: length of each human's gradient steps, by its own number; None for the planner's.
+        step_sizes: length of each human's gradient steps, by its own number; None for
+            the planner's.
         robot_size: length of the robot's; None for the planner's.
     """
 
@@ -171,13 +176,14 @@ class Interaction:
 
 @jax.jit  # traced once for the human and the robot
 def ascend(interaction: Interaction, start: Plan) -> Solution:
-    """Improve the robot's controls and those of the humans who respond, by the planner's solver.
+    """Improve the robot's controls and those of the humans who respond, by the
+    planner's solver.
 
     * ``Ascent``: the paper's joint gradient steps.
     * ``Newton``, for horizons of seconds: the robot takes the steps of
-      `ms_highway.numerics.convex_newton` on its own reward, with the gradient above. The share of a
-      step depends on the robot's reward once the humans have responded, by their linear response
-      ``J_i du_R`` and a step of their own.
+      `ms_highway.numerics.convex_newton` on its own reward, with the gradient above.
+      The share of a step depends on the robot's reward once the humans have responded,
+      by their linear response ``J_i du_R`` and a step of their own.
 
     Args:
         interaction: the situation, and the humans who respond.
@@ -300,7 +306,9 @@ def _gradient_step(
 
 
 def _mixed(moved: Trajectory, bends: Bends) -> Trajectory:
-    """Return how the slope in one trajectory changes if another one moves, by mixed second derivatives."""
+    """Return how the slope in one trajectory changes if another one moves, by mixed
+    second derivatives.
+    """
     return jnp.sum(bends * moved[:, None], axis=0)
 
 
@@ -378,7 +386,9 @@ def _newton_step(
     reactions = responders.fold(count, react, jnp.zeros_like(plan.humans))
 
     def paths_after(part: Scalar) -> tuple[HumansControls, Trajectories]:
-        """Return the humans' controls and trajectories after their steps and a part of the reactions."""
+        """Return the humans' controls and trajectories after their steps and a part of
+        the reactions.
+        """
 
         def put(
             human: Index, now: tuple[HumansControls, Trajectories]
@@ -409,10 +419,11 @@ def _newton_step(
 
 
 def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
-    """Return the second derivatives of a human's reward in its trajectory, then in the robot's.
+    """Return the second derivatives of a human's reward in its trajectory, then in the
+    robot's.
 
-    The package's features are sums over the other cars, so that all but the robot are left out; user-defined features
-    need not be such sums.
+    The package's features are sums over the other cars, so that all but the robot are
+    left out; user-defined features need not be such sums.
     """
     if not game.robot.own:
         leader = 1 if game.scene.leader == 1 else None

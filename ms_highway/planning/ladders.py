@@ -1,7 +1,7 @@
 """Know human models by name, and make ladders of them.
 
-A model's name may have an effort: ``tom@8`` is theory of mind in 8 ascent steps, ``tom+warm`` starts from the rest of
-the last plan, and ``tom@8+warm`` does both.
+A model's name may have an effort: ``tom@8`` is theory of mind in 8 ascent steps,
+``tom+warm`` starts from the rest of the last plan, and ``tom@8+warm`` does both.
 """
 
 import re
@@ -22,17 +22,20 @@ BEST = "best"
 BEST_LADDER = ("naive@4+warm", "tom@6+warm", "tom@12+warm")
 """Ladder of the rungs that earn most for their time.
 
-Reward per step in Merger and Give Way, each rung alone, with 30 starts, the learned human and paper semantics: 4.67 and
--0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52 and 5.77 at 60 %. Tom earns 6.25 and 5.02, turn 1.51 and 0.09 at
-46 %, naive 1.50 and 0.03 at 24 %. In Stay Back, where outcomes are chaotic, the upper two rungs are not worth their
-time: the three earn 0.98, 0.14 and -2.99; naive earns 0.60, turn 1.50, tom 1.65, and naive@10 most, 1.90.
+Reward per step in Merger and Give Way, each rung alone, with 30 starts, the learned
+human and paper semantics: 4.67 and -0.04 at 5 % of tom's T, 6.40 and 5.27 at 30 %, 6.52
+and 5.77 at 60 %. Tom earns 6.25 and 5.02, turn 1.51 and 0.09 at 46 %, naive 1.50 and
+0.03 at 24 %. In Stay Back, where outcomes are chaotic, the upper two rungs are not
+worth their time: the three earn 0.98, 0.14 and -2.99; naive earns 0.60, turn 1.50, tom
+1.65, and naive@10 most, 1.90.
 """
 
 MODELS: dict[str, HumanModel] = {model.name: model() for model in PACKAGE_TYPES}
 """Known models by name, cheapest first."""
 
 PACKAGE_MODELS = tuple(MODELS)
-"""Names of the package's models, cheapest first, for pairs, several humans and roads."""
+"""Names of the package's models, cheapest first, for pairs, several humans and roads.
+"""
 
 PAPER_MODELS = ("naive", "turn", "tom")
 """Names of the paper's models, cheapest first."""
@@ -41,26 +44,36 @@ keep_apart("a human model", lambda: MODELS)
 
 
 def register(model: HumanModel, before: str | None = None) -> None:
-    """Register a human model by its name, for configurations and commands of this process.
+    """Register a human model by its name, for configurations and commands of this
+    process.
 
     Args:
         model: hashable; replaces a model of the same name.
-        before: name of the next more expensive model on ladders; by default, the new model is the most expensive.
+        before: name of the next more expensive model on ladders; by default, the new
+            model is the most expensive.
 
     Raises:
-        ValueError: if the name is the package's, that of a controller, a driver or an agent, or no word, or ``before``
-            names no other model; if the model is no `HumanModel`, or not hashable.
+        ValueError: if the name is the package's, that of a controller, a driver or an
+            agent, or no word, or ``before`` names no other model; if the model is no
+            `HumanModel`, or not hashable.
     """
     if (
         not isinstance(model, HumanModel)
         or getattr(type(model), "name", None) != model.name
     ):
-        remedy = "make it a frozen dataclass derived from ms_highway.HumanModel, whose class has a name"
+        remedy = (
+            "make it a frozen dataclass derived from ms_highway.HumanModel, whose class"
+            " has a name"
+        )
         raise ValueError(f"{model!r} is no model; {remedy}")
     if hasattr(model, "plan"):
-        remedy = "define its own steps by `solver` and their start by `start`, or define `predict`"
+        remedy = (
+            "define its own steps by `solver` and their start by `start`, or define"
+            " `predict`"
+        )
         raise ValueError(
-            f"human model {model.name!r} defines `plan`, which plans among several humans cannot obey; {remedy}"
+            f"human model {model.name!r} defines `plan`, which plans among several"
+            f" humans cannot obey; {remedy}"
         )
     if not model.responds and type(model).predict is HumanModel.predict:
         remedy = "define `predict`, or set the class's ``responds`` to True"
@@ -68,14 +81,18 @@ def register(model: HumanModel, before: str | None = None) -> None:
             f"human model {model.name!r} neither predicts nor responds; {remedy}"
         )
     if model.responds and type(model).predict is not HumanModel.predict:
-        remedy = "a human that responds is not predicted; leave it out, or set the class's ``responds`` to False"
+        remedy = (
+            "a human that responds is not predicted; leave it out, or set the class's"
+            " ``responds`` to False"
+        )
         raise ValueError(
             f"human model {model.name!r} responds, and defines `predict`; {remedy}"
         )
     if not model.responds and type(model).start is not HumanModel.start:
         remedy = "only models that respond have a start of their own; leave it out"
         raise ValueError(
-            f"human model {model.name!r} does not respond, and defines `start`; {remedy}"
+            f"human model {model.name!r} does not respond, and defines `start`;"
+            f" {remedy}"
         )
     try:
         hash(model)
@@ -87,7 +104,8 @@ def register(model: HumanModel, before: str | None = None) -> None:
     names = [name for name in MODELS if name != model.name]
     if before is not None and before not in names:
         raise ValueError(
-            f"unknown human model {before!r} to come before; the models are {', '.join(names)}"
+            f"unknown human model {before!r} to come before; the models are"
+            f" {', '.join(names)}"
         )
     names.insert(len(names) if before is None else names.index(before), model.name)
     known = MODELS | {model.name: model}
@@ -97,7 +115,8 @@ def register(model: HumanModel, before: str | None = None) -> None:
 
 
 def human_model(name: str) -> HumanModel:
-    """Return the model of a name, with its effort if the name has one, such as ``tom@8+warm``.
+    """Return the model of a name, with its effort if the name has one, such as
+    ``tom@8+warm``.
 
     Raises:
         ValueError: if it is no model's name.
@@ -122,25 +141,34 @@ def is_model(name: object) -> bool:
 
 def model_names() -> str:
     """Return the names of all models, for messages."""
-    return f"{', '.join(MODELS)}, also in 1 to {MAX_ITERATIONS} steps (tom@8) or from the last plan (tom@8+warm)"
+    return (
+        f"{', '.join(MODELS)}, also in 1 to {MAX_ITERATIONS} steps (tom@8) or from the"
+        " last plan (tom@8+warm)"
+    )
 
 
 def known_models(used: Iterable[str]) -> list[str]:
-    """Return the names of all known models and of the models in use, with their efforts, cheapest first."""
+    """Return the names of all known models and of the models in use, with their
+    efforts, cheapest first.
+    """
     return sorted(
         {*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name))
     )
 
 
 def cheapest_first(used: Iterable[str]) -> list[str]:
-    """Return the names of the models in use, each once, cheapest first; names that are not registered come last."""
+    """Return the names of the models in use, each once, cheapest first; names that are
+    not registered come last.
+    """
     used = {name for name in used if name}
     known = [name for name in known_models(used) if name in used]
     return known + sorted(used - {*known})
 
 
 def _rank(model: HumanModel) -> tuple[int, float, bool]:
-    """Return the key by which models are sorted: by type, then by number of steps, the planner's own number last."""
+    """Return the key by which models are sorted: by type, then by number of steps, the
+    planner's own number last.
+    """
     return list(MODELS).index(type(model).name), model.steps or inf, model.warm
 
 
@@ -152,17 +180,19 @@ def rung_names(names: Sequence[str]) -> list[str]:
 def ladder(names: Sequence[str]) -> tuple[HumanModel, ...]:
     """Return the models of these names, or of `BEST_LADDER` by its name, ``best``.
 
-    Rungs are ordered by model and, for the same model, by number of steps, the planner's own number last. Costs do not
-    matter, as they differ between machines.
+    Rungs are ordered by model and, for the same model, by number of steps, the
+    planner's own number last. Costs do not matter, as they differ between machines.
 
     Raises:
-        ValueError: unless all are known, and each is named once, cheapest first; if there is none.
+        ValueError: unless all are known, and each is named once, cheapest first; if
+            there is none.
     """
     rungs = tuple(human_model(name) for name in rung_names(names))
     ranks = [_rank(rung) for rung in rungs]
     if not ranks or ranks != sorted(set(ranks)):
         order = f"out of {list(MODELS)}, and of the same model fewer steps first"
         raise ValueError(
-            f"impossible ladder {list(names)}: name each model once, cheapest first, {order}"
+            f"impossible ladder {list(names)}: name each model once, cheapest first,"
+            f" {order}"
         )
     return rungs

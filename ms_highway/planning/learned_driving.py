@@ -1,10 +1,12 @@
-"""Drive like recorded drivers on a straight road, all cars together, each by the traits that it has shown.
+"""Drive like recorded drivers on a straight road, all cars together, each by the traits
+that it has shown.
 
-The best control that is held over the horizon has a closed form, `held_acceleration` and `held_curvature`. The reward's
-features of traffic, of the lane and of comfort are quadratic in a held acceleration and a held curvature, if a leader
-keeps its speed, headings are small, and the attention to the leader is constant. So the best control is a quotient of
-two sums over the steps. The risk of collisions, the braking of followers and the edges of the road are left out, as
-they matter little while driving in a lane.
+The best control that is held over the horizon has a closed form, `held_acceleration`
+and `held_curvature`. The reward's features of traffic, of the lane and of comfort are
+quadratic in a held acceleration and a held curvature, if a leader keeps its speed,
+headings are small, and the attention to the leader is constant. So the best control is
+a quotient of two sums over the steps. The risk of collisions, the braking of followers
+and the edges of the road are left out, as they matter little while driving in a lane.
 """
 
 from collections.abc import Mapping
@@ -37,8 +39,9 @@ def held_acceleration(
 ) -> AnyCars:
     """Return the best acceleration to hold over `TIMES`, from -8 to 4 m/s^2.
 
-    With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a t_k^2 / 2`` it maximises, with the
-    attention w to the leader and the desired speed s::
+    With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a
+    t_k^2 / 2`` it maximises, with the attention w to the leader and the desired speed
+    s::
 
         sum_k -speed ((v_k - s) / s)^2 - w headway ((g_k - 2 m - headway v_k) / U)^2
               - w closing_speed ((v_k - v_leader) / s)^2 - patience comfort (a / (U / s^2))^2 / 2
@@ -80,9 +83,9 @@ def held_curvature(
 ) -> AnyCars:
     """Return the best curvature to hold over `TIMES`, at most 0.02 1/m to each side.
 
-    With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the heading ``h_k = heading + v c
-    t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2 - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort
-    (c U 0.6)^2 / 2``.
+    With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the
+    heading ``h_k = heading + v c t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2
+    - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort (c U 0.6)^2 / 2``.
 
     Args:
         weights: of the reward, by name.
@@ -147,7 +150,9 @@ def seen_states(states: States) -> States:
 
 
 def lane_centre(snapshot: Any, side: int | Sides) -> Cars:
-    """Return the centre of the lane that many lanes to the right of each car's lane, at most of the outermost one."""
+    """Return the centre of the lane that many lanes to the right of each car's lane, at
+    most of the outermost one.
+    """
     lane = lane_numbers(snapshot.lanes, seen_states(snapshot.past[-1])[:, 1])
     return snapshot.lanes[jnp.clip(lane + side, 0, len(snapshot.lanes) - 1)]
 
@@ -158,7 +163,9 @@ def lane_numbers(lanes: Float[Any, "lanes"], y: Cars) -> Sides:
 
 
 def leader_of(snapshot: Any, states: States, others: States, lane: Cars) -> Leader:
-    """Return the nearest of the others ahead of each car, in the lane around a lateral position for each."""
+    """Return the nearest of the others ahead of each car, in the lane around a lateral
+    position for each.
+    """
     not_itself, lengths = ~jnp.eye(len(states), dtype=bool), snapshot.sizes[:, 0]
     place, there = leaders(
         states[:, 0], lane, others, not_itself, snapshot.lane_width / 2
@@ -180,10 +187,10 @@ def roll_out(
         drivers: the learned drivers.
         snapshot: the start, one of `ms_highway.irl.snapshots.Snapshots`.
         logarithms: of the cars' traits, see `shown_traits`.
-        side: number of lanes to the right by which each car changes, -1, 0 or 1; a car that changes lanes follows the
-            leader in its new lane.
-        around: states of the others before each step, among which each car drives alone; by default, all cars drive
-            together.
+        side: number of lanes to the right by which each car changes, -1, 0 or 1; a car
+            that changes lanes follows the leader in its new lane.
+        around: states of the others before each step, among which each car drives
+            alone; by default, all cars drive together.
     """
     changes, wanted = side != 0, lane_centre(snapshot, side)
 
@@ -221,11 +228,12 @@ def roll_out(
 
 
 def shown_traits(drivers: Drivers, snapshot: Any) -> TraitLogarithms:
-    """Return the means of the logarithms of traits, relative to the medians', given the past 3 s of one snapshot.
+    """Return the means of the logarithms of traits, relative to the medians', given the
+    past 3 s of one snapshot.
 
-    For each full second of a car's past, an extended Kalman filter is updated with the car's mean acceleration, which
-    `held_acceleration` in the recorded states predicts with the prior's noise. Surprises are clipped to 3 standard
-    deviations.
+    For each full second of a car's past, an extended Kalman filter is updated with the
+    car's mean acceleration, which `held_acceleration` in the recorded states predicts
+    with the prior's noise. Surprises are clipped to 3 standard deviations.
     """
     prior, seen, past = (
         drivers.prior,

@@ -1,7 +1,8 @@
 """Drive simply: into lanes and gaps, and behind the car ahead.
 
-Manoeuvres are the ways out of `ms_highway.planning.way_out`, and possible starts of plans for seconds. Cars follow by
-the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
+Manoeuvres are the ways out of `ms_highway.planning.way_out`, and possible starts of
+plans for seconds. Cars follow by the Intelligent Driver Model (Treiber, Hennecke and
+Helbing 2000).
 """
 
 from collections.abc import Callable
@@ -21,8 +22,11 @@ from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
 STEERING_FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
 MAX_LATERAL_ACCELERATION = 6.0  # m/s^2
 MIN_SPEED = 3.0  # m/s, by which accelerations are divided at least to get curvatures
-OPEN_GAP = 6.0  # car lengths, of the gap behind the last car of a lane or ahead of the first one
-GAP_MARGIN = 1.3  # car lengths that a car keeps to the centres of the cars around a gap that is wide enough
+# car lengths, of the gap behind the last car of a lane or ahead of the first one
+OPEN_GAP = 6.0
+# car lengths that a car keeps to the centres of the cars around a gap that is wide
+# enough
+GAP_MARGIN = 1.3
 POSITION_GAIN, SPEED_GAIN = (
     2.0,
     3.0,
@@ -47,7 +51,9 @@ Around = TypeVar("Around")
 
 
 def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array) -> Ways:
-    """Return the scaled controls and the states of a car that goes to the middle of each lane at each acceleration."""
+    """Return the scaled controls and the states of a car that goes to the middle of
+    each lane at each acceleration.
+    """
     lanes, held = jnp.meshgrid(
         jnp.asarray(game.scene.lanes), jnp.asarray(accelerations), indexing="ij"
     )
@@ -67,10 +73,11 @@ def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array) -> Ways:
 def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     """Return the scaled controls and the states of a car that goes into each gap.
 
-    There is a gap ahead of each of the others, and one behind the last car of each lane, in this order. A gap is in the
-    lane that is nearest to its cars. The car takes the speed of the gap and a place in its middle, or any place
-    `GAP_MARGIN` away from both ends of a longer gap; it stays in its lane until it is there. In an empty lane, it keeps
-    its speed.
+    There is a gap ahead of each of the others, and one behind the last car of each
+    lane, in this order. A gap is in the lane that is nearest to its cars. The car takes
+    the speed of the gap and a place in its middle, or any place `GAP_MARGIN` away from
+    both ends of a longer gap; it stays in its lane until it is there. In an empty lane,
+    it keeps its speed.
 
     Args:
         game: of the car.
@@ -132,9 +139,11 @@ def _nearest(lanes: Float[jax.Array, "lanes"], y: Scalar) -> Scalar:
 
 
 def _towards(game: Game, car: Car, lane: Scalar, acceleration: Scalar) -> Control:
-    """Return the control, not scaled, towards the middle of a lane, within the limits of plans.
+    """Return the control, not scaled, towards the middle of a lane, within the limits
+    of plans.
 
-    The car steers by a lateral acceleration of ``-w^2 (y - y_lane) - 2 w v sin(heading)``, and does not reverse.
+    The car steers by a lateral acceleration of ``-w^2 (y - y_lane) - 2 w v
+    sin(heading)``, and does not reverse.
     """
     _, y, heading, speed = car
     limit = jnp.asarray(game.planner.control_limit)
@@ -178,12 +187,16 @@ def _drive(
 
 
 def lowest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the lowest of the values that count in the last axis, `FREE_GAP` where none counts."""
+    """Return the lowest of the values that count in the last axis, `FREE_GAP` where
+    none counts.
+    """
     return jnp.where(where, values, FREE_GAP).min(axis=-1)
 
 
 def highest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the highest of the values that count in the last axis, minus `FREE_GAP` where none counts."""
+    """Return the highest of the values that count in the last axis, minus `FREE_GAP`
+    where none counts.
+    """
     return jnp.where(where, values, -FREE_GAP).max(axis=-1)
 
 
@@ -197,15 +210,17 @@ def idm_acceleration(
     strongest: float | Numbers = MAX_ACCELERATION,
     braking: float | Numbers = COMFORTABLE_BRAKING,
 ) -> Numbers:
-    """Return the acceleration of a follower, by default with highway-env's parameters; arrays of NumPy or JAX.
+    """Return the acceleration of a follower, by default with highway-env's parameters;
+    arrays of NumPy or JAX.
 
-    The part of the desired gap that depends on speeds is at least 0, as in the paper; in highway-env it may be negative
-    behind a faster car.
+    The part of the desired gap that depends on speeds is at least 0, as in the paper;
+    in highway-env it may be negative behind a faster car.
 
     Args:
         speed: of the follower [m/s].
         wanted: its desired speed [m/s].
-        gap: to the car ahead [m], between centres in highway-env; `FREE_GAP` without one.
+        gap: to the car ahead [m], between centres in highway-env; `FREE_GAP` without
+            one.
         ahead: speed of that car [m/s].
         headway: desired time gap [s].
         standstill: desired gap between standing cars, measured like the gap [m].

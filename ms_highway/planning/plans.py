@@ -1,4 +1,6 @@
-"""Define plans and their solutions: where plans start from, what they maximise, and their limits."""
+"""Define plans and their solutions: where plans start from, what they maximise, and
+their limits.
+"""
 
 from functools import partial
 from typing import NamedTuple
@@ -30,7 +32,9 @@ from ms_highway.runtime.arrays import (
 )
 
 RESTART_MARGIN = 5.0
-"""Reward by which a manoeuvre has to be better than the last plan, so that small gains do not change plans."""
+"""Reward by which a manoeuvre has to be better than the last plan, so that small gains
+do not change plans.
+"""
 
 ACCELERATIONS = np.array(
     [-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32
@@ -40,8 +44,9 @@ ACCELERATIONS = np.array(
 class Plan(NamedTuple):
     """The robot's controls and the controls that they expect of every human.
 
-    Models and starts hold scaled controls; times ``game.planner.control_scale``, they are curvatures [1/m] and
-    accelerations before friction [m/s^2], as `ms_highway.planning.compiled_plans.plan` returns them.
+    Models and starts hold scaled controls; times ``game.planner.control_scale``, they
+    are curvatures [1/m] and accelerations before friction [m/s^2], as
+    `ms_highway.planning.compiled_plans.plan` returns them.
     """
 
     robot: Controls
@@ -71,7 +76,8 @@ class Solution(NamedTuple):
 def cold_start(game: Game, state: State) -> Plan:
     """Return the plan from which planning starts without a last plan.
 
-    All controls are zero, the paper's start; under a smooth reward, they keep the velocity.
+    All controls are zero, the paper's start; under a smooth reward, they keep the
+    velocity.
     """
     cars = 1 + game.number
     if game.planner.solver.smooth:
@@ -82,7 +88,9 @@ def cold_start(game: Game, state: State) -> Plan:
 
 
 def driving(game: Game, car: Car, others: Trajectories) -> Objective:
-    """Return what car 0 of a game maximises over its controls, given its state and the trajectories of all others."""
+    """Return what car 0 of a game maximises over its controls, given its state and the
+    trajectories of all others.
+    """
     payoff = game.payoff
     return Objective(
         partial(move, game, car),
@@ -96,11 +104,13 @@ def driving(game: Game, car: Car, others: Trajectories) -> Objective:
 
 
 def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Controls:
-    """Return the controls to start from: the best manoeuvre if it earns `RESTART_MARGIN` more than the last plan.
+    """Return the controls to start from: the best manoeuvre if it earns
+    `RESTART_MARGIN` more than the last plan.
 
-    Otherwise return the last plan's controls, or NaN where nothing earns a finite reward. The steps of a solver do not
-    leave a local optimum: so there is a manoeuvre per gap, and one per lane and acceleration, see
-    `ms_highway.planning.manoeuvres`. Only plans that continue and climb a smooth reward start from manoeuvres.
+    Otherwise return the last plan's controls, or NaN where nothing earns a finite
+    reward. The steps of a solver do not leave a local optimum: so there is a manoeuvre
+    per gap, and one per lane and acceleration, see `ms_highway.planning.manoeuvres`.
+    Only plans that continue and climb a smooth reward start from manoeuvres.
 
     Args:
         game: of the robot.

@@ -1,8 +1,10 @@
-"""Keep a way out: execute a control only if the escapes after it are as good as those from now.
+"""Keep a way out: execute a control only if the escapes after it are as good as those
+from now.
 
-Theory of mind counts on humans who respond; it hits a human who does not. A way out is a simple manoeuvre after a
-control, braking or speeding up in this lane or another, that collides with nothing if all others keep their velocity.
-It is passive safety against cars that keep their velocity, as in contingency planning.
+Theory of mind counts on humans who respond; it hits a human who does not. A way out is
+a simple manoeuvre after a control, braking or speeding up in this lane or another, that
+collides with nothing if all others keep their velocity. It is passive safety against
+cars that keep their velocity, as in contingency planning.
 """
 
 from typing import NamedTuple
@@ -20,7 +22,9 @@ from ms_highway.game.scene import FAR_AWAY
 from ms_highway.planning.manoeuvres import manoeuvres
 from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
 
-ESCAPE_STEPS = 30  # steps of an escape: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster than the limit
+# steps of an escape: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster than
+# the limit
+ESCAPE_STEPS = 30
 STEPS_AMONG_CARS = (
     25  # of these, in which other cars count: they do not keep their velocity for long
 )
@@ -34,8 +38,9 @@ class Escape(NamedTuple):
     """What to drive from a state.
 
     Attributes:
-        controls: scaled, over the planner's horizon. If ``replaces``, those of the best escape, the last one repeated
-            beyond `ESCAPE_STEPS`; otherwise the planned control, repeated.
+        controls: scaled, over the planner's horizon. If ``replaces``, those of the best
+            escape, the last one repeated beyond `ESCAPE_STEPS`; otherwise the planned
+            control, repeated.
         replaces: whether the first one replaces the planned control.
     """
 
@@ -44,12 +49,15 @@ class Escape(NamedTuple):
 
 
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
-    """Return the best escape if it is better than every way out after the robot's control, or else the control.
+    """Return the best escape if it is better than every way out after the robot's
+    control, or else the control.
 
-    The best escape is the manoeuvre that collides latest. Among manoeuvres that never collide, those that keep
-    `CLEARANCE` to cars and obstacles are better; among equals, the one that earns most is. The control, followed by the
-    best manoeuvre after it, is judged over the same `ESCAPE_STEPS` as the escapes, and stays if it is as good. Escapes
-    are only searched for where no manoeuvre after the control keeps `CLEARANCE`; under `jax.vmap`, they always are.
+    The best escape is the manoeuvre that collides latest. Among manoeuvres that never
+    collide, those that keep `CLEARANCE` to cars and obstacles are better; among equals,
+    the one that earns most is. The control, followed by the best manoeuvre after it, is
+    judged over the same `ESCAPE_STEPS` as the escapes, and stays if it is as good.
+    Escapes are only searched for where no manoeuvre after the control keeps
+    `CLEARANCE`; under `jax.vmap`, they always are.
 
     Args:
         game: of the robot.
@@ -89,7 +97,9 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
 
 
 def _within_road(game: Game, others: Motion) -> Motion:
-    """Stop motion off the road: at its edge, or where a car beyond the edge is after a step."""
+    """Stop motion off the road: at its edge, or where a car beyond the edge is after a
+    step.
+    """
     scene, first = game.scene, others.y[..., :1]
     lanes, room = (
         jnp.asarray(scene.lanes),
@@ -105,7 +115,9 @@ def _within_road(game: Game, others: Motion) -> Motion:
 def _steps_free(
     game: Game, ways: Float[jax.Array, "ways steps 4"], others: Motion
 ) -> Int[jax.Array, "ways"]:
-    """Return the number of steps before a car collides on each way, one more if it keeps `CLEARANCE` to everything."""
+    """Return the number of steps before a car collides on each way, one more if it
+    keeps `CLEARANCE` to everything.
+    """
     scene = game.scene
 
     def count(way: Float[jax.Array, "steps 4"]) -> Index:

@@ -1,4 +1,5 @@
-"""Drive in recorded traffic: CommonRoad scenarios as an environment, with their planning problems.
+"""Drive in recorded traffic: CommonRoad scenarios as an environment, with their
+planning problems.
 
 Imports `ms_highway.road` and what stands below it.
 """

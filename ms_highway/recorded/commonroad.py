@@ -1,7 +1,8 @@
 """Read CommonRoad scenarios of format 2020a, such as those of the US-101 highway.
 
-This module parses the XML elements itself: commonroad-io drops parts of shapes (which ones depends on its version),
-replaces missing numbers by zeros, and raises errors that do not name the element.
+This module parses the XML elements itself: commonroad-io drops parts of shapes (which
+ones depends on its version), replaces missing numbers by zeros, and raises errors that
+do not name the element.
 """
 
 import gzip
@@ -40,8 +41,20 @@ DRIVING_TYPES = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
 NO_LANES = {"bicycleLane", "border", "crosswalk", "restricted_area", "sidewalk"}
 """Types of lanelets on which cars do not drive."""
 
-SPEED_SIGNS = {"274", "3.24", "B14", "B31", "C43", "R15", "R2-1", "r301", "Ρ-32"}  # noqa: RUF001
-"""Ids of the speed limit signs of all countries; the Greek one begins with a Greek letter."""
+SPEED_SIGNS = {
+    "274",
+    "3.24",
+    "B14",
+    "B31",
+    "C43",
+    "R15",
+    "R2-1",
+    "r301",
+    "Ρ-32",
+}
+"""Ids of the speed limit signs of all countries; the Greek one begins with a Greek
+letter.
+"""
 
 MAX_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
 MAX_STEPS, MAX_SPEED, MAX_RADIANS, MAX_COORDINATE = (
@@ -59,14 +72,16 @@ Read = TypeVar("Read")
 
 
 def scenario_files(directory: Path) -> list[Path]:
-    """Return the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``, in the order of their names.
+    """Return the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``,
+    in the order of their names.
 
     Raises:
         ValueError: if there is no such directory, or no such file in it.
     """
     if not directory.is_dir():
         raise ValueError(
-            f"{directory} is not a directory; give the one that holds the CommonRoad scenarios"
+            f"{directory} is not a directory; give the one that holds the CommonRoad"
+            " scenarios"
         )
     paths = sorted(
         path for path in directory.iterdir() if path.name.endswith((".xml", COMPRESSED))
@@ -82,7 +97,8 @@ def read_scenario(path: Path) -> TrafficRecording:
     """Read a CommonRoad scenario whose vehicles were recorded every 0.1 s.
 
     Raises:
-        ValueError: naming the file and the element, if the file is damaged or holds something else.
+        ValueError: naming the file and the element, if the file is damaged or holds
+            something else.
     """
     with reading(
         path, "fetch it again, mend it or leave it out", " as a CommonRoad scenario"
@@ -109,7 +125,8 @@ def _recording(root: Element, source: str) -> TrafficRecording:
     version, name = root.get("commonRoadVersion"), root.get("benchmarkID", "")
     if root.tag != "commonRoad" or version != "2020a" or not name:
         raise ValueError(
-            f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a with a benchmarkID"
+            f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a"
+            " with a benchmarkID"
         )
     if not np.isclose(float(step := root.get("timeStepSize", "nan")), TIME_STEP):
         raise ValueError(
@@ -118,7 +135,8 @@ def _recording(root: Element, source: str) -> TrafficRecording:
     for element in root:
         if element.tag.endswith("Obstacle") and element.tag not in ROLES:
             raise ValueError(
-                f"{element.tag} {element.get('id')!r:.40} cannot be read; only {', '.join(ROLES)} can"
+                f"{element.tag} {element.get('id')!r:.40} cannot be read; only"
+                f" {', '.join(ROLES)} can"
             )
     limits = _each(root, "trafficSign", _speed_limits)
     lanelets = _each(root, "lanelet", partial(_lanelet, limits=limits))
@@ -154,7 +172,9 @@ def _recording(root: Element, source: str) -> TrafficRecording:
 def _each(
     root: Element, tag: str, read: Callable[[int, Element], Read]
 ) -> dict[int, Read]:
-    """Return what ``read`` makes of each element with a tag, by the elements' ids; errors name the element."""
+    """Return what ``read`` makes of each element with a tag, by the elements' ids;
+    errors name the element.
+    """
     found: dict[int, Read] = {}
     for element in root.iterfind(tag):
         try:
@@ -178,7 +198,8 @@ def _number(
     most: float = MAX_COORDINATE,
     default: float | None = None,
 ) -> float:
-    """Return the number at a path of tags below an element, or the default where there is none.
+    """Return the number at a path of tags below an element, or the default where there
+    is none.
 
     Raises:
         ValueError: for a number that is not from ``-most`` to ``most``.
@@ -192,7 +213,8 @@ def _number(
         found = np.nan
     if not abs(found) <= most:
         raise ValueError(
-            f"<{path}> of <{element.tag}> is {text!r:.40}; it must be from {-most:g} to {most:g}"
+            f"<{path}> of <{element.tag}> is {text!r:.40}; it must be from {-most:g} to"
+            f" {most:g}"
         )
     return found
 
@@ -213,7 +235,8 @@ def _speed_limits(_: int, element: Element) -> list[float]:
     ]
     if not all(1 <= limit <= MAX_SPEED for limit in limits):
         raise ValueError(
-            f"it shows <additionalValue> {limits} m/s; limits are from 1 to {MAX_SPEED:g} m/s"
+            f"it shows <additionalValue> {limits} m/s; limits are from 1 to"
+            f" {MAX_SPEED:g} m/s"
         )
     return limits
 
@@ -281,7 +304,9 @@ def _standing(number: int, element: Element, last: int) -> RecordedTrack:
 def _boxed(
     number: int, element: Element, samples: np.ndarray, drives: bool
 ) -> RecordedTrack:
-    """Return the track of the box around the shapes of an obstacle, whose samples are of the shapes' origin."""
+    """Return the track of the box around the shapes of an obstacle, whose samples are
+    of the shapes' origin.
+    """
     corners = np.concatenate(_outlines(element))
     low, high = corners.min(axis=0), corners.max(axis=0)
     length, width = (high - low).tolist()
@@ -323,7 +348,9 @@ def _problem(number: int, element: Element, areas: dict[int, Points]) -> Problem
 
 
 def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
-    """Yield a goal for each shape or lanelet of a goal's position, or one goal without a region."""
+    """Yield a goal for each shape or lanelet of a goal's position, or one goal without
+    a region.
+    """
     parts = {part.tag for part in state}
     if unknown := parts - {"position", "time", "velocity", "orientation"}:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
@@ -382,7 +409,8 @@ def _outline(piece: Element) -> Points:
         corners = _turned(corners, _number(piece, "orientation", MAX_RADIANS, 0.0))
     else:
         raise ValueError(
-            f"<{piece.tag}> is none of the shapes that can be read: rectangle, circle and polygon"
+            f"<{piece.tag}> is none of the shapes that can be read: rectangle, circle"
+            " and polygon"
         )
     if len(corners) < 3 or not np.ptp(corners, axis=0).all():
         raise ValueError(f"<{piece.tag}> has no area")

@@ -1,4 +1,6 @@
-"""Drive in recorded traffic: on its road, among its vehicles, from a start to a goal in time."""
+"""Drive in recorded traffic: on its road, among its vehicles, from a start to a goal in
+time.
+"""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
@@ -33,7 +35,9 @@ from ms_highway.runtime.limits import Number
 
 # Planning problems
 
-LATE = 20  # steps by which the ego may reach the last position of a recorded vehicle later than that vehicle
+# steps by which the ego may reach the last position of a recorded vehicle later than
+# that vehicle
+LATE = 20
 GOAL_SIZE = (
     4.0,
     3.0,
@@ -44,20 +48,22 @@ SAME_HEADING = (
 
 
 def problem_of(scenario: TrafficRecording, ego: str | int) -> Problem:
-    """Return a planning problem of a scenario, or the problem to go where a recorded vehicle went.
+    """Return a planning problem of a scenario, or the problem to go where a recorded
+    vehicle went.
 
-    If the vehicle of a planning problem was recorded, too, the ego takes its place. It is
-    the vehicle that drives where the problem starts, in about the same direction: the
-    middle of one body is within the other, as two vehicles cannot be. Vehicles of other
-    planning problems stay.
+    If the vehicle of a planning problem was recorded, too, the ego takes its place. It
+    is the vehicle that drives where the problem starts, in about the same direction:
+    the middle of one body is within the other, as two vehicles cannot be. Vehicles of
+    other planning problems stay.
 
     Args:
         scenario: the recording.
-        ego: ``problem`` for the first planning problem, ``problem:NUMBER``, or the number of a vehicle's track.
+        ego: ``problem`` for the first planning problem, ``problem:NUMBER``, or the
+            number of a vehicle's track.
 
     Raises:
-        ValueError: if there is no such planning problem, no such vehicle, or the vehicle was seen only once; if
-            another body overlaps the ego at the start.
+        ValueError: if there is no such planning problem, no such vehicle, or the
+            vehicle was seen only once; if another body overlaps the ego at the start.
     """
     problem = _chosen(scenario, ego)
     if problem.track is None:
@@ -71,7 +77,10 @@ def problem_of(scenario: TrafficRecording, ego: str | int) -> Problem:
             track.number != problem.track
             and separation(problem.start[:3], problem.size, pose, track.size) < 0
         ):
-            place = f"the start of the ego, config['ego'] {ego!r}, overlaps obstacle {track.number}"
+            place = (
+                f"the start of the ego, config['ego'] {ego!r}, overlaps obstacle"
+                f" {track.number}"
+            )
             raise ValueError(f"{place}; mend the file or choose another ego")
     return problem
 
@@ -87,7 +96,9 @@ def _seen(
 
 
 def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
-    """Return the number of the track of the vehicle that a planning problem is about, None if it was not recorded."""
+    """Return the number of the track of the vehicle that a planning problem is about,
+    None if it was not recorded.
+    """
     own = problem.start[:3]
     point = np.zeros(2)
     found = {}
@@ -117,12 +128,14 @@ def _chosen(scenario: TrafficRecording, ego: str | int) -> Problem:
             [*known, f"a vehicle, such as {next(iter(vehicles), 'none here')}"]
         )
         raise ValueError(
-            f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose {choices}"
+            f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose"
+            f" {choices}"
         )
     if ego not in vehicles:
         choices = ", ".join(map(str, vehicles))
         raise ValueError(
-            f"config['ego'] is {ego}, which is no vehicle that was seen twice; choose one of {choices}"
+            f"config['ego'] is {ego}, which is no vehicle that was seen twice; choose"
+            f" one of {choices}"
         )
     track = vehicles[ego]
     (_, *start), (_, x, y, orientation, _) = track.samples[[0, -1]].tolist()
@@ -133,7 +146,9 @@ def _chosen(scenario: TrafficRecording, ego: str | int) -> Problem:
 
 
 def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
-    """Return where to be and when, since the start, for the first goal that has a region; None without one."""
+    """Return where to be and when, since the start, for the first goal that has a
+    region; None without one.
+    """
     for goal in problem.goals:
         if goal.area is None:
             continue
@@ -154,9 +169,16 @@ def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
 
 # The environment
 
-EGO_REMEDY = "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a recorded vehicle"
-OFF_LANE = 1.0  # distance of a start from the nearest lane, in its widths, beyond which the start is not on the road
-MIN_DESIRED_SPEED = 5.0  # m/s, least desired speed of a robot without a timed goal: otherwise its speed at the start
+EGO_REMEDY = (
+    "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a"
+    " recorded vehicle"
+)
+# distance of a start from the nearest lane, in its widths, beyond which the start is
+# not on the road
+OFF_LANE = 1.0
+# m/s, least desired speed of a robot without a timed goal: otherwise its speed at the
+# start
+MIN_DESIRED_SPEED = 5.0
 
 
 class RecordedSettings(Struct, frozen=True):
@@ -178,42 +200,50 @@ class RecordedSettings(Struct, frozen=True):
 
 
 class RecordedEnv(ConfiguredEnv, GoalEnv):
-    """A car in recorded traffic, with a goal: CommonRoad scenarios and their planning problems.
+    """A car in recorded traffic, with a goal: CommonRoad scenarios and their planning
+    problems.
 
     Configuration, beside highway-env's own; changes take effect at the next reset:
 
-    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz``, or ``"us101"``, which comes with the package.
-    * ``traffic``: ``"learned"``, drivers that were learned on US-101, who react to the ego and each have traits of
-      their own (`ms_highway.vehicle.FollowingVehicle`);
-      ``"replay"``, every vehicle moves as it was recorded; ``"idm"``, highway-env's drivers.
-      Road users outside lanes, such as pedestrians and trains, are always replayed.
-    * ``ego``: ``"problem"`` for the first planning problem, or ``"problem:NUMBER"`` for any; or the number of a
-      recorded vehicle: the ego starts in its place, and must be at its last position at most 2 s after it was there. If
-      the vehicle of a planning problem was recorded, too, the ego takes its place; any other obstacle that overlaps the
-      ego at the start is an error.
-    * ``goal_reward``, ``collision_reward``, ``off_road_reward``: earned once, at the end; ``progress_reward``: earned
-      for each metre along the road.
+    * ``recording``: a CommonRoad scenario, ``*.xml`` or ``*.xml.gz``, or ``"us101"``,
+      which comes with the package.
+    * ``traffic``: ``"learned"``, drivers that were learned on US-101, who react to the
+      ego and each have traits of their own (`ms_highway.vehicle.FollowingVehicle`);
+      ``"replay"``, every vehicle moves as it was recorded; ``"idm"``, highway-env's
+      drivers. Road users outside lanes, such as pedestrians and trains, are always
+      replayed.
+    * ``ego``: ``"problem"`` for the first planning problem, or ``"problem:NUMBER"`` for
+      any; or the number of a recorded vehicle: the ego starts in its place, and must be
+      at its last position at most 2 s after it was there. If the vehicle of a planning
+      problem was recorded, too, the ego takes its place; any other obstacle that
+      overlaps the ego at the start is an error.
+    * ``goal_reward``, ``collision_reward``, ``off_road_reward``: earned once, at the
+      end; ``progress_reward``: earned for each metre along the road.
 
-    An episode is a success if the ego is in a goal's region within the goal's intervals of time, speed and heading, and
-    has neither collided nor left the road with any corner before. An episode ends with a success, a collision, leaving
-    the road, or the last time of all goals. The road moves at 10 Hz, as it was recorded. x goes along the road and y to
-    its right; ``axes`` converts to the map.
+    An episode is a success if the ego is in a goal's region within the goal's intervals
+    of time, speed and heading, and has neither collided nor left the road with any
+    corner before. An episode ends with a success, a collision, leaving the road, or the
+    last time of all goals. The road moves at 10 Hz, as it was recorded. x goes along
+    the road and y to its right; ``axes`` converts to the map.
 
-    ``info["recorded"]`` has ``step``, of the recording; ``success``, ``collision`` and ``off_road``; ``replaced``, the
-    number of the recorded vehicle whose place the ego has taken, -1 for none; and ``waiting``: for each of the
-    scenario's ``tracks``, whether another vehicle blocks its entry. ``info["is_success"]`` repeats the success.
+    ``info["recorded"]`` has ``step``, of the recording; ``success``, ``collision`` and
+    ``off_road``; ``replaced``, the number of the recorded vehicle whose place the ego
+    has taken, -1 for none; and ``waiting``: for each of the scenario's ``tracks``,
+    whether another vehicle blocks its entry. ``info["is_success"]`` repeats the
+    success.
 
     Attributes:
         scenario: the recording.
         axes: conversion between the axes of the map and highway-env's.
         task: the planning problem of the ego.
         goal: where and when the ego has to be, None if its goal is only a time.
-        success, off_road: whether the ego has reached the goal, and whether it has left the road.
+        success, off_road: whether the ego has reached the goal, and whether it has left
+            the road.
     """
 
     settings_type = RecordedSettings
     scenario: TrafficRecording
-    types = {  # noqa: RUF012
+    types = {
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
             "ContinuousAction": RANGES | {"dynamical": Any},
@@ -275,7 +305,8 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         )
         if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
             raise ValueError(
-                f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the file or leave it out"
+                f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the"
+                " file or leave it out"
             )
         road = RecordedRoad(
             scenario, task.time, task.track, self.settings.traffic, self.np_random
@@ -316,7 +347,9 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         ]
 
     def _simulate(self, action: Any = None) -> None:
-        """Let all vehicles act and move for a step; find out whether the ego has reached the goal or left the road."""
+        """Let all vehicles act and move for a step; find out whether the ego has
+        reached the goal or left the road.
+        """
         super()._simulate(action)
         ego, road = self.vehicle, self.road
         along = float(road.states[ego][0])

@@ -1,4 +1,6 @@
-"""Turn lanelets into a road network of highway-env: smooth lanes with their own widths, which merge, branch and end."""
+"""Turn lanelets into a road network of highway-env: smooth lanes with their own widths,
+which merge, branch and end.
+"""
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -28,17 +30,21 @@ SMOOTHED = (
 )  # m; waves shorter than 2 pi times this, at first about 60 m, are smoothed away
 MIN_POINTS = 5  # for which a smoothing spline can be fitted
 BRIDGED = 60.0  # m of the lanes before and after a lane with which it is smoothed
-CLOSE = 5.0  # m, by which a lane may be farther away than the nearest one, and be closer counting the heading
+# m, by which a lane may be farther away than the nearest one, and be closer counting
+# the heading
+CLOSE = 5.0
 WITHIN = (
     0.1  # m, largest distance from the middle of a lanelet to the middle of its lane
 )
 
 
 class Axes(NamedTuple):
-    """Convert between the axes of a map, with y to the left of x, and highway-env's, with x along the road.
+    """Convert between the axes of a map, with y to the left of x, and highway-env's,
+    with x along the road.
 
     Attributes:
-        origin: of highway-env's axes in the map [m]; near the road, because single precision resolves little far away.
+        origin: of highway-env's axes in the map [m]; near the road, because single
+            precision resolves little far away.
         turn: direction of highway-env's x in the map [rad].
     """
 
@@ -47,7 +53,9 @@ class Axes(NamedTuple):
 
     @classmethod
     def of(cls, lanelets: Sequence[Lanelet]) -> "Axes":
-        """Return axes along the mean direction of a road, with their origin in its middle, at whole metres."""
+        """Return axes along the mean direction of a road, with their origin in its
+        middle, at whole metres.
+        """
         lines = [lanelet.centre for lanelet in lanelets]
         along = np.sum([line[-1] - line[0] for line in lines], axis=0)
         return cls(
@@ -64,11 +72,15 @@ class Axes(NamedTuple):
         return np.asarray(positions, dtype=float) @ self._mirror.T + self.origin
 
     def headings(self, orientations: Any) -> Any:
-        """Convert orientations in the map to headings in highway-env's axes, or headings to orientations [rad]."""
+        """Convert orientations in the map to headings in highway-env's axes, or
+        headings to orientations [rad].
+        """
         return wrapped(self.turn - np.asarray(orientations, dtype=float))
 
     def states(self, samples: np.ndarray) -> State:
-        """Return x, y, heading and speed in highway-env's axes, given samples of a track [times, 5]."""
+        """Return x, y, heading and speed in highway-env's axes, given samples of a
+        track [times, 5].
+        """
         _, _, _, orientations, speeds = samples.T
         return np.column_stack(
             [self.positions(samples[:, 1:3]), self.headings(orientations), speeds]
@@ -117,17 +129,23 @@ class SampledLane(AbstractLane):
         return float(self.curve.interpolate(self.widths, longitudinal))
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
-        """Return the place along the lane and the distance to the right of its middle [m]."""
+        """Return the place along the lane and the distance to the right of its middle
+        [m].
+        """
         along, right = self.curve.locate(np.asarray(position))
         return float(along), float(right)
 
 
 class LaneletNetwork(RoadNetwork):
-    """A road network of sampled lanes that measures the exact distance only to lanes that may be the closest one."""
+    """A road network of sampled lanes that measures the exact distance only to lanes
+    that may be the closest one.
+    """
 
     @cached_property
     def _samples(self) -> tuple[Points, np.ndarray]:
-        """Centres of all lanes, one lane after the other, and the index of the first one of each lane."""
+        """Centres of all lanes, one lane after the other, and the index of the first
+        one of each lane.
+        """
         centres = [lane.centres for lane in self.lanes_list()]
         return np.concatenate(centres), np.cumsum([0, *map(len, centres[:-1])])
 
@@ -148,18 +166,20 @@ class LaneletNetwork(RoadNetwork):
 
 
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
-    """Build the road network of a recording: lanelets side by side are the lanes of one road, from the left.
+    """Build the road network of a recording: lanelets side by side are the lanes of one
+    road, from the left.
 
     Raises:
-        ValueError: for a lanelet that is beside itself, two roads between the same places, or too sharp a turn.
+        ValueError: for a lanelet that is beside itself, two roads between the same
+            places, or too sharp a turn.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
     network, roads = LaneletNetwork(), [*_roads(known)]
     for road, (start, end) in zip(roads, _nodes(roads), strict=True):
         if end in network.graph.get(start, {}):
             raise ValueError(
-                f"lanelet {road[0].number} begins and ends where another road does, but is not beside it; such roads "
-                "cannot be driven here"
+                f"lanelet {road[0].number} begins and ends where another road does, but"
+                " is not beside it; such roads cannot be driven here"
             )
         for place, lanelet in enumerate(road):
             left = LineType.STRIPED if place else LineType.CONTINUOUS_LINE
@@ -181,7 +201,8 @@ def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
             while (beside := road[-side].beside[side]) in known:
                 if beside in (other.number for other in road):
                     raise ValueError(
-                        f"lanelet {beside} is beside itself; mend the file or leave it out"
+                        f"lanelet {beside} is beside itself; mend the file or leave"
+                        " it out"
                     )
                 road.insert(side * len(road), known[beside])
         placed |= {other.number for other in road}
@@ -189,7 +210,9 @@ def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
 
 
 def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
-    """Return the names of the nodes at which each road begins and ends; roads whose lanelets meet share a node."""
+    """Return the names of the nodes at which each road begins and ends; roads whose
+    lanelets meet share a node.
+    """
     number = {
         lanelet.number: road
         for road, lanelets in enumerate(roads)
@@ -205,7 +228,8 @@ def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
 def _lane(
     lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]
 ) -> SampledLane:
-    """Return the lane of a lanelet along its smoothed centre, if possible smoothed with the lanes before and after it.
+    """Return the lane of a lanelet along its smoothed centre, if possible smoothed with
+    the lanes before and after it.
 
     Raises:
         ValueError: if every smooth lane is too far from the centre.
@@ -236,12 +260,15 @@ def _lane(
         if off <= WITHIN:
             return lane
     raise ValueError(
-        f"lanelet {lanelet.number} turns too sharply: the middle of a smooth lane would be {off:.2f} m off its own"
+        f"lanelet {lanelet.number} turns too sharply: the middle of a smooth lane would"
+        f" be {off:.2f} m off its own"
     )
 
 
 def fits(line: Points) -> Iterator[Curve]:
-    """Yield curves along a line, the smoothest first: lines of maps have kinks that would look like steering."""
+    """Yield curves along a line, the smoothest first: lines of maps have kinks that
+    would look like steering.
+    """
     line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
     distance = arc_lengths(line.T)
     for smoothed in SMOOTHED:

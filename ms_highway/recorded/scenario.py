@@ -1,7 +1,8 @@
-"""What a recording holds, as in CommonRoad: lanelets, tracks of vehicles and standing objects, and planning problems.
+"""What a recording holds, as in CommonRoad: lanelets, tracks of vehicles and standing
+objects, and planning problems.
 
-Everything here is in the axes of the map, with y to the left of x, in metres, radians and steps of time; see
-`ms_highway.recorded.network.Axes` for highway-env's axes.
+Everything here is in the axes of the map, with y to the left of x, in metres, radians
+and steps of time; see `ms_highway.recorded.network.Axes` for highway-env's axes.
 """
 
 import gzip
@@ -17,15 +18,20 @@ from matplotlib.path import Path
 Points = Float[np.ndarray, "points 2"]
 
 SPEED_LIMIT = 29.06
-"""Speed limit of lanes without a traffic sign [m/s]: 65 mph, as on US-101, whose scenarios have no signs."""
+"""Speed limit of lanes without a traffic sign [m/s]: 65 mph, as on US-101, whose
+scenarios have no signs.
+"""
 
 KEPT = 20
-"""Number of recordings that are kept in memory, as long as their files do not change."""
+"""Number of recordings that are kept in memory, as long as their files do not change.
+"""
 
 FULL_TURN = 2 * np.pi
 
 CAR_SIZE = 4.508, 1.610
-"""Length and width of the ego in planning problems [m]: CommonRoad's second vehicle, a BMW 320i."""
+"""Length and width of the ego in planning problems [m]: CommonRoad's second vehicle, a
+BMW 320i.
+"""
 
 SHIPPED = "us101"
 """Name of the recording that comes with the package."""
@@ -40,7 +46,8 @@ class Lanelet(msgspec.Struct, frozen=True):
         right: its right edge, with as many points.
         before: ids of the lanelets that lead to it.
         after: ids of the lanelets to which it leads.
-        beside: ids of the lanelets to its left and right on which traffic goes the same way, None without one.
+        beside: ids of the lanelets to its left and right on which traffic goes the same
+            way, None without one.
         limit: speed limit [m/s], None without one.
     """
 
@@ -65,7 +72,8 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         number: its id.
         size: length and width [m].
         samples: step of time, x, y, orientation and speed [times, 5].
-        drives: whether it drives in lanes; all others, such as pedestrians, are replayed.
+        drives: whether it drives in lanes; all others, such as pedestrians, are
+            replayed.
     """
 
     number: int
@@ -84,7 +92,9 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         return int(self.samples[-1, 0])
 
     def at(self, steps: np.ndarray) -> np.ndarray:
-        """Return samples at steps of time [steps, 5], interpolated where it was not seen."""
+        """Return samples at steps of time [steps, 5], interpolated where it was not
+        seen.
+        """
         times, x, y, orientation, speed = self.samples.T
         parts = x, y, np.unwrap(orientation), speed
         return np.stack(
@@ -93,11 +103,13 @@ class RecordedTrack(msgspec.Struct, frozen=True):
 
 
 class GoalRegion(msgspec.Struct, frozen=True):
-    """Where, when and how the ego has to be to reach a goal; None stands for no condition.
+    """Where, when and how the ego has to be to reach a goal; None stands for no
+    condition.
 
     Attributes:
         times: first and last step.
-        area: corners of the polygon that must contain the middle of the ego [corners, 2].
+        area: corners of the polygon that must contain the middle of the ego [corners,
+            2].
         speeds: lowest and highest.
         headings: first and last orientation of an interval, counted to the left.
     """
@@ -130,7 +142,8 @@ class Problem(msgspec.Struct, frozen=True):
         time: step of the start.
         goals: the alternatives.
         size: length and width of the ego [m].
-        track: number of the recorded vehicle that the ego replaces, None if it replaces none.
+        track: number of the recorded vehicle that the ego replaces, None if it replaces
+            none.
     """
 
     number: int
@@ -148,7 +161,9 @@ class Problem(msgspec.Struct, frozen=True):
     def is_reached(
         self, step: int, point: Points, orientation: float, speed: float
     ) -> bool:
-        """Return whether an ego with its middle at a point of the map reaches one of the goals."""
+        """Return whether an ego with its middle at a point of the map reaches one of
+        the goals.
+        """
         return any(
             goal.is_reached(step, point, orientation, speed) for goal in self.goals
         )
@@ -159,7 +174,8 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
 
     Attributes:
         name: of the scenario.
-        group: name of the longer recording from which the scenario was cut; scenarios of a group may share tracks.
+        group: name of the longer recording from which the scenario was cut; scenarios
+            of a group may share tracks.
         source: name of its file.
         lanelets: the road.
         tracks: the vehicles, other road users and standing objects.
@@ -182,7 +198,8 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
 
 
 def open_recording(recording: str) -> TrafficRecording:
-    """Return the recording of a CommonRoad file, or by its name the one that comes with the package.
+    """Return the recording of a CommonRoad file, or by its name the one that comes with
+    the package.
 
     Raises:
         ValueError: naming the file and the problem.
@@ -192,8 +209,9 @@ def open_recording(recording: str) -> TrafficRecording:
     path = pathlib.Path(recording)
     if not path.is_file():
         raise ValueError(
-            f"config['recording'] is {recording!r}, which is no file; give the file of a CommonRoad scenario, *.xml or "
-            f"*.xml.gz, or {SHIPPED!r}, which comes with the package"
+            f"config['recording'] is {recording!r}, which is no file; give the file of"
+            f" a CommonRoad scenario, *.xml or *.xml.gz, or {SHIPPED!r}, which comes"
+            " with the package"
         )
     return _read(path.resolve(), path.stat().st_mtime_ns)
 

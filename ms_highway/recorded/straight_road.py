@@ -1,4 +1,6 @@
-"""Convert states of vehicles on a recorded road to states on a straight road of parallel lanes, lane by lane."""
+"""Convert states of vehicles on a recorded road to states on a straight road of
+parallel lanes, lane by lane.
+"""
 
 from functools import lru_cache
 
@@ -10,19 +12,23 @@ from ms_highway.recorded.scenario import KEPT, Points, RecordedTrack, TrafficRec
 from ms_highway.runtime.arrays import State
 
 ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
-SEAM = 0.1  # m, by which lanes are widened to each side, because their edges may leave gaps
+# m, by which lanes are widened to each side, because their edges may leave gaps
+SEAM = 0.1
 
 
 class StraightRoad:
-    """The road of a recording, straightened: its lanes are parallel lines, as far apart as the lanes are wide.
+    """The road of a recording, straightened: its lanes are parallel lines, as far apart
+    as the lanes are wide.
 
-    On the straight road, x is the distance along the road, y the distance to the right of the leftmost lane's centre,
-    and headings are relative to the lane. Where lanes side by side differ in length, x is scaled to their mean.
+    On the straight road, x is the distance along the road, y the distance to the right
+    of the leftmost lane's centre, and headings are relative to the lane. Where lanes
+    side by side differ in length, x is scaled to their mean.
 
     Attributes:
         axes: of highway-env in the map of the recording.
         network: of the lanes.
-        centres: y of each lane, by its index in the network; lanes that follow each other have the same y.
+        centres: y of each lane, by its index in the network; lanes that follow each
+            other have the same y.
         lane_width: median width of the lanes [m].
 
     Raises:
@@ -86,7 +92,9 @@ class StraightRoad:
         return self  # it never changes: copies of environments share it
 
     def states(self, states: State) -> State:
-        """Convert states in highway-env's axes, each by the lane that is nearest in position and heading."""
+        """Convert states in highway-env's axes, each by the lane that is nearest in
+        position and heading.
+        """
         x, y, heading, speeds = states.T
         every = np.array(
             [lane.shape.curve.project(x, y, heading) for lane in self._lanes]
@@ -107,7 +115,9 @@ class StraightRoad:
 
     @property
     def lines(self) -> list[Points]:
-        """For every y of lanes, from the left: the middles of the lanes there, one after the other."""
+        """For every y of lanes, from the left: the middles of the lanes there, one
+        after the other.
+        """
         lanes = [
             self._lanes[place] for place in np.argsort(self._starts, kind="stable")
         ]
@@ -124,7 +134,9 @@ class StraightRoad:
         return self.states(self.axes.states(track.samples))
 
     def covers(self, points: Points) -> bool:
-        """Return whether all points are on lanes, or on their straight continuation beyond the ends of the road."""
+        """Return whether all points are on lanes, or on their straight continuation
+        beyond the ends of the road.
+        """
         inside = np.zeros(len(points), bool)
         for lane in self._lanes:
             along, aside = lane.shape.curve.locate(points)

@@ -1,4 +1,6 @@
-"""Let the vehicles of a recording enter a road, drive there and leave it: replayed, by learned drivers, or by IDM."""
+"""Let the vehicles of a recording enter a road, drive there and leave it: replayed, by
+learned drivers, or by IDM.
+"""
 
 from copy import copy
 from typing import Any
@@ -16,11 +18,18 @@ from ms_highway.runtime.arrays import State
 from ms_highway.vehicle import FollowingVehicle, RoutedVehicle, states_of
 
 EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
-ENTRY_GAP = 2.0  # m that must be free ahead of and behind a vehicle that enters or changes lanes
-LANE_TOLERANCE = 0.3  # m beyond the edge of a lane, within which the middle of a vehicle still counts as in the lane
-GAP_TIME = 1.0  # s, for which a gap in the lane beside must stay long enough at the present speeds
-LOOK_AHEAD = 2.0  # s, of a lane change: it begins this long before the recorded vehicle was in the other lane
-SPEED_TIME = 1.0  # s, in which a car without a leader reaches the speed that was recorded at its place
+# m that must be free ahead of and behind a vehicle that enters or changes lanes
+ENTRY_GAP = 2.0
+# m beyond the edge of a lane, within which the middle of a vehicle still counts as in
+# the lane
+LANE_TOLERANCE = 0.3
+# s, for which a gap in the lane beside must stay long enough at the present speeds
+GAP_TIME = 1.0
+# s, of a lane change: it begins this long before the recorded vehicle was in the other
+# lane
+LOOK_AHEAD = 2.0
+# s, in which a car without a leader reaches the speed that was recorded at its place
+SPEED_TIME = 1.0
 
 
 class ReplayedVehicle(RoutedVehicle):
@@ -32,8 +41,9 @@ class ReplayedVehicle(RoutedVehicle):
 class LearnedVehicle(FollowingVehicle):
     """A learned driver in the place of a recorded vehicle.
 
-    It changes lanes where the recorded vehicle did, as soon as there is room. Without a leader it drives as fast as the
-    recorded vehicle at the same place, whose leader was out of sight of the recording.
+    It changes lanes where the recorded vehicle did, as soon as there is room. Without a
+    leader it drives as fast as the recorded vehicle at the same place, whose leader was
+    out of sight of the recording.
 
     Attributes:
         way: states of the recorded vehicle on the straight road [times, 4].
@@ -43,7 +53,9 @@ class LearnedVehicle(FollowingVehicle):
     way: State
 
     def change_lane_policy(self) -> None:
-        """Change towards the lane of the recorded vehicle, unless a change is going on or there is no room for one."""
+        """Change towards the lane of the recorded vehicle, unless a change is going on
+        or there is no room for one.
+        """
         straight, (start, end, lane) = self.road.straight, self.lane_index
         x, *_, speed = self.road.states[self]
         later = min(
@@ -62,7 +74,9 @@ class LearnedVehicle(FollowingVehicle):
             self.target_lane_index = beside
 
     def _leaves_room(self, other: Vehicle | None) -> bool:
-        """Return whether a vehicle in the lane beside leaves room for a change to that lane."""
+        """Return whether a vehicle in the lane beside leaves room for a change to that
+        lane.
+        """
         if other is None:
             return True
         distance, _, _, relative_speed = (
@@ -76,7 +90,9 @@ class LearnedVehicle(FollowingVehicle):
     def acceleration(
         self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None
     ) -> float:
-        """Return the acceleration of a vehicle behind another one [m/s^2], see `FollowingVehicle`."""
+        """Return the acceleration of a vehicle behind another one [m/s^2], see
+        `FollowingVehicle`.
+        """
         if front_vehicle:
             return super().acceleration(ego_vehicle, front_vehicle)
         x, *_, speed = self.road.states[self]
@@ -84,17 +100,18 @@ class LearnedVehicle(FollowingVehicle):
 
 
 class RecordedRoad(Road):
-    """A road for the vehicles of a recording. Only the ego collides: where its body overlaps another one.
+    """A road for the vehicles of a recording. Only the ego collides: where its body
+    overlaps another one.
 
-    Vehicles enter where and when they were recorded to enter. Vehicles that are not replayed wait until the place is
-    free, and leave at the end of the road.
+    Vehicles enter where and when they were recorded to enter. Vehicles that are not
+    replayed wait until the place is free, and leave at the end of the road.
 
     Args:
         recording: of the traffic.
         begin: step of the recording at which the road begins.
         left_out: number of the track that the ego replaces; None for no track.
-        traffic: what moves the vehicles that drive in lanes: ``"replay"``, ``"learned"`` or ``"idm"``; all else is
-            replayed.
+        traffic: what moves the vehicles that drive in lanes: ``"replay"``,
+            ``"learned"`` or ``"idm"``; all else is replayed.
         np_random: for drivers that draw random numbers.
 
     Attributes:
@@ -126,7 +143,9 @@ class RecordedRoad(Road):
 
     @property
     def waiting(self) -> list[RecordedTrack]:
-        """Tracks of the vehicles that should have entered, but whose place is taken by another vehicle."""
+        """Tracks of the vehicles that should have entered, but whose place is taken by
+        another vehicle.
+        """
         return [track for track in self.coming if track.first <= self.now]
 
     @property
@@ -146,7 +165,8 @@ class RecordedRoad(Road):
     def neighbour_vehicles(
         self, vehicle: Vehicle, lane_index: LaneIndex | None = None
     ) -> tuple[Any, Any]:
-        """Return the nearest vehicles ahead and behind, None without one: in a lane and the lanes before and after it.
+        """Return the nearest vehicles ahead and behind, None without one: in a lane and
+        the lanes before and after it.
 
         By default, that is the lane of the vehicle.
         """
@@ -176,23 +196,28 @@ class RecordedRoad(Road):
                     ego.crashed = other.crashed = True
 
     def recorded(self, track: RecordedTrack) -> State:
-        """Return the states of a track in each step from the beginning of the road, or from its own, until its end."""
+        """Return the states of a track in each step from the beginning of the road, or
+        from its own, until its end.
+        """
         steps = np.arange(max(track.first, self.begin), track.last + 1)
         return self.straight.axes.states(track.at(steps))
 
     def _let_enter(self) -> None:
         """Let the vehicles enter whose time has come.
 
-        Replayed vehicles enter even where another vehicle is, and so do all vehicles at the beginning.
+        Replayed vehicles enter even where another vehicle is, and so do all vehicles at
+        the beginning.
         """
         for track in self.waiting:
             kind: Any = self._driver if track.drives else ReplayedVehicle
             replayed, states = kind is ReplayedVehicle, self.recorded(track)
             *position, heading, speed = states[0].tolist()
             vehicle = sized(
-                kind(self, states)
-                if replayed
-                else kind(self, position, heading, speed),
+                (
+                    kind(self, states)
+                    if replayed
+                    else kind(self, position, heading, speed)
+                ),
                 track.size,
             )
             vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = (
@@ -216,7 +241,9 @@ class RecordedRoad(Road):
                 self.coming.remove(track)
 
     def _has_left(self, vehicle: Any) -> bool:
-        """Return whether a vehicle is past the end of its track if it is replayed, otherwise of the road."""
+        """Return whether a vehicle is past the end of its track if it is replayed,
+        otherwise of the road.
+        """
         if isinstance(vehicle, ReplayedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)

@@ -1,4 +1,5 @@
-"""Drive the stock environments of highway-env: a wrapper for them, the robot, and its driver.
+"""Drive the stock environments of highway-env: a wrapper for them, the robot, and its
+driver.
 
 Imports `ms_highway.envs` and what stands below it.
 """

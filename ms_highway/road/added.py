@@ -30,17 +30,22 @@ def added_drivers() -> list[str]:
 
 @dataclass
 class AddedRoadDriver:
-    """Drive a robot on any road, one step at a time, by a driver that is made for the games of this package.
+    """Drive a robot on any road, one step at a time, by a driver that is made for the
+    games of this package.
 
-    The driver sees the road straightened along the robot's way, see `ms_highway.road.road_view.look`: x along it,
-    from the robot's rear axle, and y to its right. Its game has the robot's lane and one to either side, the wanted
-    lane as the target lane, the reward of `ms_highway.game.scenario.COMMON_WEIGHTS`, and steps as long as the robot
-    holds a control. Its speed limit is the desired speed or, if that is lower, the lane's, which is reduced before
-    bends. Its state has seven cars: the robot, then those ahead and behind in its lane, in the lane to the left, and in
-    the lane to the right. Where there is no car, a car far behind takes its place. Obstacles count as standing cars.
+    The driver sees the road straightened along the robot's way, see
+    `ms_highway.road.road_view.look`: x along it, from the robot's rear axle, and y to
+    its right. Its game has the robot's lane and one to either side, the wanted lane as
+    the target lane, the reward of `ms_highway.game.scenario.COMMON_WEIGHTS`, and steps
+    as long as the robot holds a control. Its speed limit is the desired speed or, if
+    that is lower, the lane's, which is reduced before bends. Its state has seven cars:
+    the robot, then those ahead and behind in its lane, in the lane to the left, and in
+    the lane to the right. Where there is no car, a car far behind takes its place.
+    Obstacles count as standing cars.
 
     Attributes:
-        planning: the desired speed and the duration of a step; may be replaced between steps.
+        planning: the desired speed and the duration of a step; may be replaced between
+            steps.
         name: of the driver.
         key: of the episode, see `ms_highway.add_driver`.
         weights: which are not used.
@@ -67,7 +72,8 @@ class AddedRoadDriver:
         self._driver.game = game
         answer = self._driver.step(view.states)
 
-        # The driver knows a straight road with friction; the robot has a bent one without.
+        # The driver knows a straight road with friction; the robot has a bent one
+        # without.
         friction = keep_velocity(game.world, view.states[0])[1]
         control = np.array(
             [answer.control[0] + view.scene.bend, answer.control[1] - friction]

@@ -1,7 +1,8 @@
-"""Predict how humans drive along their paths: each optimises the learned reward of commuters, given all others.
+"""Predict how humans drive along their paths: each optimises the learned reward of
+commuters, given all others.
 
-A human chooses only its acceleration in each time step; its distance to its path decays. The motion of others is in the
-coordinates of this path.
+A human chooses only its acceleration in each time step; its distance to its path
+decays. The motion of others is in the coordinates of this path.
 """
 
 from dataclasses import dataclass, replace
@@ -55,7 +56,8 @@ HEEDED = (
 class Commuter:
     """A human on its path, and the motion of others in the path's coordinates.
 
-    The reward is computed as on a straight road of one lane. Accelerations are in units of `ACCELERATION_UNIT`.
+    The reward is computed as on a straight road of one lane. Accelerations are in units
+    of `ACCELERATION_UNIT`.
 
     Attributes:
         planning: time step and number of steps.
@@ -79,7 +81,9 @@ class Commuter:
         )
 
     def rewards(self, motion: Steps) -> Steps:
-        """Return the reward after each step, given s and speed after each step [2, steps]."""
+        """Return the reward after each step, given s and speed after each step [2,
+        steps].
+        """
         s, speed = motion
         own = Motion(s, self.aside, jnp.ones_like(s), jnp.zeros_like(s), speed)
         return motion_reward(self.road, self.reward, own, self.others)
@@ -87,8 +91,9 @@ class Commuter:
     def expand(self, scaled: Vector) -> tuple[Vector, Matrix]:
         """Return gradient and Hessian of `earned`.
 
-        The reward of a step depends only on s and speed, which are linear in the accelerations: the chain rule needs
-        only second derivatives in these two numbers.
+        The reward of a step depends only on s and speed, which are linear in the
+        accelerations: the chain rule needs only second derivatives in these two
+        numbers.
         """
         effects = self._effects
         slopes, bends = along_fields(
@@ -105,7 +110,8 @@ class Commuter:
     def best_response(self) -> Vector:
         """Return the best accelerations, by damped Newton steps from steady braking.
 
-        There is an optimum before and behind each car ahead; starting from braking finds the one behind it.
+        There is an optimum before and behind each car ahead; starting from braking
+        finds the one behind it.
         """
 
         def best(candidates: Steps) -> Vector:
@@ -128,7 +134,8 @@ class Commuter:
     def held(self, scaled: Vector) -> Vector:
         """Limit accelerations to the range of humans and to speeds from 0.
 
-        With unlimited speeds c_k, the speed that never falls below zero is ``c_k - min(0, c_1, ..., c_k)``.
+        With unlimited speeds c_k, the speed that never falls below zero is ``c_k -
+        min(0, c_1, ..., c_k)``.
         """
         _, free = self.move(jnp.clip(scaled, MIN_ACCELERATION, MAX_ACCELERATION))
         kept = free - jnp.minimum(jax.lax.cummin(free), 0.0)
@@ -151,7 +158,9 @@ class Commuter:
 
     @property
     def _effects(self) -> Numbers:
-        """Derivatives of s and speed after each step in the accelerations [2, steps, n]."""
+        """Derivatives of s and speed after each step in the accelerations [2, steps,
+        n].
+        """
         steps, dt = np.arange(self.planning.steps), self.planning.time_step
         age = steps[:, None] - steps
         by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * ACCELERATION_UNIT)
@@ -172,7 +181,8 @@ def commuter_among(
         planning: time step and number of steps.
         i: number of the other car's path.
         robot: trajectory of the robot's centre.
-        others: predicted trajectories of all traffic; the car itself, its other paths and absent cars are ignored.
+        others: predicted trajectories of all traffic; the car itself, its other paths
+            and absent cars are ignored.
     """
     path, state, size, limit = jax.tree.map(
         lambda field: jnp.asarray(field)[i],

@@ -36,7 +36,10 @@ from ms_highway.road.stock import (
     success,
 )
 
-WORKS = "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack environments"
+WORKS = (
+    "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack"
+    " environments"
+)
 UNTIL_FIRST = {
     "models": ("",) * TRAFFIC,
     "source": "",
@@ -46,17 +49,21 @@ UNTIL_FIRST = {
     "decision_seconds": 0.0,
     "compile_seconds": 0.0,
 }
-"""Fields of the driver's last step in ``info["road"]``, with their values before the first step."""
+"""Fields of the driver's last step in ``info["road"]``, with their values before the
+first step.
+"""
 
 NO_GAINS = np.full((TRAFFIC, len(MODELS)), np.nan)
-SAME = 1e-5  # m/s^2 and rad: the control in the frames of a step may differ from its action by this much
+# m/s^2 and rad: the control in the frames of a step may differ from its action by this
+# much
+SAME = 1e-5
 
 
 def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
     """Let a robot drive the controlled vehicles of a stock environment of highway-env.
 
-    The environment keeps its spaces, reward and time limits. Actions are ignored, and ``info["road"]`` says what the
-    robot does, see `Driven`::
+    The environment keeps its spaces, reward and time limits. Actions are ignored, and
+    ``info["road"]`` says what the robot does, see `Driven`::
 
         env = ms_highway.drive(gym.make("roundabout-v0", render_mode="rgb_array"), {"desired_speed": 12.0})
         env.reset(seed=0)
@@ -81,7 +88,8 @@ def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
 
 
 def check_drivable(env: Any) -> None:
-    """Check that an environment is one of highway-env's, has roads to follow, and has actions that its reward accepts.
+    """Check that an environment is one of highway-env's, has roads to follow, and has
+    actions that its reward accepts.
 
     Raises:
         ValueError: naming what works.
@@ -102,9 +110,13 @@ def check_drivable(env: Any) -> None:
         and type(kind) is ContinuousAction
         and kind.size > 1
     ):
-        remedy = "make the environment with config={'action': {'type': 'DiscreteMetaAction'}}"
+        remedy = (
+            "make the environment with config={'action': {'type':"
+            " 'DiscreteMetaAction'}}"
+        )
         raise ValueError(
-            f"the reward of {name} reads lane changes, which a ContinuousAction does not have; {remedy}"
+            f"the reward of {name} reads lane changes, which a ContinuousAction does"
+            f" not have; {remedy}"
         )
 
 
@@ -113,20 +125,25 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
     The environment keeps its spaces, reward and time limits.
 
-    Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy frequency is, and holds its
-    control in between. ``info["road"]["action"]`` is the ``ContinuousAction`` that repeats what the robots did in this
-    step, for imitation learning, see `executed_action`. It is None with discrete or ``dynamical`` actions, and in steps
-    longer than 0.2 s, within which the control changes. ``info["action"]`` is only the action that highway-env's
-    rewards receive: idle, or the control of the last step. ``info["is_success"]`` is ``info["road"]["success"]``, where
-    the scene has a goal. Every key is there from the reset on, with one shape and type. ``info["road"]`` describes the
-    first controlled vehicle:
+    Actions are ignored: the robot plans every 0.2 s, whatever the environment's policy
+    frequency is, and holds its control in between. ``info["road"]["action"]`` is the
+    ``ContinuousAction`` that repeats what the robots did in this step, for imitation
+    learning, see `executed_action`. It is None with discrete or ``dynamical`` actions,
+    and in steps longer than 0.2 s, within which the control changes. ``info["action"]``
+    is only the action that highway-env's rewards receive: idle, or the control of the
+    last step. ``info["is_success"]`` is ``info["road"]["success"]``, where the scene
+    has a goal. Every key is there from the reset on, with one shape and type.
+    ``info["road"]`` describes the first controlled vehicle:
 
-    * ``models``, ``source``, ``broken``, ``failed``, ``planning_seconds``, ``decision_seconds``, ``compile_seconds`` of
-      the last plan, see `ms_highway.road.driver.RoadStep`; ``gains``, by model: an upper bound on what predicting each
-      car by this model may gain, NaN where none was estimated;
-    * ``decisions``, ``sources``: duration of every plan within this step [s], without compilation, and what drove then;
-      NaN and an empty text for each plan that was not made;
-    * ``late``: number of these plans that were not ready within the budget, so that the last plan drove on;
+    * ``models``, ``source``, ``broken``, ``failed``, ``planning_seconds``,
+      ``decision_seconds``, ``compile_seconds`` of the last plan, see
+      `ms_highway.road.driver.RoadStep`; ``gains``, by model: an upper bound on what
+      predicting each car by this model may gain, NaN where none was estimated;
+    * ``decisions``, ``sources``: duration of every plan within this step [s], without
+      compilation, and what drove then; NaN and an empty text for each plan that was not
+      made;
+    * ``late``: number of these plans that were not ready within the budget, so that the
+      last plan drove on;
     * ``model_counts``: how many cars each model predicted, summed over these plans;
     * ``acceleration``, ``jerk``: the largest in any frame of this step [m/s^2, m/s^3];
     * ``destination``: node of the road network, or spot on a lane, None without one;
@@ -151,8 +168,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         """Start an episode, and replace every controlled vehicle by a robot.
 
         Raises:
-            ValueError: for an impossible seed, or if options give the environment actions that its reward does not
-                accept.
+            ValueError: for an impossible seed, or if options give the environment
+                actions that its reward does not accept.
         """
         seed = checked_seed(seed)
         restore_traffic()
@@ -192,12 +209,14 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         """Let the robot drive for a step; the action is ignored.
 
         Raises:
-            ResetNeeded: if this wrapper has not been reset, or the environment below it has been since.
+            ResetNeeded: if this wrapper has not been reset, or the environment below it
+                has been since.
         """
         base: Any = self.unwrapped
         if not self.robots or base.controlled_vehicles != self.robots:
             raise gym.error.ResetNeeded(
-                "the robot is not in the car; call reset of the driven environment, not of an inner one"
+                "the robot is not in the car; call reset of the driven environment, not"
+                " of an inner one"
             )
         for robot in self.robots:
             robot.forget()
@@ -210,9 +229,11 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return self.env.render()
 
     def _described(self, info: dict[str, Any]) -> dict[str, Any]:
-        """Return ``info`` with the driver's part, whose shapes and types are the same before and after the first step.
+        """Return ``info`` with the driver's part, whose shapes and types are the same
+        before and after the first step.
 
-        highway-env returns some speeds as whole numbers after a reset; they become decimal numbers.
+        highway-env returns some speeds as whole numbers after a reset; they become
+        decimal numbers.
         """
         robot = self.robots[0]
         base: Any = self.unwrapped
@@ -231,7 +252,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         last = robot.last_step
         gains = NO_GAINS if last is None or last.gains is None else last.gains
 
-        # The action that does the same, if there is one; with several robots, one for each.
+        # The action that does the same, if there is one; with several robots, one for
+        # each.
         kinds = (
             kind.agents_action_types if isinstance(kind, MultiAgentAction) else [kind]
         )
@@ -264,7 +286,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
 
 def placeholder_action(action_type: ActionType) -> Any:
-    """Return the action that rewards receive for a car that drives itself: idle, or what it last executed."""
+    """Return the action that rewards receive for a car that drives itself: idle, or
+    what it last executed.
+    """
     if isinstance(action_type, MultiAgentAction):
         return tuple(map(placeholder_action, action_type.agents_action_types))
     if isinstance(action_type, DiscreteMetaAction):
@@ -273,10 +297,12 @@ def placeholder_action(action_type: ActionType) -> Any:
 
 
 def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
-    """Return the ``ContinuousAction`` that repeats a robot's step; None for other types of actions.
+    """Return the ``ContinuousAction`` that repeats a robot's step; None for other types
+    of actions.
 
-    It is NaN where no action of the space does the same, because tyres or highway-env's limits changed the control
-    within the step, or because the control is outside the ranges of the space.
+    It is NaN where no action of the space does the same, because tyres or highway-env's
+    limits changed the control within the step, or because the control is outside the
+    ranges of the space.
     """
     continuous = isinstance(action_type, ContinuousAction) and not isinstance(
         action_type, DiscreteAction
@@ -295,7 +321,9 @@ def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | N
 
 
 def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) -> Any:
-    """Return the action of a space that is nearest to what a vehicle executed [m/s^2, rad]; acceleration first."""
+    """Return the action of a space that is nearest to what a vehicle executed [m/s^2,
+    rad]; acceleration first.
+    """
     values = []
     if action_type.longitudinal:
         values.append(

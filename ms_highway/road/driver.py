@@ -1,8 +1,9 @@
-"""Drive on a stock road, by the step of all robots (`ms_highway.loop.step`), with proposals as plans.
+"""Drive on a stock road, by the step of all robots (`ms_highway.loop.step`), with
+proposals as plans.
 
-The evidence for the choice of models is what the best proposal could gain from a better prediction of each car, see
-`ms_highway.road.settings`. So the robot proposes when it looks, before it chooses; planning is then to let others
-respond to the best proposals.
+The evidence for the choice of models is what the best proposal could gain from a better
+prediction of each car, see `ms_highway.road.settings`. So the robot proposes when it
+looks, before it chooses; planning is then to let others respond to the best proposals.
 """
 
 from dataclasses import dataclass, field, replace
@@ -40,18 +41,24 @@ from ms_highway.runtime.compilation import jit_quickly, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
 SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]), MODELS)
-"""Planning time if all cars are naive, and the time that each car adds under each model, measured on one core [s]."""
+"""Planning time if all cars are naive, and the time that each car adds under each
+model, measured on one core [s].
+"""
 
 UNKNOWN_WORTH = np.zeros(TRAFFIC, np.float32)
-"""What a better prediction of each of the others may gain, before anything is proposed."""
+"""What a better prediction of each of the others may gain, before anything is proposed.
+"""
 
-BRAKING_SHARE = 0.95  # share of the grip above which the deceleration of a broken plan counts as braking
+# share of the grip above which the deceleration of a broken plan counts as braking
+BRAKING_SHARE = 0.95
 SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
 
 proposed_for = jit_quickly(propose_road)
 responded_to = jit_quickly(respond_road)
 decided = jit_quickly(decide_on)
-"""Proposals, answers to them and decisions, each compiled once for all scenes, models, limits and weights."""
+"""Proposals, answers to them and decisions, each compiled once for all scenes, models,
+limits and weights.
+"""
 
 
 def plan_of(
@@ -81,17 +88,23 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RoadStep(ControlStep):
-    """Record of one step of a driver on a road, where each path of others counts as a human.
+    """Record of one step of a driver on a road, where each path of others counts as a
+    human.
 
-    Controls are the curvature of the rear axle's path [1/m] and the acceleration [m/s^2]. ``humans`` has the positions
-    of others in place of their controls. ``models`` has an empty name for paths without a prediction; without a finite
-    plan, these are all paths. ``gains`` are upper bounds, the same for all models except naive.
+    Controls are the curvature of the rear axle's path [1/m] and the acceleration
+    [m/s^2]. ``humans`` has the positions of others in place of their controls.
+    ``models`` has an empty name for paths without a prediction; without a finite plan,
+    these are all paths. ``gains`` are upper bounds, the same for all models except
+    naive.
 
     Attributes:
-        path: planned x, y and heading of the robot's centre in world coordinates; no steps if the plan failed.
+        path: planned x, y and heading of the robot's centre in world coordinates; no
+            steps if the plan failed.
         owners: number of the car that each path belongs to, -1 without one.
-        source: what drives: ``proposal``, ``last plan`` or ``braking``; ``driver`` for one of `ms_highway.add_driver`.
-        broken: whether the best plan breaks a constraint: it hits somebody, leaves the road or lacks the room to stop.
+        source: what drives: ``proposal``, ``last plan`` or ``braking``; ``driver`` for
+            one of `ms_highway.add_driver`.
+        broken: whether the best plan breaks a constraint: it hits somebody, leaves the
+            road or lacks the room to stop.
     """
 
     path: Float[Any, "steps 3"]
@@ -101,7 +114,9 @@ class RoadStep(ControlStep):
 
     @property
     def failed(self) -> bool:
-        """Whether the plan is not finite, so that the robot follows the last plan or, without one, brakes."""
+        """Whether the plan is not finite, so that the robot follows the last plan or,
+        without one, brakes.
+        """
         return self.status not in ("planned", "late")
 
 
@@ -109,8 +124,8 @@ class RoadStep(ControlStep):
 class RoadDriver:
     """Drive a robot on any road, one step at a time.
 
-    If a plan takes longer than the budget, the robot follows it from the next step on; in this step, it follows the
-    last plan or, without one, brakes.
+    If a plan takes longer than the budget, the robot follows it from the next step on;
+    in this step, it follows the last plan or, without one, brakes.
 
     Attributes:
         planning: limits and wishes; may be replaced between steps.
@@ -155,7 +170,9 @@ class RoadDriver:
         return self._record(result, compiling)
 
     def _begin(self, scene: RoadScene) -> Carry:
-        """Return what the robot carries into its first step, as after a step in which nobody moved."""
+        """Return what the robot carries into its first step, as after a step in which
+        nobody moved.
+        """
         last = no_plan(self.planning)
         memory = first_memory(self.rule, TRAFFIC)
         none = RemainingPlan(_alone(last.controls), 0, memory.rungs, last)
@@ -163,14 +180,17 @@ class RoadDriver:
         return Carry(memory, outcome, None, none)
 
     def _record(self, result: StepResult, compiling: float) -> RoadStep:
-        """Return the record of a step, given what happened and the seconds of compilation."""
+        """Return the record of a step, given what happened and the seconds of
+        compilation.
+        """
         plan: RoadPlan = result.planned.details
         look: Look = result.choice.evidence
         controls = result.driven.plan.robot
         finite = result.status in (PLANNED, LATE)
         path = plan.path[: len(controls) if finite else 0]
 
-        # Where the best plan does not drive, the last one does, or braking, which a plan may also be.
+        # Where the best plan does not drive, the last one does, or braking, which a
+        # plan may also be.
         hardest = (
             plan.broken and plan.controls[0, 1] < -BRAKING_SHARE * self.planning.grip
         )
@@ -208,7 +228,9 @@ class RoadDriver:
     # Parts of a step
 
     def _choose(self, carry: Carry, scene: RoadScene) -> Choice:
-        """Look at the road, propose plans, and choose a model for each car by what it could gain."""
+        """Look at the road, propose plans, and choose a model for each car by what it
+        could gain.
+        """
         scene = self._with_accelerations(carry.outcome.before, scene)
         rule = self.rule
         memory = carry.memory
@@ -216,7 +238,8 @@ class RoadDriver:
         if not rule.estimates:
             decision = decide_on(rule, memory, UNKNOWN_WORTH)
 
-        # Propose with the chosen models or, if they are yet to be chosen, with the first one.
+        # Propose with the chosen models or, if they are yet to be chosen, with the
+        # first one.
         rungs = (
             np.zeros(TRAFFIC, np.int32) if decision is None else decision.memory.rungs
         )
@@ -250,7 +273,9 @@ class RoadDriver:
         return NewPlan(_alone(plan.controls), plan.last(), details=plan)
 
     def _brake(self, left: RemainingPlan, scene: RoadScene) -> RemainingPlan:
-        """Brake straight on, by the whole grip; nothing is left for the next plan to start from."""
+        """Brake straight on, by the whole grip; nothing is left for the next plan to
+        start from.
+        """
         braking = np.full_like(left.plan.robot, [0.0, -self.planning.grip])
         return left._replace(
             plan=_alone(braking),
@@ -264,7 +289,9 @@ class RoadDriver:
     # What others do
 
     def _with_accelerations(self, before: RoadScene, scene: RoadScene) -> RoadScene:
-        """Return the scene with the mean accelerations of others since the scene of the last step."""
+        """Return the scene with the mean accelerations of others since the scene of the
+        last step.
+        """
         owners = scene.owners.tolist()
         speeds = scene.states[:, 3].tolist()
         last = dict(
@@ -290,5 +317,7 @@ class RoadDriver:
 
 
 def _alone(controls: Controls) -> Plan:
-    """Return a plan of the robot that expects no controls of others, whose positions are predicted instead."""
+    """Return a plan of the robot that expects no controls of others, whose positions
+    are predicted instead.
+    """
     return Plan(controls, np.zeros((0, *np.shape(controls)), np.float32))

@@ -1,6 +1,8 @@
-"""Move the traffic: it keeps its speed, follows by the Intelligent Driver Model, or has given accelerations.
+"""Move the traffic: it keeps its speed, follows by the Intelligent Driver Model, or has
+given accelerations.
 
-All others move together with the robot's proposals, step by step, so that cars that follow respond to the robot.
+All others move together with the robot's proposals, step by step, so that cars that
+follow respond to the robot.
 """
 
 from typing import NamedTuple
@@ -25,7 +27,8 @@ SAME_WAY_COSINE = (
     0.7  # cosine of the angle between paths above which a car follows the robot ahead
 )
 PATH_TIME = 1.0  # s, time constant of the way back to the middle of the path
-SLOW_SHARE = 0.6  # share of the speed limit below which cars are expected to speed up to the limit
+# share of the speed limit below which cars are expected to speed up to the limit
+SLOW_SHARE = 0.6
 REVERSING_SPEED = 0.3  # m/s, above which a car rolls backwards
 HARD_BRAKING, BRAKING_TIME = (
     3.0,
@@ -40,7 +43,8 @@ class Behaviour(NamedTuple):
     Attributes:
         follows: whether each follows by the Intelligent Driver Model.
         accelerations: of those that do not follow, under each plan [m/s^2].
-        residual: excess of the last acceleration over the model's; it fades from step to step [m/s^2].
+        residual: excess of the last acceleration over the model's; it fades from step
+            to step [m/s^2].
         limit: upper bound of the acceleration in each step [m/s^2].
     """
 
@@ -51,10 +55,12 @@ class Behaviour(NamedTuple):
 
 
 def behaviour_of(now: Situation, models: Places, plans: int) -> Behaviour:
-    """Return the behaviour of others that follow or keep their speed, as their models say.
+    """Return the behaviour of others that follow or keep their speed, as their models
+    say.
 
-    Vehicles that may cross the robot's path keep their speed: at crossings, they do not only react to the car ahead.
-    The part of an acceleration that the model does not explain fades; hard braking ahead of the robot goes on.
+    Vehicles that may cross the robot's path keep their speed: at crossings, they do not
+    only react to the car ahead. The part of an acceleration that the model does not
+    explain fades; hard braking ahead of the robot goes on.
     """
     scene, times = now.scene, now.planning.times
     follows = (models >= IDM) & scene.moving & ~now.crossings.exist
@@ -82,7 +88,8 @@ def along_paths(scene: RoadScene) -> tuple[Traffic, Traffic]:
 
 
 def aside(scene: RoadScene, times: Steps) -> EachStep:
-    """Return the lateral positions of others on their paths; cars that drive return to the middle.
+    """Return the lateral positions of others on their paths; cars that drive return to
+    the middle.
 
     A crashed car slides along its heading and slows down by ``v' = -v``.
     """
@@ -97,7 +104,8 @@ def aside(scene: RoadScene, times: Steps) -> EachStep:
 def follow_all(
     now: Situation, where: Pose, along: Traffic, speeds: Traffic, robot: Car
 ) -> Traffic:
-    """Return the accelerations of others that follow the car ahead on their path, and the robot in their lane.
+    """Return the accelerations of others that follow the car ahead on their path, and
+    the robot in their lane.
 
     They desire their present speed, or the limit if they are much slower.
 
@@ -124,7 +132,9 @@ def follow_all(
 
 
 def accelerations_now(now: Situation) -> Traffic:
-    """Return the present accelerations by the Intelligent Driver Model: the least on all paths of a car."""
+    """Return the present accelerations by the Intelligent Driver Model: the least on
+    all paths of a car.
+    """
     scene, (along, across, _, speeds) = now.scene, jnp.asarray(now.scene.states).T
     each = follow_all(
         now, now.ways.at(along, across), along, speeds, jnp.asarray(scene.robot)

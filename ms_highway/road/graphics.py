@@ -1,4 +1,6 @@
-"""Draw the robot's plan, predictions and rungs on the picture of a stock environment, and a line of text below it."""
+"""Draw the robot's plan, predictions and rungs on the picture of a stock environment,
+and a line of text below it.
+"""
 
 from collections import Counter
 from operator import itemgetter
@@ -23,14 +25,18 @@ MEANINGS = {
 
 
 def show(env: Any) -> None:
-    """Let a `RoadViewer` draw an environment that is rendered, from the next picture on."""
+    """Let a `RoadViewer` draw an environment that is rendered, from the next picture
+    on.
+    """
     base = env.unwrapped
     if base.render_mode is not None and not isinstance(base.viewer, RoadViewer):
         base.viewer = RoadViewer(base)
 
 
 class RoadViewer(Viewer):
-    """Draws a stock environment like highway-env, the robot's plan and predictions, and a line of text below."""
+    """Draws a stock environment like highway-env, the robot's plan and predictions, and
+    a line of text below.
+    """
 
     offscreen: bool
 
@@ -68,7 +74,9 @@ class RoadViewer(Viewer):
         return np.moveaxis(pygame.surfarray.array3d(self.picture), 0, 1)
 
     def _draw_plan(self, step: RoadStep) -> None:
-        """Draw predictions as dots, their cars in the colours of the rungs, and the plan as a line."""
+        """Draw predictions as dots, their cars in the colours of the rungs, and the
+        plan as a line.
+        """
         ego, surface = self.env.vehicle, self.sim_surface
         known, predictions = (
             list(ego.road_memory.numbers),
@@ -102,7 +110,9 @@ class RoadViewer(Viewer):
             pygame.draw.lines(surface, color, False, line, width)
 
     def _draw_panel(self, step: RoadStep | None) -> None:
-        """Write how many cars each rung predicts, what drives, and how long the plan took."""
+        """Write how many cars each rung predicts, what drives, and how long the plan
+        took.
+        """
         width, height = self.picture.get_size()
         pygame.draw.rect(self.picture, PAPER, (0, height - PANEL, width, PANEL))
         text, place = f"{self.env.vehicle.speed:.1f} m/s", GAP
@@ -116,7 +126,10 @@ class RoadViewer(Viewer):
                 )
                 place = self._write(f"{rung} {count}", place + 14)
             milliseconds = 1e3 * (step.planning_seconds + step.decision_seconds)
-            text = f"{MEANINGS.get(step.source, step.source)}, {milliseconds:.1f} ms, {text}"
+            text = (
+                f"{MEANINGS.get(step.source, step.source)}, {milliseconds:.1f} ms,"
+                f" {text}"
+            )
         self._write(text, place)
 
     def _write(self, text: str, place: int) -> int:

@@ -1,9 +1,10 @@
 """Plan on a road: propose plans, let others respond, and choose the best plan.
 
-All proposals are first scored with others that keep their speed or follow by the Intelligent Driver Model. If some of
-the others optimise their reward (theory of mind), they respond to the best few proposals, which are scored again. A
-response may make a plan better, but not safe: a plan that collides if others merely follow is rejected when a safe plan
-exists.
+All proposals are first scored with others that keep their speed or follow by the
+Intelligent Driver Model. If some of the others optimise their reward (theory of mind),
+they respond to the best few proposals, which are scored again. A response may make a
+plan better, but not safe: a plan that collides if others merely follow is rejected when
+a safe plan exists.
 """
 
 from typing import NamedTuple
@@ -49,7 +50,8 @@ class RoadPlan(NamedTuple):
         path: x, y and heading of the robot's centre after each step [steps, 3].
         predictions: x and y of others [traffic, steps, 2].
         chosen: number of the proposal.
-        side: on which the plan passes an obstacle, see `ms_highway.road.proposals.Profiles`.
+        side: on which the plan passes an obstacle, see
+            `ms_highway.road.proposals.Profiles`.
         broken: whether the plan breaks a constraint.
     """
 
@@ -71,8 +73,8 @@ class Proposed(NamedTuple):
     Attributes:
         now: the situation.
         few: the `WITH_RESPONSES` best proposals.
-        worth: upper bound on the gain from a better prediction of each car: how much more the best plan would earn if
-            that car cost nothing.
+        worth: upper bound on the gain from a better prediction of each car: how much
+            more the best plan would earn if that car cost nothing.
         plan: the best of all proposals.
     """
 
@@ -83,7 +85,9 @@ class Proposed(NamedTuple):
 
 
 def no_plan(planning: RoadPlanning) -> LastPlan:
-    """Return the plan that replaces the last plan before the first step: it goes straight on."""
+    """Return the plan that replaces the last plan before the first step: it goes
+    straight on.
+    """
     return LastPlan(
         np.zeros((planning.steps, 2), np.float32),
         np.full(2, np.nan, np.float32),
@@ -104,7 +108,8 @@ def propose_road(
         scene: the road.
         planning: limits and wishes.
         weights: of the score.
-        models: number of the model of each of the others: under naive they keep their speed, otherwise they follow.
+        models: number of the model of each of the others: under naive they keep their
+            speed, otherwise they follow.
         last: the rest of the last plan.
     """
     now = situation_of(scene, planning, weights)
@@ -122,7 +127,8 @@ def propose_road(
 
 
 def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
-    """Return the best of the proposals once the others that optimise their reward have responded to them.
+    """Return the best of the proposals once the others that optimise their reward have
+    responded to them.
 
     Args:
         proposed: the proposals, scored with others that keep their speed or follow.
@@ -147,7 +153,9 @@ def _scored(
 
 
 def _best(now: Situation, few: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
-    """Return the best plan; plans that collide if others merely follow rank behind those that do not."""
+    """Return the best plan; plans that collide if others merely follow rank behind
+    those that do not.
+    """
     relies = few.scores.collides & ~responded.scores.broken
     best = jnp.argmax(responded.scores.preference - now.weights.unsound * relies)
     number, plan, driven, scores = jax.tree.map(lambda field: field[best], responded)
@@ -163,7 +171,9 @@ def _best(now: Situation, few: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
 
 
 def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> EachStep:
-    """Return the accelerations of the others that optimise their reward under each plan; 0 for the rest."""
+    """Return the accelerations of the others that optimise their reward under each
+    plan; 0 for the rest.
+    """
     scene, planning = now.scene, now.planning
 
     def one(car: Places, found: EachStep) -> EachStep:

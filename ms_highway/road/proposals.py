@@ -40,8 +40,10 @@ class Profiles(NamedTuple):
         rate: acceleration, where the plan does not follow the traffic [m/s^2].
         follows: whether the plan follows the traffic.
         closes: whether it closes up to the car ahead, as late as is safe.
-        yields: time; the plan yields to all cars that reach its route within this time [s].
-        side: on which the plan passes obstacles in the robot's lane: -1, left; 1, right; 0, it does not pass them.
+        yields: time; the plan yields to all cars that reach its route within this time
+            [s].
+        side: on which the plan passes obstacles in the robot's lane: -1, left; 1,
+            right; 0, it does not pass them.
         given: whether the controls are given.
         controls: the given controls.
     """
@@ -94,7 +96,8 @@ class LastPlan(NamedTuple):
 
     Attributes:
         controls: of the robot from now on.
-        goal: x and y of the robot after the last plan in world coordinates; NaN without a plan.
+        goal: x and y of the robot after the last plan in world coordinates; NaN without
+            a plan.
         side: on which the plan passes an obstacle, see `Profiles`.
     """
 
@@ -110,7 +113,9 @@ class LastPlan(NamedTuple):
 
 
 def proposals(now: Situation, last: LastPlan) -> Profiles:
-    """Return all proposals; the target lane of the last plan is the lane that is nearest to its end."""
+    """Return all proposals; the target lane of the last plan is the lane that is
+    nearest to its end.
+    """
     scene = now.scene
     side = jnp.where(
         now.obstruction.exists, last.side, 0

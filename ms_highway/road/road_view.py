@@ -1,6 +1,8 @@
-"""Turn a driver's view of a highway-env road into the scene of a game, straightened along the driver's route.
+"""Turn a driver's view of a highway-env road into the scene of a game, straightened
+along the driver's route.
 
-Arrays have the same shapes for all roads and any number of vehicles, so that plans are compiled once.
+Arrays have the same shapes for all roads and any number of vehicles, so that plans are
+compiled once.
 """
 
 from dataclasses import dataclass
@@ -18,19 +20,23 @@ from ms_highway.vehicle import states_of
 TAPER = (80.0, 20.0)  # m before its end, between which a lane merges with its neighbour
 BENDS_SEEN = 60.0  # m ahead
 STRAIGHT = 1e-6  # 1/m, the curvature of a straight road
-CORNERING = 6.0  # m/s^2, lateral, in bends ahead: less than tyres hold, so that steering is possible while braking
+# m/s^2, lateral, in bends ahead: less than tyres hold, so that steering is possible
+# while braking
+CORNERING = 6.0
 SLOWING = 3.0  # m/s^2, deceleration before bends
 MIN_SPEED = 3.0  # m/s, in any bend
 
 
 @dataclass(frozen=True)
 class RoadView:
-    """Surroundings of a driver in the coordinates of its route: s along it, d to its right.
+    """Surroundings of a driver in the coordinates of its route: s along it, d to its
+    right.
 
     Attributes:
         seen: what a robot would see in the driver's place.
-        scene: the lane to the left, the driver's lane and the lane to the right; a closed lane repeats the driver's.
-            Where the driver's lane ends, its centre moves to the target lane's, so that the driver merges.
+        scene: the lane to the left, the driver's lane and the lane to the right; a
+            closed lane repeats the driver's. Where the driver's lane ends, its centre
+            moves to the target lane's, so that the driver merges.
         states: of the driver and its neighbours; obstacles count as standing cars.
         speed_limit: of the lane, reduced before bends [m/s].
     """
@@ -53,7 +59,8 @@ def look(driver: Vehicle, seen: RoadScene) -> RoadView:
     own = np.array([*seen.route.project(x, y, heading), speed])
     others = _others(seen)
 
-    # The lanes beside the driver; where its own one ends, its centre moves to the wanted lane's.
+    # The lanes beside the driver; where its own one ends, its centre moves to the
+    # wanted lane's.
     lanes = interpolate(seen.lanes, own[0])
     wanted = 1 + int(np.sign(seen.changes[1]))
     first, last = TAPER
@@ -86,7 +93,9 @@ def _others(seen: RoadScene) -> State:
 
 
 def _limit_before_bends(route: Curve, place: float) -> float:
-    """Return the highest speed [m/s] from which moderate braking suffices for all bends ahead of a place [m]."""
+    """Return the highest speed [m/s] from which moderate braking suffices for all bends
+    ahead of a place [m].
+    """
     ahead = np.arange(0.0, BENDS_SEEN)
     bends = np.maximum(np.abs(route.bend(place + ahead)), STRAIGHT)
     return float(

@@ -1,4 +1,6 @@
-"""A robot with highway-env's kinematics that drives itself on any road and keeps within its grip in every frame."""
+"""A robot with highway-env's kinematics that drives itself on any road and keeps within
+its grip in every frame.
+"""
 
 from cmath import phase, rect
 from collections.abc import Sequence
@@ -35,9 +37,11 @@ ANY_TURN = 3.2  # rad, more than any turn: the limit where a car hardly moves
 
 
 def steering_of(curvature: float, length: float) -> float:
-    """Return highway-env's steering angle [rad] for a yaw rate of ``speed * curvature``.
+    """Return highway-env's steering angle [rad] for a yaw rate of ``speed *
+    curvature``.
 
-    With its slip angle beta, ``yaw rate = 2 speed sin(beta) / length`` and ``tan(beta) = tan(steering) / 2``.
+    With its slip angle beta, ``yaw rate = 2 speed sin(beta) / length`` and ``tan(beta)
+    = tan(steering) / 2``.
     """
     return atan(2 * tan(_slip(curvature, length)))
 
@@ -51,16 +55,18 @@ def keep_grip(
 ) -> tuple[float, float]:
     """Limit a wanted control to the grip of the tyres in a frame.
 
-    The curvature is limited first: ``|v^2 k| <= grip``, and the velocity of the centre, slip included, changes by at
-    most ``grip dt`` since the last frame, ``v^2 + v'^2 - 2 v v' cos(turn) <= (grip dt)^2``. The acceleration follows:
-    ``a^2 + (v^2 k)^2 <= grip^2``, the car never reverses, and the velocity along the heading, which turns by ``v k
-    dt``, changes by at most ``grip dt``, so that the next frame can keep the slip angle of this one.
+    The curvature is limited first: ``|v^2 k| <= grip``, and the velocity of the centre,
+    slip included, changes by at most ``grip dt`` since the last frame, ``v^2 + v'^2 - 2
+    v v' cos(turn) <= (grip dt)^2``. The acceleration follows: ``a^2 + (v^2 k)^2 <=
+    grip^2``, the car never reverses, and the velocity along the heading, which turns by
+    ``v k dt``, changes by at most ``grip dt``, so that the next frame can keep the slip
+    angle of this one.
 
     Args:
         wanted: curvature of the rear axle's path [1/m] and acceleration [m/s^2].
         speed: of the vehicle [m/s].
-        before: velocity of its centre in the last frame as a complex number: the real part along its heading, the
-            imaginary part to the right [m/s].
+        before: velocity of its centre in the last frame as a complex number: the real
+            part along its heading, the imaginary part to the right [m/s].
         length: of the vehicle [m].
         dt: duration of the frame [s].
         grip: largest total acceleration [m/s^2].
@@ -88,15 +94,18 @@ def keep_grip(
 
 
 class RoadRobot(OfferedSpeeds, Vehicle):
-    """Car that drives itself with a `RoadDriver` whenever its road lets vehicles act; it ignores all actions.
+    """Car that drives itself with a `RoadDriver` whenever its road lets vehicles act;
+    it ignores all actions.
 
-    It plans every `PERIOD` and holds the control in between, within its grip in every frame. It has every attribute
-    that rewards and rules of highway-env's environments read from a controlled car.
+    It plans every `PERIOD` and holds the control in between, within its grip in every
+    frame. It has every attribute that rewards and rules of highway-env's environments
+    read from a controlled car.
 
     Attributes:
         driver: makes the plans; without one, the car keeps its velocity.
         goal: node of the road network to drive to, a goal in time, or None.
-        goal_place: node of the road network or spot on a lane where the goal is, or None.
+        goal_place: node of the road network or spot on a lane where the goal is, or
+            None.
         grip: largest total acceleration [m/s^2].
         intentions: whether the robot knows the routes of others.
         route: roads to follow, None without a route.
@@ -105,9 +114,11 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         frame: duration of the last frame [s].
         time: since `drive_with` [s].
         steps: records of the driver's steps since `forget`.
-        actions: highway-env's ``acceleration`` [m/s^2] and ``steering`` [rad] in each frame since `forget`.
-        accelerations: the largest of three total accelerations in each frame since `forget`: of the control, and of
-            the change of velocity with and without slip [m/s^2].
+        actions: highway-env's ``acceleration`` [m/s^2] and ``steering`` [rad] in each
+            frame since `forget`.
+        accelerations: the largest of three total accelerations in each frame since
+            `forget`: of the control, and of the change of velocity with and without
+            slip [m/s^2].
         jerks: mean jerk over the last `PERIOD`, in each frame since `forget` [m/s^3].
     """
 
@@ -136,7 +147,9 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     @classmethod
     def create_from(cls, vehicle: Vehicle) -> Self:
-        """Return a car without a driver in the place of another vehicle, on the same route."""
+        """Return a car without a driver in the place of another vehicle, on the same
+        route.
+        """
         car = super().create_from(vehicle)
         car.route = getattr(vehicle, "route", None)
         return car
@@ -185,7 +198,9 @@ class RoadRobot(OfferedSpeeds, Vehicle):
             )
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds within the grip; after a crash, move like highway-env's vehicles."""
+        """Move for ``dt`` seconds within the grip; after a crash, move like
+        highway-env's vehicles.
+        """
         self.time += dt
         if self.crashed:
             self.color = VehicleGraphics.RED

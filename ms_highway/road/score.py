@@ -37,12 +37,14 @@ class Scores(NamedTuple):
     Attributes:
         own: reward without others.
         others: cost of each of the others.
-        responsive: the part of this cost that may change if a car responds to the robot. It excludes cars ahead in the
-            robot's lane, and costs after the plan.
-        intrusion: depth of the plan in the margin around others [m]; at most that margin if it hits nobody.
+        responsive: the part of this cost that may change if a car responds to the
+            robot. It excludes cars ahead in the robot's lane, and costs after the plan.
+        intrusion: depth of the plan in the margin around others [m]; at most that
+            margin if it hits nobody.
         impact: highest relative speed at an unavoidable collision [m/s]; 0 without one.
         leaves: whether the plan leaves the road.
-        missing: distance that the robot lacks to stop behind the car ahead, after the plan [m].
+        missing: distance that the robot lacks to stop behind the car ahead, after the
+            plan [m].
     """
 
     own: Plans
@@ -60,7 +62,9 @@ class Scores(NamedTuple):
 
     @property
     def preference(self) -> Plans:
-        """Order of the plans: sound ones first, then those that hit nobody, then those with the softest impact."""
+        """Order of the plans: sound ones first, then those that hit nobody, then those
+        with the softest impact.
+        """
         faults = jnp.where(
             self.impact > 0, 2 + self.impact, self.broken + self.intrusion
         )
@@ -137,7 +141,9 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
 
 
 def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
-    """Return whether plans leave the road farther than in their first step, which they cannot change."""
+    """Return whether plans leave the road farther than in their first step, which they
+    cannot change.
+    """
     scene = now.scene
     length, width = scene.size
     left, right = interpolate(scene.edges, driven.states[..., 0] + length / 2)
@@ -155,11 +161,13 @@ def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
 def _collisions(
     now: Situation, driven: DrivenPlans, lanes: PlanLanes
 ) -> tuple[EachCar, Plans, Plans]:
-    """Return the cost of the nearness of each car, the depth of plans in margins, and the speed of impacts.
+    """Return the cost of the nearness of each car, the depth of plans in margins, and
+    the speed of impacts.
 
-    If the robot can still stop before a crossing car's path after the first step, later collisions with that car cost
-    less and break no constraint, because the robot will plan again. The speed of an impact is the highest relative
-    speed when bodies first touch.
+    If the robot can still stop before a crossing car's path after the first step, later
+    collisions with that car cost less and break no constraint, because the robot will
+    plan again. The speed of an impact is the highest relative speed when bodies first
+    touch.
     """
     scene, planning, weights, speeds = (
         now.scene,
@@ -173,7 +181,8 @@ def _collisions(
         driven.robot,
     )
     own, others = _pose(driven.path[:, None]), _pose(driven.world)
-    # A follower in the robot's lane is ignored as long as both keep this lane, even if it runs into the robot.
+    # A follower in the robot's lane is ignored as long as both keep this lane, even if
+    # it runs into the robot.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
     followed = steps < _first(jnp.abs(driven.d - d) >= scene.size[1])
     stays = jnp.equal(lanes, 1)[:, None, None] | (
@@ -220,15 +229,19 @@ def _pose(world: World) -> Pose:
 
 
 def _first(happens: Numbers) -> Numbers:
-    """Return the number of the first step in which something happens, or the number of steps where nothing does."""
+    """Return the number of the first step in which something happens, or the number of
+    steps where nothing does.
+    """
     steps = happens.shape[-1]
     return jnp.where(happens, jnp.arange(steps), steps).min(axis=-1, keepdims=True)
 
 
 def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
-    """Return length and width of the space that others may occupy [m]: longer for crossing cars.
+    """Return length and width of the space that others may occupy [m]: longer for
+    crossing cars.
 
-    Their time of arrival is uncertain, since they may brake or speed up; their present position is known.
+    Their time of arrival is uncertain, since they may brake or speed up; their present
+    position is known.
     """
     weights, times = now.weights, now.planning.times
     early = jnp.minimum(
@@ -245,7 +258,9 @@ def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
 
 
 def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
-    """Return whether the robot can still stop before the path of each crossing car after the first steps of a plan."""
+    """Return whether the robot can still stop before the path of each crossing car
+    after the first steps of a plan.
+    """
     s, _, _, speed = driven.robot[..., now.weights.replanned_step]
     left = now.crossings.line - s - now.scene.size[0]
     return now.crossings.exist & (
@@ -254,10 +269,12 @@ def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
 
 
 def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
-    """Return whether the robot, after a plan, still stands in the way of each crossing car when that car arrives.
+    """Return whether the robot, after a plan, still stands in the way of each crossing
+    car when that car arrives.
 
-    The car keeps its speed, and the robot goes on a little faster than at the end of the plan. Oncoming cars in the
-    robot's lane count in `ms_highway.road.terminal_value.speed_lost`.
+    The car keeps its speed, and the robot goes on a little faster than at the end of
+    the plan. Oncoming cars in the robot's lane count in
+    `ms_highway.road.terminal_value.speed_lost`.
     """
     scene, weights, ways, end = now.scene, now.weights, now.crossings, driven.end
     s, d, _, speed = driven.robot[..., -1]

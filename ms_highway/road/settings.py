@@ -1,8 +1,11 @@
-"""Read the configuration of a driver for stock environments, with its rule, which chooses a model for each car.
+"""Read the configuration of a driver for stock environments, with its rule, which
+chooses a model for each car.
 
-Proposals are first scored with all cars under the first model of the ladder. How much more the best of them would earn
-without car i is an upper bound on the gain of any better prediction of this car: ``max_p (R(p) + c_i(p)) - max_p
-R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in it. These bounds are the evidence of rules here.
+Proposals are first scored with all cars under the first model of the ladder. How much
+more the best of them would earn without car i is an upper bound on the gain of any
+better prediction of this car: ``max_p (R(p) + c_i(p)) - max_p R(p)``, where proposal p
+earns R(p), and c_i(p) is the cost of car i in it. These bounds are the evidence of
+rules here.
 """
 
 from collections.abc import Mapping
@@ -32,10 +35,14 @@ from ms_highway.runtime.limits import NotNegative, Positive
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Bounds(Estimator[PerHuman]):
-    """Say what better predictions could gain at most; the evidence is a bound for each car."""
+    """Say what better predictions could gain at most; the evidence is a bound for each
+    car.
+    """
 
     def estimate(self, memory: Memory, evidence: PerHuman) -> Estimate:
-        """Return the bound of each car for all models but the first, which gains nothing over itself."""
+        """Return the bound of each car for all models but the first, which gains
+        nothing over itself.
+        """
         above_first = jnp.arange(memory.last_check.shape[1]) > 0
         gains = jnp.where(above_first, jnp.asarray(evidence)[:, None], 0.0)
         return Estimate(gains, jnp.bool(False))
@@ -59,23 +66,30 @@ class RoadSettings(Struct, frozen=True):
     """How a robot drives a stock environment.
 
     Attributes:
-        driver: ``"priced"`` chooses a rung for each car by ``price``, or by ``budget`` if there is one;
-            ``"priced:PRICE"`` and ``"budget:MS"`` do the same with the number given here; ``"fixed:RUNG"`` takes the
-            same rung for all cars. The name of a driver of `ms_highway.add_driver` that is called, see
-            `ms_highway.road.added.AddedRoadDriver`; it predicts nobody, and price, costs and ladder do not matter.
+        driver: ``"priced"`` chooses a rung for each car by ``price``, or by ``budget``
+            if there is one; ``"priced:PRICE"`` and ``"budget:MS"`` do the same with the
+            number given here; ``"fixed:RUNG"`` takes the same rung for all cars. The
+            name of a driver of `ms_highway.add_driver` that is called, see
+            `ms_highway.road.added.AddedRoadDriver`; it predicts nobody, and price,
+            costs and ladder do not matter.
         price: reward that a second of computation costs.
-        budget: milliseconds of computation per plan, instead of a price; None for no budget.
-        costs: ``"shipped"``, or milliseconds that each rung adds to a plan per car, by name, 0 where left out. Episodes
-            at a price can be repeated exactly; a budget counts the measured time of decisions.
-        ladder: rungs to choose from, in the order of `ms_highway.road.constants.MODELS`.
+        budget: milliseconds of computation per plan, instead of a price; None for no
+            budget.
+        costs: ``"shipped"``, or milliseconds that each rung adds to a plan per car, by
+            name, 0 where left out. Episodes at a price can be repeated exactly; a
+            budget counts the measured time of decisions.
+        ladder: rungs to choose from, in the order of
+            `ms_highway.road.constants.MODELS`.
         desired_speed: [m/s]; None for the speed that the scene rewards.
         acceleration: largest total acceleration [m/s^2].
         curvature: largest curvature of the path [1/m].
-        intentions: whether the robot knows the ``route`` of each of the others that has one; highway-env's
-            ``observe_intentions`` shows agents only the direction of its end.
+        intentions: whether the robot knows the ``route`` of each of the others that has
+            one; highway-env's ``observe_intentions`` shows agents only the direction of
+            its end.
 
     Raises:
-        ValueError: for a ladder in another order, unknown rungs, or an impossible driver.
+        ValueError: for a ladder in another order, unknown rungs, or an impossible
+            driver.
     """
 
     driver: Annotated[
@@ -97,7 +111,8 @@ class RoadSettings(Struct, frozen=True):
         """Read a configuration; without one, take the defaults.
 
         Raises:
-            ValueError: for anything unknown or impossible; it names the key, the value and the remedy.
+            ValueError: for anything unknown or impossible; it names the key, the value
+                and the remedy.
         """
         return read(cls, "config", {} if config is None else config)
 
@@ -141,15 +156,21 @@ class RoadSettings(Struct, frozen=True):
         try:
             return kind, convert(value, values[kind], strict=False)
         except (KeyError, ValidationError):
-            known = f"{', '.join([*DRIVERS, *added_drivers()])} or a name of ms_highway.add_driver"
-            remedy = f"choose one of {known}, with numbers from 0 and rungs of config['ladder'], which is {self.ladder}"
+            known = (
+                f"{', '.join([*DRIVERS, *added_drivers()])} or a name of"
+                " ms_highway.add_driver"
+            )
+            remedy = (
+                f"choose one of {known}, with numbers from 0 and rungs of"
+                f" config['ladder'], which is {self.ladder}"
+            )
             raise ValueError(f"{message}; {remedy}") from None
 
     def rule(self, costs: Costs) -> Rule[PerHuman]:
         """Return the rule that chooses the models.
 
-        It leaves out models that cost at least as much as a later model on the ladder. Of those left, a budget chooses
-        between the first and the last.
+        It leaves out models that cost at least as much as a later model on the ladder.
+        Of those left, a budget chooses between the first and the last.
 
         Args:
             costs: of each of `ms_highway.road.constants.MODELS`.
@@ -177,7 +198,8 @@ class RoadSettings(Struct, frozen=True):
         """Return limits and wishes of plans.
 
         Args:
-            desired_speed: the speed that the scene rewards, unless another one is configured [m/s].
+            desired_speed: the speed that the scene rewards, unless another one is
+                configured [m/s].
             frame: duration of the simulation's frames [s].
         """
         return RoadPlanning(
@@ -194,7 +216,8 @@ class RoadSettings(Struct, frozen=True):
 
         Args:
             planning: limits and wishes.
-            random: source of the key of a driver that remembers, see `ms_highway.add_driver`.
+            random: source of the key of a driver that remembers, see
+                `ms_highway.add_driver`.
         """
         kind, value = self._choice()
         if kind == "added":

@@ -1,4 +1,6 @@
-"""Simulate plans of the robot in traffic: its rear axle moves along its heading, as in highway-env."""
+"""Simulate plans of the robot in traffic: its rear axle moves along its heading, as in
+highway-env.
+"""
 
 from typing import NamedTuple
 
@@ -126,14 +128,18 @@ def simulate(now: Situation, behaviour: Behaviour, plans: Profiles) -> DrivenPla
 
 
 def target_of(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
-    """Return the lateral position that a plan steers to where its rear axle is at s [m]."""
+    """Return the lateral position that a plan steers to where its rear axle is at s
+    [m].
+    """
     passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
     goal = interpolate(now.scene.lanes[plan.lane], s)
     return jnp.where(passes, now.obstruction.sides[(plan.side > 0).astype(int)], goal)
 
 
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
-    """Return the slip angles of others: in bends, centres do not move along the heading."""
+    """Return the slip angles of others: in bends, centres do not move along the
+    heading.
+    """
     bends = jnp.where(
         scene.moving[:, None],
         jax.vmap(Curve.bend, (0, -2), -2)(scene.paths, along),
@@ -159,8 +165,9 @@ def _control(
     ahead, apart = where[0] - (s + scene.size[0] / 2), scene.reach[:, 1] + ROOM
     target = target_of(now, plan, s)
 
-    # If others come towards the robot in its lane, wait before changing lanes: plans that follow, until they have
-    # dropped behind the cars beside them; other plans, until they have overtaken them. Halfway into the lane, go on.
+    # If others come towards the robot in its lane, wait before changing lanes: plans
+    # that follow, until they have dropped behind the cars beside them; other plans,
+    # until they have overtaken them. Halfway into the lane, go on.
     overtakes = ~plan.follows & (ahead > 0)
     passing = jnp.where(
         overtakes, LANE_CHANGE_TIME * jnp.maximum(speed - onward, 0.0), 0.0
@@ -191,7 +198,8 @@ def _control(
         + jnp.clip(back, -MAX_LATERAL_ACCELERATION, MAX_LATERAL_ACCELERATION) / squared
     )
 
-    # Slow down for bends, and wait for crossing cars until they have passed; past the waiting line, go on.
+    # Slow down for bends, and wait for crossing cars until they have passed; past the
+    # waiting line, go on.
     lengths = scene.sizes[:, 0]
     arrival = jnp.maximum(crossings.begin - lengths / 2, 0.0) / jnp.maximum(
         scene.states[:, 3], CREEP_SPEED
@@ -240,10 +248,12 @@ def _control(
 def limited_control(
     planning: RoadPlanning, speed: Numbers, control: Control
 ) -> Control:
-    """Limit the control to the friction circle, the largest curvature, and speeds from 0.
+    """Limit the control to the friction circle, the largest curvature, and speeds from
+    0.
 
-    Braking has a share of the grip first, ``b = min(-a, share grip)``; then the curvature is limited, ``(v^2 k)^2 <=
-    grip^2 - b^2``; then the acceleration, ``a^2 <= grip^2 - (v^2 k)^2``.
+    Braking has a share of the grip first, ``b = min(-a, share grip)``; then the
+    curvature is limited, ``(v^2 k)^2 <= grip^2 - b^2``; then the acceleration, ``a^2 <=
+    grip^2 - (v^2 k)^2``.
     """
     squared = jnp.maximum(speed, LIMITED_SPEED) ** 2
     braking = jnp.clip(-control[..., 1], 0.0, BRAKING_FIRST * planning.grip)
@@ -261,7 +271,8 @@ def limited_control(
 def advance(
     scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control
 ) -> tuple[Car, Control]:
-    """Return the state one time step later, and the control within the grip, see `limited_control`.
+    """Return the state one time step later, and the control within the grip, see
+    `limited_control`.
 
     With the curvature k_r of the road in the middle of the step, and old values on the
     right-hand side::
@@ -273,8 +284,8 @@ def advance(
     2``, so the speed of the rear axle is ``u = v cos(beta)``.
 
     In each frame of the simulation, the car moves along its heading at the beginning of
-    the frame. In a bend, the road turns meanwhile, so that the car is carried outwards by
-    ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
+    the frame. In a bend, the road turns meanwhile, so that the car is carried outwards
+    by ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
     """
     control = limited_control(planning, state[3], wanted)
     s, d, heading, speed = state
@@ -293,14 +304,18 @@ def advance(
 
 
 def bodies(scene: RoadScene, states: States) -> Pose:
-    """Return x, y and heading of the robot's centre in world coordinates, half a length ahead of its rear axle."""
+    """Return x, y and heading of the robot's centre in world coordinates, half a length
+    ahead of its rear axle.
+    """
     x, y, along = scene.route.place(states[..., 0], states[..., 1])
     heading, half = along + states[..., 2], scene.size[0] / 2
     return x + half * jnp.cos(heading), y + half * jnp.sin(heading), heading
 
 
 def earlier(first: Scalar, values: Steps) -> Steps:
-    """Shift values by a step: the first value comes first, the last of the values is dropped."""
+    """Shift values by a step: the first value comes first, the last of the values is
+    dropped.
+    """
     return jnp.concatenate(
         [jnp.full_like(values[..., :1], first), values[..., :-1]], axis=-1
     )

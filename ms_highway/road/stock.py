@@ -1,4 +1,6 @@
-"""Read goals and desired speeds of highway-env's own environments, replace their car, and undo their side effects."""
+"""Read goals and desired speeds of highway-env's own environments, replace their car,
+and undo their side effects.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -79,11 +81,14 @@ def desired_speed_of(env: Any) -> float:
 
 
 def success(env: Any) -> bool | None:
-    """Return whether the goal of a highway-env environment is reached now; None where it has no goal.
+    """Return whether the goal of a highway-env environment is reached now; None where
+    it has no goal.
 
-    exit: the car is on the exit or its lane; intersection: every controlled car has arrived; roundabout: the car has
-    left the ring to the north; merge: the car has passed the ramp. There is no success after a crash. A u-turn counts
-    as having no goal: the road back is 191 m away, more than its 10 s allow. A `GoalEnv` defines success.
+    exit: the car is on the exit or its lane; intersection: every controlled car has
+    arrived; roundabout: the car has left the ring to the north; merge: the car has
+    passed the ramp. There is no success after a crash. A u-turn counts as having no
+    goal: the road back is 191 m away, more than its 10 s allow. A `GoalEnv` defines
+    success.
     """
     env = env.unwrapped
     vehicles, road = env.controlled_vehicles, env.vehicle.lane_index[:2]
@@ -121,7 +126,8 @@ KEPT = (
 def replace_ego(
     env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0
 ) -> Vehicle:
-    """Replace a controlled vehicle by another one in the same state and with the same route.
+    """Replace a controlled vehicle by another one in the same state and with the same
+    route.
 
     Args:
         env: a highway-env environment, or a wrapper of one, after a reset.
@@ -153,11 +159,15 @@ def replace_ego(
 
 
 OVERWRITTEN = {"DISTANCE_WANTED": 7, "COMFORT_ACC_MAX": 6, "COMFORT_ACC_MIN": -3}
-"""Class attributes of `IDMVehicle` that a reset of an `IntersectionEnv` sets, for all environments of the process."""
+"""Class attributes of `IDMVehicle` that a reset of an `IntersectionEnv` sets, for all
+environments of the process.
+"""
 
 
 def restore_traffic() -> None:
-    """Restore highway-env's values of the attributes in `OVERWRITTEN`, unless others than these have been set."""
+    """Restore highway-env's values of the attributes in `OVERWRITTEN`, unless others
+    than these have been set.
+    """
     if OVERWRITTEN.items() <= vars(IDMVehicle).items():
         IDMVehicle.DISTANCE_WANTED = STANDSTILL
         IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = (

@@ -1,4 +1,6 @@
-"""Know where the corners of the robot's body are in bends, where the front swings out of the way of the rear axle."""
+"""Know where the corners of the robot's body are in bends, where the front swings out
+of the way of the rear axle.
+"""
 
 import jax
 from jax import numpy as jnp
@@ -8,19 +10,26 @@ from ms_highway.perception.scene import RoadScene, States
 from ms_highway.runtime.arrays import Numbers
 
 CORNER_MARGIN = 0.2
-"""Distance from the outer front corner to the edge of the lane below which a bend is sharp; for steering errors [m]."""
+"""Distance from the outer front corner to the edge of the lane below which a bend is
+sharp; for steering errors [m].
+"""
 
 FADE = 0.1
-"""Excess of the corner's swing at which the middle of the body follows the middle of the lane [m]."""
+"""Excess of the corner's swing at which the middle of the body follows the middle of
+the lane [m].
+"""
 
 AROUND = 8.0
-"""Distance before and behind a sharp bend within which the body is positioned as in it [m]."""
+"""Distance before and behind a sharp bend within which the body is positioned as in it
+[m].
+"""
 
 
 def aside_of(
     scene: RoadScene, states: States, ahead: Numbers, right: Numbers = 0.0
 ) -> Numbers:
-    """Return the lateral position of a point of the robot's body, on a road that bends away below the body [m].
+    """Return the lateral position of a point of the robot's body, on a road that bends
+    away below the body [m].
 
     A point that is x along the road from the rear axle and y beside it lies
     ``y - x^2 k / (c + sqrt(c^2 + (k x)^2))`` beside a road of curvature k, where
@@ -41,11 +50,12 @@ def aside_of(
 
 
 def inside_of(scene: RoadScene) -> Knots:
-    """Return how far inside the middle of a lane the rear axle has to be, positive to the right [m].
+    """Return how far inside the middle of a lane the rear axle has to be, positive to
+    the right [m].
 
     In most bends that is 0. Where the outer front corner would swing nearer than
-    `CORNER_MARGIN` to the edge of the lane, the middle of the body follows the middle of
-    the lane instead of the rear axle, also shortly before and behind.
+    `CORNER_MARGIN` to the edge of the lane, the middle of the body follows the middle
+    of the lane instead of the rear axle, also shortly before and behind.
 
     Returns:
         An array [knots], at each knot of the route.
@@ -71,10 +81,11 @@ def inside_of(scene: RoadScene) -> Knots:
 
 
 def sharpest_bends(scene: RoadScene, inside: Knots) -> Knots:
-    """Return the curvature at each knot of the route for which the robot has to be slow enough there [1/m].
+    """Return the curvature at each knot of the route for which the robot has to be slow
+    enough there [1/m].
 
-    In sharp bends, in which the rear axle is inside its lane, see `inside_of`, the robot
-    steers in half its length before the bend.
+    In sharp bends, in which the rear axle is inside its lane, see `inside_of`, the
+    robot steers in half its length before the bend.
     """
     bends = jnp.abs(scene.route.curvature)
     half = jnp.round(scene.size[0] / 2 / SPACING).astype(int)

@@ -1,4 +1,6 @@
-"""Value the ends of plans: the lane that they reach, the room to stop, and the speed that traffic then allows."""
+"""Value the ends of plans: the lane that they reach, the room to stop, and the speed
+that traffic then allows.
+"""
 
 from functools import reduce
 from typing import Any
@@ -36,9 +38,10 @@ def terminal_value(
     """Return the value of the time after plans.
 
     Returns:
-        The value of the lane that each plan reaches, including lost speed for which no other car is responsible; the
-        cost of each of the others, for missing room to stop and for the speed that it limits; and the distance that is
-        missing to stop behind each of them [m].
+        The value of the lane that each plan reaches, including lost speed for which no
+        other car is responsible; the cost of each of the others, for missing room to
+        stop and for the speed that it limits; and the distance that is missing to stop
+        behind each of them [m].
     """
     lanes, weights, (s, d, *_) = plans.lane, now.weights, driven.states[:, -1].T
     aside = jnp.abs(lane_of(now.scene.lanes, lanes, s) - d)
@@ -61,7 +64,9 @@ def terminal_value(
 
 
 def urgency(now: Situation) -> Numbers:
-    """Return the number of lane changes that the goal asks for from each of three lanes, discounted by spare room."""
+    """Return the number of lane changes that the goal asks for from each of three
+    lanes, discounted by spare room.
+    """
     scene, weights, left = now.scene, now.weights, jnp.abs(now.scene.changes)
     needed = (
         left
@@ -74,10 +79,12 @@ def urgency(now: Situation) -> Numbers:
 
 
 def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
-    """Return the distance that is missing to stop behind each car ahead after a plan, or to the least gap within it.
+    """Return the distance that is missing to stop behind each car ahead after a plan,
+    or to the least gap within it.
 
-    Cars that merge into the road, and those near them, may change to the next lane at once, without looking. Ignore gap
-    violations that exist at the start, and static obstacles: there is no gap to keep.
+    Cars that merge into the road, and those near them, may change to the next lane at
+    once, without looking. Ignore gap violations that exist at the start, and static
+    obstacles: there is no gap to keep.
 
     Args:
         now: the situation.
@@ -137,10 +144,12 @@ def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
 def speed_lost(
     now: Situation, driven: DrivenPlans, lanes: PlanLanes
 ) -> tuple[Plans, EachFlag]:
-    """Return the mean loss of speed after each plan [m/s], and which of the others limits the speed first.
+    """Return the mean loss of speed after each plan [m/s], and which of the others
+    limits the speed first.
 
-    All cars go on as points in their lanes, the others at their median speed over all plans. The robot drives
-    optimally, by dynamic programming over lanes, places and speeds.
+    All cars go on as points in their lanes, the others at their median speed over all
+    plans. The robot drives optimally, by dynamic programming over lanes, places and
+    speeds.
 
     Args:
         now: the situation.
@@ -179,7 +188,9 @@ def speed_lost(
 def _others_after(
     now: Situation, driven: DrivenPlans, centres: Plans
 ) -> tuple[EachCar, EachCar, EachFlag]:
-    """Return positions [m] and speeds [m/s] of others along the route after each plan, and in which lanes they are."""
+    """Return positions [m] and speeds [m/s] of others along the route after each plan,
+    and in which lanes they are.
+    """
     end = driven.end
     along = (
         (jnp.abs(end.cosine) > CROSSING) | (end.speeds < STANDING_SPEED)
@@ -189,9 +200,11 @@ def _others_after(
 
 
 def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
-    """Return minus the loss of speed still to come, for each lane, place and speed after a plan [steps of speed].
+    """Return minus the loss of speed still to come, for each lane, place and speed
+    after a plan [steps of speed].
 
-    Places are as far apart as a step of speed leads in a second, so that the robot moves from place to place.
+    Places are as far apart as a step of speed leads in a second, so that the robot
+    moves from place to place.
     """
     scene, weights, fastest = now.scene, now.weights, now.planning.desired_speed
     places, speeds = step * jnp.arange(PLACES), step * jnp.arange(SPEEDS)
@@ -233,7 +246,9 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     )  # [seconds, lanes, places, speeds]
 
     def back(value: Values, after: tuple[Values, Values]) -> tuple[Values, None]:
-        """Return the values a second earlier: the best change of speed, then the best change to a free lane."""
+        """Return the values a second earlier: the best change of speed, then the best
+        change to a free lane.
+        """
         value = jnp.pad(
             value - after[1] - loss, ((0, 0), (0, SPEEDS), (0, 0)), mode="edge"
         )

@@ -1,4 +1,6 @@
-"""Define goals in time: a spot on a lane with intervals of time and speed, and the speed on the way there."""
+"""Define goals in time: a spot on a lane with intervals of time and speed, and the
+speed on the way there.
+"""
 
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -18,7 +20,8 @@ TIME_MARGIN = 2.0  # s, largest margin to the ends of the interval of time
 LOOK_AHEAD = 1.0  # s, after which the speed on the way there is taken
 MAX_SPEED_GAIN = 3.0  # m/s, largest excess of the desired speed over the present one
 SPEED_MARGIN = 0.5  # m/s, largest margin to the ends of the interval of speeds
-GOAL_WEIGHT = 20.0  # weight of lane changes to the spot, more than that of slow traffic in its lane
+# weight of lane changes to the spot, more than that of slow traffic in its lane
+GOAL_WEIGHT = 20.0
 MIN_SPEED = 0.1  # m/s, lowest desired speed
 SOON = 0.1  # s, shortest time to be there
 CLOSE_TIME, CLOSE_GAP = 1.0, 2.0  # s and m, gap below which a follower counts as close
@@ -42,7 +45,9 @@ class TimedGoal:
     speeds: tuple[float, float]
 
     def distance(self, vehicle: Vehicle) -> float:
-        """Return the distance to the spot along a vehicle's lanes [m], negative if the spot is behind it."""
+        """Return the distance to the spot along a vehicle's lanes [m], negative if the
+        spot is behind it.
+        """
         roads = road_map(vehicle.road.network)
         own, passed = roads.lanes[vehicle.lane_index], 0.0
         for lane in islice(roads.goal(self.spot).onward(own), MAX_ROADS):
@@ -59,9 +64,10 @@ class TimedGoal:
     def desired_speed(self, vehicle: Vehicle, now: float) -> float:
         """Return the desired speed of a vehicle on its way to the spot [m/s].
 
-        Of the constant accelerations that lead there in time, ``s = v t + a t^2 / 2``, and to an allowed speed there,
-        ``v + a t = 2 s / t - v``, take the smallest; return the speed after a second. The vehicle is no slower than a
-        close follower as long as it can still slow down before the spot.
+        Of the constant accelerations that lead there in time, ``s = v t + a t^2 / 2``,
+        and to an allowed speed there, ``v + a t = 2 s / t - v``, take the smallest;
+        return the speed after a second. The vehicle is no slower than a close follower
+        as long as it can still slow down before the spot.
 
         Args:
             vehicle: drives to the spot.
@@ -99,7 +105,8 @@ class TimedGoal:
     def guide(
         self, driver: RoadDriver | AddedRoadDriver, vehicle: Vehicle, now: float
     ) -> None:
-        """Let a vehicle's driver plan to be there in time; the speed after that time has no value.
+        """Let a vehicle's driver plan to be there in time; the speed after that time
+        has no value.
 
         Args:
             driver: of the vehicle.

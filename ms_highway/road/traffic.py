@@ -1,4 +1,6 @@
-"""Relate the traffic to the robot's route: positions on it, crossings, leading cars, obstacles and speed limits."""
+"""Relate the traffic to the robot's route: positions on it, crossings, leading cars,
+obstacles and speed limits.
+"""
 
 from typing import NamedTuple
 
@@ -25,23 +27,30 @@ STANDING_SPEED = 1.0
 """Speed below which a car counts as standing [m/s]."""
 
 ROOM, WAITING = 0.4, 0.8
-"""Distance between bodies that pass each other, and between the waiting robot and crossing cars [m]."""
+"""Distance between bodies that pass each other, and between the waiting robot and
+crossing cars [m].
+"""
 
 SHARING, SAME_WAY, CROSSING = 0.85, 0.8, 0.5
-"""Cosines of the angle between a car's path and the robot's route from which the car shares the lane, goes the same
-way, and is no crossing car."""
+"""Cosines of the angle between a car's path and the robot's route from which the car
+shares the lane, goes the same way, and is no crossing car.
+"""
 
-PASSED_MARGIN = 1.0  # m behind the robot's rear axle, from which on nobody crosses its path any more
+# m behind the robot's rear axle, from which on nobody crosses its path any more
+PASSED_MARGIN = 1.0
 BEND_BRAKING = 2.5  # m/s^2, before bends
 OBSTACLE_SIGHT = 30.0  # m ahead within which the robot passes obstacles
 KNOTS_IN_SIGHT = int(
     (BEHIND + OBSTACLE_SIGHT + 10.0) / SPACING
 )  # of the route, but not of the next lap of a loop
-STRIDE = 0.5  # m between places on crossing paths: knots move with cars, so waiting lines at knots would jump
+# m between places on crossing paths: knots move with cars, so waiting lines at knots
+# would jump
+STRIDE = 0.5
 
 
 class Ways(NamedTuple):
-    """Paths of traffic in the coordinates of the robot's route, at the knots of the paths.
+    """Paths of traffic in the coordinates of the robot's route, at the knots of the
+    paths.
 
     Attributes:
         s, d: position on the route [m].
@@ -53,7 +62,9 @@ class Ways(NamedTuple):
     cosine: Knots
 
     def at(self, along: Traffic, across: Traffic) -> Pose:
-        """Return s and d on the robot's route of others on their paths, and the cosine of the angle between the two."""
+        """Return s and d on the robot's route of others on their paths, and the cosine
+        of the angle between the two.
+        """
         s, d, cosine = (jax.vmap(interpolate)(field, along) for field in self)
         return s, d + across * cosine, cosine
 
@@ -63,11 +74,13 @@ class Crossings(NamedTuple):
 
     Attributes:
         places: positions along the paths [m].
-        s, d: of these places on the route [m]; d is far away where a path is nearly parallel to the route or lies
-            behind the robot, and for oncoming vehicles.
+        s, d: of these places on the route [m]; d is far away where a path is nearly
+            parallel to the route or lies behind the robot, and for oncoming vehicles.
         oncoming: which vehicles come towards the robot in its lane.
-        line: position on the route where the front of the robot waits for crossing cars [m].
-        begin, last: positions on the path where the crossing begins and ends [m]; far away without one.
+        line: position on the route where the front of the robot waits for crossing cars
+            [m].
+        begin, last: positions on the path where the crossing begins and ends [m]; far
+            away without one.
     """
 
     places: Steps
@@ -89,7 +102,8 @@ class Obstruction(NamedTuple):
 
     Attributes:
         exists: whether there are any.
-        sides: lateral positions at which the robot passes them on the left and on the right [m].
+        sides: lateral positions at which the robot passes them on the left and on the
+            right [m].
         begin, end: positions on the route between which they lie [m].
     """
 
@@ -109,7 +123,8 @@ class Situation(NamedTuple):
         ways: paths of the traffic, relative to the route.
         crossings: of these paths and the route.
         leading: which vehicles drive ahead of the robot in its lane.
-        inside: how far inside its lane the rear axle has to be at the knots of the route, see `inside_of`.
+        inside: how far inside its lane the rear axle has to be at the knots of the
+            route, see `inside_of`.
         caps: highest speeds at the knots of the route, see `speed_caps`.
         obstruction: of the robot's lane.
     """
@@ -154,8 +169,9 @@ def situation_of(
 def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
-    Vehicles in the robot's lane, and those that merge behind the robot, are not crossing traffic even if paths part
-    later: one of them follows the other. Nothing crosses behind the robot.
+    Vehicles in the robot's lane, and those that merge behind the robot, are not
+    crossing traffic even if paths part later: one of them follows the other. Nothing
+    crosses behind the robot.
     """
     places = jnp.arange(-BEHIND, SPACING * ways.s.shape[-1] - BEHIND, STRIDE)
     s, d, apart, cosine = (
@@ -196,12 +212,16 @@ def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
 
 
 def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
-    """Interpolate values that each lane has at the knots of the route, for plans that go to one lane each."""
+    """Interpolate values that each lane has at the knots of the route, for plans that
+    go to one lane each.
+    """
     return jax.vmap(lambda lane, s: interpolate(values[lane], s))(lanes, s)
 
 
 def speed_caps(scene: RoadScene, planning: RoadPlanning, inside: Knots) -> Knots:
-    """Return the highest speed at each knot of the route from which gentle braking suffices for all bends ahead."""
+    """Return the highest speed at each knot of the route from which gentle braking
+    suffices for all bends ahead.
+    """
     bends = jnp.maximum(sharpest_bends(scene, inside), 1e-4)
     allowed = jnp.minimum(
         planning.cornering * planning.grip / bends, planning.desired_speed**2
@@ -213,7 +233,8 @@ def speed_caps(scene: RoadScene, planning: RoadPlanning, inside: Knots) -> Knots
 
 
 def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
-    """Find the obstacles in the robot's lane by the corners of bodies in the coordinates of its route.
+    """Find the obstacles in the robot's lane by the corners of bodies in the
+    coordinates of its route.
 
     Bodies that slide, ``v' = -v``, occupy both their present and their final position.
     """

@@ -1,6 +1,8 @@
-"""Name arrays by their shapes, loop over rows, and read structures of numbers from JSON.
+"""Name arrays by their shapes, loop over rows, and read structures of numbers from
+JSON.
 
-All types except `SameArray` may be of NumPy or JAX, which a type checker cannot tell apart.
+All types except `SameArray` may be of NumPy or JAX, which a type checker cannot tell
+apart.
 """
 
 import re
@@ -30,7 +32,9 @@ Control: TypeAlias = Float[Any, "2"]
 Controls: TypeAlias = Float[Any, "steps 2"]
 ManyControls: TypeAlias = Float[Any, "*batch steps 2"]
 Trajectory: TypeAlias = Float[Any, "fields steps"]
-"""Motion of one car over the steps of a plan, the fields of its `ms_highway.game.dynamics.Motion` stacked."""
+"""Motion of one car over the steps of a plan, the fields of its
+`ms_highway.game.dynamics.Motion` stacked.
+"""
 
 Car: TypeAlias = Float[Any, "4"]  # x, y [m], heading [rad], speed [m/s]
 State: TypeAlias = Float[Any, "cars 4"]  # robot, humans, scripted cars
@@ -48,7 +52,9 @@ PerHuman: TypeAlias = Float[Any, "humans"]
 
 
 def for_rows(function: Callable[..., Any], *arrays: Any) -> Any:
-    """Compute a function of every row of pytrees of arrays; a single row needs no `jax.vmap`, so it compiles faster."""
+    """Compute a function of every row of pytrees of arrays; a single row needs no
+    `jax.vmap`, so it compiles faster.
+    """
     if len(jax.tree.leaves(arrays)[0]) > 1:
         return jax.vmap(function)(*arrays)
     return jax.tree.map(
@@ -57,7 +63,9 @@ def for_rows(function: Callable[..., Any], *arrays: Any) -> Any:
 
 
 def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
-    """Compute a function of 0, 1, ..., one by one, and stack the results; a single one needs no loop."""
+    """Compute a function of 0, 1, ..., one by one, and stack the results; a single one
+    needs no loop.
+    """
     if count == 1:
         return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
     return jax.lax.map(function, jnp.arange(count))
@@ -66,14 +74,16 @@ def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
 def for_each(
     chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any
 ) -> Any:
-    """Loop over the chosen rows, one round for each, so that the time is proportional to their number.
+    """Loop over the chosen rows, one round for each, so that the time is proportional
+    to their number.
 
-    Where no row is chosen, nothing is computed: without the condition, XLA would compute before the loop whatever is
-    the same in all rounds.
+    Where no row is chosen, nothing is computed: without the condition, XLA would
+    compute before the loop whatever is the same in all rounds.
 
     Args:
         chosen: rows to loop over.
-        function: takes the number of a row and the result so far, and returns the next result.
+        function: takes the number of a row and the result so far, and returns the next
+            result.
         start: first result.
     """
 
@@ -90,9 +100,11 @@ def for_each(
 
 
 def read_only(tree: Any) -> Any:
-    """Return a pytree whose NumPy arrays cannot be written; they are views of the same numbers.
+    """Return a pytree whose NumPy arrays cannot be written; they are views of the same
+    numbers.
 
-    Functions of a user get such arrays, so that none of them can change a game, a state or a record of the package.
+    Functions of a user get such arrays, so that none of them can change a game, a state
+    or a record of the package.
     """
     return jax.tree.map(_unwritable, tree)
 
@@ -125,7 +137,8 @@ def naming_writes(user: str) -> Iterator[None]:
 
 
 class Published(dict[str, Any]):
-    """Numbers by name that the package publishes, and that nobody can change; a copy is a usual dictionary.
+    """Numbers by name that the package publishes, and that nobody can change; a copy is
+    a usual dictionary.
 
     Raises:
         TypeError: from every method that would change it.
@@ -133,7 +146,8 @@ class Published(dict[str, Any]):
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
         raise TypeError(
-            f"these numbers belong to ms_highway: {dict(self)!r}; change a copy, such as dict(weights)"
+            f"these numbers belong to ms_highway: {dict(self)!r}; change a copy, such"
+            " as dict(weights)"
         )
 
     __setitem__ = __delitem__ = __ior__ = _refuse
@@ -208,7 +222,8 @@ def _problem(content: Any, kind: type) -> str:
 def _followed(
     content: Any, path: str, is_wrong: Callable[[Any], bool]
 ) -> tuple[list[str | int], Any]:
-    """Follow a path of msgspec, in which ``[...]`` stands for any key of a mapping, to the value that is wrong.
+    """Follow a path of msgspec, in which ``[...]`` stands for any key of a mapping, to
+    the value that is wrong.
 
     Args:
         content: what was to be read.

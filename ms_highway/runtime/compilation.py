@@ -1,4 +1,6 @@
-"""Compile functions quickly, time them warm, and compute them for many items, shared among devices."""
+"""Compile functions quickly, time them warm, and compute them for many items, shared
+among devices.
+"""
 
 import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -18,7 +20,8 @@ from ms_highway.runtime.process import refuse_after_fork
 
 @cache
 def quick_options() -> dict[str, bool]:
-    """Return compiler options that halve compilation time, if XLA knows them (JAX up to 0.11.0); this starts JAX.
+    """Return compiler options that halve compilation time, if XLA knows them (JAX up to
+    0.11.0); this starts JAX.
 
     They make small plans slower by a tenth, but not large ones.
     """
@@ -33,7 +36,9 @@ def quick_options() -> dict[str, bool]:
 
 
 class Compiled:
-    """A function that is compiled at its first call with each structure of arguments, see `jit_quickly`."""
+    """A function that is compiled at its first call with each structure of arguments,
+    see `jit_quickly`.
+    """
 
     def __init__(
         self, function: Callable[..., Any], options: Mapping[str, Hashable]
@@ -65,11 +70,13 @@ class Compiled:
 
 
 def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Compiled:
-    """Apply `jax.jit` with `quick_options` and further compiler options; compute in single precision.
+    """Apply `jax.jit` with `quick_options` and further compiler options; compute in
+    single precision.
 
-    XLA is asked for its options at the first call, so that importing a module does not start JAX. Every structure of
-    arguments, with the types of its dataclasses, has its own jitted function: JAX may take dataclasses of other types
-    with the same fields for equal, and then uses what it compiled for another type.
+    XLA is asked for its options at the first call, so that importing a module does not
+    start JAX. Every structure of arguments, with the types of its dataclasses, has its
+    own jitted function: JAX may take dataclasses of other types with the same fields
+    for equal, and then uses what it compiled for another type.
     """
     return Compiled(function, options)
 
@@ -93,7 +100,9 @@ class Placed:
 
 
 def single(tree: Any) -> Any:
-    """Return a tree of numbers as NumPy arrays in single precision, for which a function is compiled once."""
+    """Return a tree of numbers as NumPy arrays in single precision, for which a
+    function is compiled once.
+    """
     return jax.tree.map(lambda number: np.asarray(number, np.float32), tree)
 
 
@@ -103,11 +112,13 @@ BATCH = 32  # items; larger batches are hardly faster and waste more on the last
 def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
     """Compute a function of all items; return NumPy arrays.
 
-    The last batch is padded with copies of the last item, so that the function is compiled once for all n > 1. A single
-    item is computed alone, as users often wait for it.
+    The last batch is padded with copies of the last item, so that the function is
+    compiled once for all n > 1. A single item is computed alone, as users often wait
+    for it.
 
     Args:
-        function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH, ...], and of [1, ...].
+        function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH,
+            ...], and of [1, ...].
         items: pytree of arrays [n, ...].
     """
     refuse_after_fork()
@@ -132,7 +143,9 @@ _warm: set[Hashable] = (
 
 
 def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
-    """Compile and run a function that has not run before; return the seconds spent, 0 if it was warm."""
+    """Compile and run a function that has not run before; return the seconds spent, 0
+    if it was warm.
+    """
     leaves, structure = jax.tree.flatten(arguments)
     key = (function, structure, tuple(np.shape(leaf) for leaf in leaves))
     if key in _warm:
@@ -167,9 +180,11 @@ def usual_chunk() -> int:
 
 
 def use_devices(count: int | None = None) -> Devices:
-    """Return as many devices as wanted, by default all; a CPU is split into one device per core at most.
+    """Return as many devices as wanted, by default all; a CPU is split into one device
+    per core at most.
 
-    A CPU can be split only before JAX begins to compute; ``XLA_FLAGS`` may split it into more devices than cores.
+    A CPU can be split only before JAX begins to compute; ``XLA_FLAGS`` may split it
+    into more devices than cores.
 
     Raises:
         ValueError: if there are fewer devices than wanted.
@@ -182,7 +197,8 @@ def use_devices(count: int | None = None) -> Devices:
     devices = jax.local_devices()
     if count is not None and not 0 < count <= len(devices):
         raise ValueError(
-            f"{count} devices are wanted; this process has {len(devices)}, of kind {devices[0].platform}"
+            f"{count} devices are wanted; this process has {len(devices)}, of kind"
+            f" {devices[0].platform}"
         )
     return devices[:count]
 
@@ -190,16 +206,19 @@ def use_devices(count: int | None = None) -> Devices:
 def share_among(
     devices: Devices, function: Callable[[Any], Any], items: Any, chunk: int
 ) -> Any:
-    """Compute a function of many items, chunk by chunk; a device takes the next chunk as soon as it is free.
+    """Compute a function of many items, chunk by chunk; a device takes the next chunk
+    as soon as it is free.
 
-    Every device runs the same program, compiled for a single device, whatever the number of devices and items: XLA
-    compiles a program for several devices differently, so that its results differ in the last digits.
+    Every device runs the same program, compiled for a single device, whatever the
+    number of devices and items: XLA compiles a program for several devices differently,
+    so that its results differ in the last digits.
 
     Args:
         devices: of `use_devices`.
         function: takes and returns a pytree of arrays [chunk, ...].
         items: pytree of arrays [n, ...] with n > 0.
-        chunk: number of items that ``function`` computes together; the last chunk is padded with its last item.
+        chunk: number of items that ``function`` computes together; the last chunk is
+            padded with its last item.
 
     Returns:
         A pytree of NumPy arrays [n, ...].

@@ -1,4 +1,5 @@
-"""Know what the user's own functions, classes and objects do, by the names under which they were added.
+"""Know what the user's own functions, classes and objects do, by the names under which
+they were added.
 
 Results depend on them beside the settings, see `ms_highway.runtime.sources`.
 """
@@ -28,7 +29,9 @@ MAX_DEPTH = 4
 """Depth to which values within values count, such as lists within lists."""
 
 MAX_SIZE = 10_000_000
-"""Number of numbers from which an array counts only by its shape, as an agent's memory of past steps."""
+"""Number of numbers from which an array counts only by its shape, as an agent's memory
+of past steps.
+"""
 
 _definitions: Sources = {}  # by name
 
@@ -125,7 +128,8 @@ def source_now(name: str) -> str | None:
     """Return the digest that a source has in this process, as on a worker of a cluster.
 
     Args:
-        name: of a module, of a definition, or the path of a file; see `imported_sources` and `definition_sources`.
+        name: of a module, of a definition, or the path of a file; see
+            `imported_sources` and `definition_sources`.
 
     Returns:
         The digest; None for a definition that this process lacks.

@@ -6,7 +6,8 @@ from contextlib import contextmanager
 
 @contextmanager
 def needing(extra: str) -> Iterator[None]:
-    """Let a failed import in the block name the extra of this package that installs the missing package.
+    """Let a failed import in the block name the extra of this package that installs the
+    missing package.
 
     Raises:
         ImportError: naming the extra.

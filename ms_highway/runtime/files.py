@@ -18,17 +18,25 @@ from typing import Any
 import numpy as np
 
 PART = ".part."
-"""Beginning of the names of files that are being written, or were when a process was killed."""
+"""Beginning of the names of files that are being written, or were when a process was
+killed.
+"""
 
 LOCK = f"{PART}lock"
 
 LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # only names of `part_of`
 
 SAFE_NAME = re.compile(r"\w[\w+@=,-]*")
-"""Names that are names of files as they are: no dots, separators of paths or spaces, and no option of a command."""
+"""Names that are names of files as they are: no dots, separators of paths or spaces,
+and no option of a command.
+"""
 
-LONGEST_NAME = 150  # bytes; file systems allow 255, which leaves room for endings and for names of `part_of`
-DIGEST = 8  # hexadecimal digits that tell names apart which would otherwise give the same name of a file
+# bytes; file systems allow 255, which leaves room for endings and for names of
+# `part_of`
+LONGEST_NAME = 150
+# hexadecimal digits that tell names apart which would otherwise give the same name of a
+# file
+DIGEST = 8
 
 DAMAGES = (
     ArithmeticError,
@@ -52,9 +60,11 @@ _temporary: set[Path] = set()  # files and directories that `temporary` will rem
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path, which replaces ``path`` when the block ends well and is removed when it fails.
+    """Yield a temporary path, which replaces ``path`` when the block ends well and is
+    removed when it fails.
 
-    Its name is random, so that several processes may write the same file; the last one stays, whole.
+    Its name is random, so that several processes may write the same file; the last one
+    stays, whole.
 
     Raises:
         OSError: naming the file, if it cannot be written.
@@ -94,12 +104,15 @@ def _check_kind(path: Path, directory: bool = False) -> None:
 
 
 def part_of(path: Path, place: Path | None = None) -> Path:
-    """Return a random name for the replacement of a file or directory, beside it or in another place."""
+    """Return a random name for the replacement of a file or directory, beside it or in
+    another place.
+    """
     return (place or path.parent) / f"{PART}{token_hex(8)}.{path.name}"
 
 
 def file_name(name: str) -> str:
-    """Return the name of a file for a name that comes from a user or from a file, without an ending.
+    """Return the name of a file for a name that comes from a user or from a file,
+    without an ending.
 
     It never leads to another directory. A name of letters, digits and ``_+@=,-`` stays
     as it is. In any other name, or in a long one, each other character becomes ``_``,
@@ -118,17 +131,20 @@ def file_name(name: str) -> str:
 
 
 def tidy(directory: Path) -> None:
-    """Remove files that killed commands left half written in a directory that is `held`, and below it."""
+    """Remove files that killed commands left half written in a directory that is
+    `held`, and below it.
+    """
     for part in directory.rglob(LEFT_BEHIND):
         _remove(part)
 
 
 @contextmanager
 def held(directory: Path) -> Iterator[None]:
-    """Let no other command write to a directory while the block runs; make it, and remove it if it stays empty.
+    """Let no other command write to a directory while the block runs; make it, and
+    remove it if it stays empty.
 
-    The lock of a killed command does not hold, as the system has released it. On shared disks without locks, nothing is
-    held.
+    The lock of a killed command does not hold, as the system has released it. On shared
+    disks without locks, nothing is held.
 
     Raises:
         ValueError: if another command is writing to it.
@@ -159,7 +175,9 @@ def held(directory: Path) -> Iterator[None]:
 
 @contextmanager
 def temporary(path: Path) -> Iterator[Path]:
-    """Yield a file or directory, and remove it when the block ends or an interrupt ends the process."""
+    """Yield a file or directory, and remove it when the block ends or an interrupt ends
+    the process.
+    """
     _temporary.add(path)
     try:
         yield path
@@ -182,7 +200,8 @@ def _remove(path: Path) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let errors of the system name the file that the block writes; the error of a full disk does not by itself.
+    """Let errors of the system name the file that the block writes; the error of a full
+    disk does not by itself.
 
     Raises:
         OSError: naming the file, in place of any other error of the system.
@@ -192,7 +211,8 @@ def naming(path: Path) -> Iterator[None]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise OSError(
-            f"{path} cannot be written: {reason}; make that possible, or choose another place"
+            f"{path} cannot be written: {reason}; make that possible, or choose another"
+            " place"
         ) from error
 
 
@@ -224,7 +244,8 @@ def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
         most: largest number of bytes that it may unpack to.
 
     Raises:
-        ValueError: if it is no file, or unpacks to more; any other of `DAMAGES`, if it is damaged.
+        ValueError: if it is no file, or unpacks to more; any other of `DAMAGES`, if it
+            is damaged.
     """
     if not path.is_file():
         raise ValueError("it is missing, a directory or a device")
@@ -237,7 +258,8 @@ def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
 
 def whole_lines(path: Path) -> StringIO:
-    """Return the text of a file up to its last line break: what follows may be part of a line.
+    """Return the text of a file up to its last line break: what follows may be part of
+    a line.
 
     Raises:
         OSError: if there is no such file.

@@ -18,22 +18,27 @@ from jax.experimental.compilation_cache import compilation_cache
 from ms_highway.runtime.sources import import_modules
 
 KERNEL_BYTES = 100_000
-"""Loops with less memory traffic per iteration become one kernel: those of plans and decisions, but not those of
-batches, which run faster as many vectorised kernels."""
+"""Loops with less memory traffic per iteration become one kernel: those of plans and
+decisions, but not those of batches, which run faster as many vectorised kernels.
+"""
 
 WRITABLE_BY_OTHERS = 0o022
 
 
 def low_latency() -> None:
-    """Configure JAX for many small computations on the CPU, before it computes anything.
+    """Configure JAX for many small computations on the CPU, before it computes
+    anything.
 
-    This applies to this process and those that it starts. Much of a plan's time is spent on dispatch to another thread
-    and on starting a hundred kernels per iteration. That dispatch is switched off, and XLA compiles loops of up to
-    `KERNEL_BYTES` per iteration as one kernel, by default only much smaller ones. ``XLA_FLAGS`` with that option or
-    with the name of a file are left unchanged. Called after JAX has begun, it makes plans slower.
+    This applies to this process and those that it starts. Much of a plan's time is
+    spent on dispatch to another thread and on starting a hundred kernels per iteration.
+    That dispatch is switched off, and XLA compiles loops of up to `KERNEL_BYTES` per
+    iteration as one kernel, by default only much smaller ones. ``XLA_FLAGS`` with that
+    option or with the name of a file are left unchanged. Called after JAX has begun, it
+    makes plans slower.
 
-    The last digits of plans change, and chaotic episodes amplify them: in Stay Back, single episodes may end
-    differently, and means over 30 episodes differ in the first digit. To reproduce results of the command, call this.
+    The last digits of plans change, and chaotic episodes amplify them: in Stay Back,
+    single episodes may end differently, and means over 30 episodes differ in the first
+    digit. To reproduce results of the command, call this.
     """
     option = "xla_cpu_small_while_loop_byte_threshold"
     _add_flag(option, f"--xla_backend_extra_options={option}={KERNEL_BYTES}")
@@ -41,11 +46,13 @@ def low_latency() -> None:
 
 
 def high_throughput() -> None:
-    """Configure JAX for many episodes at once (`ms_highway.loop.batch`) on the CPU, before it computes anything.
+    """Configure JAX for many episodes at once (`ms_highway.loop.batch`) on the CPU,
+    before it computes anything.
 
-    This applies to this process and those that it starts. XLA is limited to instructions of AVX2: wider ones gain
-    little, and make the last digits of a number depend on its place in a batch; chaotic episodes amplify them.
-    ``XLA_FLAGS`` with that option or with the name of a file are left unchanged.
+    This applies to this process and those that it starts. XLA is limited to
+    instructions of AVX2: wider ones gain little, and make the last digits of a number
+    depend on its place in a batch; chaotic episodes amplify them. ``XLA_FLAGS`` with
+    that option or with the name of a file are left unchanged.
     """
     _add_flag("xla_cpu_max_isa", "--xla_cpu_max_isa=AVX2")
 
@@ -62,14 +69,18 @@ _double = ContextVar(
 
 
 def single_precision() -> AbstractContextManager[Any]:
-    """Let JAX compute in float32 in a block, even if the user has switched ``jax_enable_x64`` on."""
+    """Let JAX compute in float32 in a block, even if the user has switched
+    ``jax_enable_x64`` on.
+    """
     double = jax.config.jax_enable_x64 and not _double.get()  # type: ignore[attr-defined]
     return jax.enable_x64(False) if double else nullcontext()
 
 
 @contextmanager
 def double_precision() -> Iterator[None]:
-    """Let JAX compute in float64 in a block, even in blocks of `single_precision` within it."""
+    """Let JAX compute in float64 in a block, even in blocks of `single_precision`
+    within it.
+    """
     before = _double.set(True)
     try:
         with jax.enable_x64(True):
@@ -95,7 +106,8 @@ def check_platforms() -> None:
             why = f" ({error})" if str(error) else ""
             remedy = "unset it, or install JAX for these devices"
             raise ValueError(
-                f"JAX_PLATFORMS is {platforms!r}, of which JAX finds no device{why}; {remedy}"
+                f"JAX_PLATFORMS is {platforms!r}, of which JAX finds no device{why};"
+                f" {remedy}"
             ) from error
 
 
@@ -109,17 +121,20 @@ def cores() -> int:
 
 
 def keep_compilations(directory: Path | str | None = None) -> Path:
-    """Keep compiled functions in a directory for later runs, in JAX's persistent cache; return the directory.
+    """Keep compiled functions in a directory for later runs, in JAX's persistent cache;
+    return the directory.
 
-    They are machine code and run unverified, so that nobody else may write to the directory. Only JAX's option
-    ``jax_compilation_cache_max_size`` limits its size.
+    They are machine code and run unverified, so that nobody else may write to the
+    directory. Only JAX's option ``jax_compilation_cache_max_size`` limits its size.
 
     Args:
-        directory: by default the one in the environment variable ``JAX_COMPILATION_CACHE_DIR``, or else
-            ``ms_highway/compiled`` in the user's cache directory.
+        directory: by default the one in the environment variable
+            ``JAX_COMPILATION_CACHE_DIR``, or else ``ms_highway/compiled`` in the user's
+            cache directory.
 
     Raises:
-        OSError: if the directory cannot be made, or others can write to it; then nothing is kept or used.
+        OSError: if the directory cannot be made, or others can write to it; then
+            nothing is kept or used.
     """
     home = Path(
         os.environ.get("XDG_CACHE_HOME", "")
@@ -138,7 +153,8 @@ def keep_compilations(directory: Path | str | None = None) -> Path:
     ):
         why = f"others may write to {directory}, and their machine code would run"
         raise PermissionError(
-            f"{why}; choose a directory of your own, or change that: chmod go-w {directory}"
+            f"{why}; choose a directory of your own, or change that: chmod go-w"
+            f" {directory}"
         )
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
@@ -149,10 +165,12 @@ def keep_compilations(directory: Path | str | None = None) -> Path:
 def own_process(
     configure: Callable[[], None], modules: Sequence[str] = ()
 ) -> ProcessPoolExecutor:
-    """Start a process that uses this one's compilation cache, and ends when this one ends for any reason.
+    """Start a process that uses this one's compilation cache, and ends when this one
+    ends for any reason.
 
     Args:
-        configure: sets JAX up in it, such as `ms_highway.runtime.jax_settings.high_throughput`.
+        configure: sets JAX up in it, such as
+            `ms_highway.runtime.jax_settings.high_throughput`.
         modules: to import in it, for scenarios and models that they add.
     """
     cache = jax.config.values["jax_compilation_cache_dir"]
@@ -162,9 +180,11 @@ def own_process(
 
 
 def low_latency_on_core(number: int) -> None:
-    """Keep this process on one of its processors, if the system allows that, and set `low_latency`.
+    """Keep this process on one of its processors, if the system allows that, and set
+    `low_latency`.
 
-    The first half of the numbers stands for every second processor, as neighbours may share a core.
+    The first half of the numbers stands for every second processor, as neighbours may
+    share a core.
     """
     if hasattr(os, "sched_setaffinity"):
         available = sorted(os.sched_getaffinity(0))

@@ -1,4 +1,6 @@
-"""List names of the package, and keep names apart: a name of a user's means one thing, whatever was added first."""
+"""List names of the package, and keep names apart: a name of a user's means one thing,
+whatever was added first.
+"""
 
 import re
 from collections.abc import Callable, Iterable
@@ -16,7 +18,9 @@ SCENARIO_CLASSES = {
     "dense-merge-v1": "DenseMergeV1Env",
     "crossing-crowd-v1": "CrossingCrowdV1Env",
 }
-"""Classes of `ms_highway.envs` by the names of their scenarios, for ids and help texts, which load no JAX."""
+"""Classes of `ms_highway.envs` by the names of their scenarios, for ids and help texts,
+which load no JAX.
+"""
 
 VERSIONED = re.compile(r".*-v\d+")
 """Names of scenarios that end in a version; the other scenarios are at version 0."""
@@ -31,7 +35,9 @@ PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
     "an agent": (),
     "a driver of roads": ("priced", "human"),
 }
-"""Names of the package, by kind. They are repeated here because a user may add a name before its module is loaded."""
+"""Names of the package, by kind. They are repeated here because a user may add a name
+before its module is loaded.
+"""
 
 _ADDED: dict[str, Callable[[], Iterable[str]]] = {}
 
@@ -46,12 +52,15 @@ def versioned(scenario: str) -> str:
 
 
 def keep_apart(what: str, names: Callable[[], Iterable[str]]) -> None:
-    """Let the names that a function returns be refused for anything else than ``what``, a key of `PACKAGE_NAMES`."""
+    """Let the names that a function returns be refused for anything else than ``what``,
+    a key of `PACKAGE_NAMES`.
+    """
     _ADDED[what] = names
 
 
 def check_own_name(what: str, name: object, lower: bool = True) -> None:
-    """Check a name for something that a user adds; it may replace a user's of the same kind.
+    """Check a name for something that a user adds; it may replace a user's of the same
+    kind.
 
     Args:
         what: a key of `PACKAGE_NAMES`.
@@ -59,7 +68,8 @@ def check_own_name(what: str, name: object, lower: bool = True) -> None:
         lower: whether it must be in lower case.
 
     Raises:
-        ValueError: if the package or something else has the name, or if it is not one word.
+        ValueError: if the package or something else has the name, or if it is not one
+            word.
     """
     others = (names() for other, names in _ADDED.items() if other != what)
     check_name(what, name, chain(*PACKAGE_NAMES.values(), *others), lower)

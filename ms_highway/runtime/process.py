@@ -1,14 +1,17 @@
-"""Watch over the process: end it on Ctrl-C, refuse to compute in a fork of it, and report progress.
+"""Watch over the process: end it on Ctrl-C, refuse to compute in a fork of it, and
+report progress.
 
-**Ctrl-C** ends the command at once, with one sentence, whatever it is doing. Python itself raises
-``KeyboardInterrupt`` in the main thread between two lines of Python: only after a compilation or a batch has ended. In
-a callback of JAX or an import, the exception is lost. Where it arrives, Python shuts down while threads of JAX still
-compute: a thread that then needs the interpreter is unwound out of C++ code that does not allow it, and the process
-aborts. So a thread waits for the signal and ends the process. All results are written under temporary names and moved
-when they are whole, so that only unwritten results are lost.
+**Ctrl-C** ends the command at once, with one sentence, whatever it is doing. Python
+itself raises ``KeyboardInterrupt`` in the main thread between two lines of Python: only
+after a compilation or a batch has ended. In a callback of JAX or an import, the
+exception is lost. Where it arrives, Python shuts down while threads of JAX still
+compute: a thread that then needs the interpreter is unwound out of C++ code that does
+not allow it, and the process aborts. So a thread waits for the signal and ends the
+process. All results are written under temporary names and moved when they are whole, so
+that only unwritten results are lost.
 
-**Forks**: in a process that was forked after JAX had begun, JAX would wait for ever. A hook notes forks from the first
-import of the package on, without importing JAX.
+**Forks**: in a process that was forked after JAX had begun, JAX would wait for ever. A
+hook notes forks from the first import of the package on, without importing JAX.
 """
 
 import os
@@ -29,7 +32,9 @@ STOPPED = "ms-highway: stopped" + (
 
 
 def watch() -> None:
-    """Let interrupts end this process, if it is the command ``ms-highway`` and does not ignore them."""
+    """Let interrupts end this process, if it is the command ``ms-highway`` and does not
+    ignore them.
+    """
     if (
         not is_command()
         or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
@@ -40,7 +45,7 @@ def watch() -> None:
     )  # also in threads and processes that start later
     from threading import Thread
 
-    import ms_highway.runtime.files  # noqa: F401  # for `_end`, which would wait for imports of the main thread
+    import ms_highway.runtime.files  # for `_end`, which would wait for imports of the main thread
 
     Thread(target=_wait, daemon=True).start()
 
@@ -51,7 +56,9 @@ def _wait() -> NoReturn:
 
 
 def _end() -> NoReturn:
-    """End this process at once from any thread: write a line to standard error, and remove temporary files."""
+    """End this process at once from any thread: write a line to standard error, and
+    remove temporary files.
+    """
     from ms_highway.runtime.files import remove_temporary
 
     after_a_count = "\n" if sys.stderr.isatty() else ""
@@ -62,7 +69,9 @@ def _end() -> NoReturn:
 
 
 def is_command() -> bool:
-    """Return whether this process was started as ``ms-highway`` or ``python -m ms_highway``, not as a worker of it."""
+    """Return whether this process was started as ``ms-highway`` or ``python -m
+    ms_highway``, not as a worker of it.
+    """
     by_module = sys.argv[0] == "-m" and "ms_highway" in sys.orig_argv
     by_name = os.path.splitext(os.path.basename(sys.argv[0]))[0] == "ms-highway"
     return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv
@@ -72,7 +81,9 @@ _forked = False  # whether this process was forked from one in which JAX had beg
 
 
 def jax_has_begun() -> bool:
-    """Return whether JAX has begun to compute in this process, or has looked for devices."""
+    """Return whether JAX has begun to compute in this process, or has looked for
+    devices.
+    """
     bridge = sys.modules.get("jax._src.xla_bridge")  # JAX has no public name for this
     return bridge is not None and bridge.backends_are_initialized()
 
@@ -92,9 +103,13 @@ def refuse_after_fork() -> None:
         RuntimeError: there.
     """
     if _forked:
-        remedy = "start it with context='forkserver' or 'spawn', or before JAX begins in the process that starts it"
+        remedy = (
+            "start it with context='forkserver' or 'spawn', or before JAX begins in the"
+            " process that starts it"
+        )
         raise RuntimeError(
-            f"JAX cannot compute in a process forked from one in which it had begun; {remedy}"
+            "JAX cannot compute in a process forked from one in which it had begun;"
+            f" {remedy}"
         )
 
 

@@ -1,7 +1,9 @@
-"""Know the files that results depend on: a user's modules, the files that these read, and files that a user names.
+"""Know the files that results depend on: a user's modules, the files that these read,
+and files that a user names.
 
-Results of other content of one of these files must not stand in a table beside new ones. So each file counts as its
-digest, and a directory of results keeps the digests, see `ms_highway.experiments.directory`.
+Results of other content of one of these files must not stand in a table beside new
+ones. So each file counts as its digest, and a directory of results keeps the digests,
+see `ms_highway.experiments.directory`.
 """
 
 import importlib
@@ -18,7 +20,9 @@ Sources: TypeAlias = dict[str, str]
 """Digests by the name of a module, or by the path of another file."""
 
 DIGITS = 16
-"""Hexadecimal digits of a digest, 64 bits: two versions of a file share one by no chance."""
+"""Hexadecimal digits of a digest, 64 bits: two versions of a file share one by no
+chance.
+"""
 
 CODE = (".py", ".pyc", ".pyd", ".so")
 """Ends of files of code. Modules count by name, however Python reads them."""
@@ -31,7 +35,9 @@ STANDARD = {
 """Directories of Python's own modules."""
 
 INSTALLED = {"site-packages", "dist-packages"}
-"""Names of directories of installed packages, also of other environments that this one builds on."""
+"""Names of directories of installed packages, also of other environments that this one
+builds on.
+"""
 
 _notes: dict[
     str, Sources
@@ -56,7 +62,8 @@ _listens = (
 
 
 def import_modules(names: Sequence[str]) -> None:
-    """Import a user's modules, also from the current directory; note the modules and files that these load.
+    """Import a user's modules, also from the current directory; note the modules and
+    files that these load.
 
     Raises:
         ImportError: naming the module, for any error in it.
@@ -78,7 +85,10 @@ def import_modules(names: Sequence[str]) -> None:
         try:
             importlib.import_module(name)
         except Exception as error:
-            remedy = "give the name of a module that can be imported, such as brief for brief.py here"
+            remedy = (
+                "give the name of a module that can be imported, such as brief for"
+                " brief.py here"
+            )
             raise ImportError(
                 f"--import {name}: {type(error).__name__}: {error}; {remedy}"
             ) from error
@@ -90,16 +100,17 @@ def import_modules(names: Sequence[str]) -> None:
             _notes[name] = {name: new[name], **new}
         elif name not in _notes and file is not None:
             _notes[name] = {name: digest(file), **new}
-        # Or else it was imported before, and keeps its notes: this process goes on with the
-        # code that it has loaded, whatever has happened to the file since.
+        # Or else it was imported before, and keeps its notes: this process goes on with
+        # the code that it has loaded, whatever has happened to the file since.
 
 
 def imported_sources() -> Sources:
     """Return the digests of what the modules have brought that the user has named.
 
-    These are modules of Python outside the directories of installed packages, also those that other modules import;
-    and files that were read meanwhile in the current directory, beside these modules and their packages, or below,
-    except hidden ones. This package is left out.
+    These are modules of Python outside the directories of installed packages, also
+    those that other modules import; and files that were read meanwhile in the current
+    directory, beside these modules and their packages, or below, except hidden ones.
+    This package is left out.
     """
     return {
         name: content
@@ -109,10 +120,11 @@ def imported_sources() -> Sources:
 
 
 def late_sources() -> Sources:
-    """Return the digests of what was imported and read since the imports, such as in the first step.
+    """Return the digests of what was imported and read since the imports, such as in
+    the first step.
 
-    They are of the same kinds as those of `imported_sources`, all by path. Files that this
-    process writes do not count.
+    They are of the same kinds as those of `imported_sources`, all by path. Files that
+    this process writes do not count.
     """
     if _named:
         for name, content in _new_sources().items():
@@ -126,7 +138,8 @@ def _new_sources() -> Sources:
     """Return the digests of modules and other files that were not known yet."""
     found: Sources = {}
 
-    # Modules, under the digest of their source. What they read may also lie beside their packages.
+    # Modules, under the digest of their source. What they read may also lie beside
+    # their packages.
     for name in sorted({*sys.modules} - _loaded):
         _loaded.add(name)
         file = _file_of(name)
@@ -229,7 +242,9 @@ def _note_opened(event: str, arguments: tuple) -> None:
 
 
 def _called_by_user() -> bool:
-    """Return whether code of the user's is running, and not only this package, which reads results."""
+    """Return whether code of the user's is running, and not only this package, which
+    reads results.
+    """
     frame: FrameType | None = sys._getframe()
     while frame is not None:
         if frame.f_code.co_filename in _code:
@@ -239,7 +254,9 @@ def _called_by_user() -> bool:
 
 
 def is_own(file: Path) -> bool:
-    """Return whether a file belongs neither to Python, nor to an installed package, nor to this one."""
+    """Return whether a file belongs neither to Python, nor to an installed package, nor
+    to this one.
+    """
     above = {*file.parents, *file.resolve().parents}
     installed = INSTALLED & {place.name for place in above}
     return not installed and not above & {*STANDARD, PACKAGE, PACKAGE.resolve()}

@@ -1,4 +1,6 @@
-"""Move highway-env vehicles like a bicycle with friction: by actions, on a script or along a route."""
+"""Move highway-env vehicles like a bicycle with friction: by actions, on a script or
+along a route.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -24,7 +26,8 @@ def states_of(cars: Iterable[RoadObject]) -> State:
 
 
 class OfferedSpeeds:
-    """Add target speeds, which highway-env's rewards and observations read from the controlled car.
+    """Add target speeds, which highway-env's rewards and observations read from the
+    controlled car.
 
     Attributes:
         target_speeds: speeds that the environment offers as discrete actions [m/s].
@@ -44,14 +47,16 @@ class OfferedSpeeds:
 class BicycleVehicle(Vehicle):
     """Car with the paper's dynamics: ``heading' = v omega``, ``v' = a - alpha v``.
 
-    Actions are highway-env's ``{"steering": delta, "acceleration": a}`` with the front-wheel angle delta [rad], so
-    that ``omega = tan(delta) / LENGTH``. Positions, headings and speeds are updated by `ms_highway.game.dynamics.step`.
+    Actions are highway-env's ``{"steering": delta, "acceleration": a}`` with the
+    front-wheel angle delta [rad], so that ``omega = tan(delta) / LENGTH``. Positions,
+    headings and speeds are updated by `ms_highway.game.dynamics.step`.
 
     Attributes:
         dynamics: its friction alpha is 0.2 1/s by default.
-        control: that is executed, ``(omega, acceleration)`` in the units of the dynamics.
-        grip: total acceleration that its tyres hold, within which it moves, without reversing [m/s^2]; None for no
-            limit.
+        control: that is executed, ``(omega, acceleration)`` in the units of the
+            dynamics.
+        grip: total acceleration that its tyres hold, within which it moves, without
+            reversing [m/s^2]; None for no limit.
     """
 
     WIDTH = 2.5  # m
@@ -87,7 +92,9 @@ class BicycleVehicle(Vehicle):
         return float(keep_velocity(self.dynamics, self.state)[1])
 
     def act(self, action: dict[str, Any] | None = None) -> None:
-        """Execute an action until the next one; without an action, keep the last control."""
+        """Execute an action until the next one; without an action, keep the last
+        control.
+        """
         if action:
             omega = tan(float(action["steering"])) / self.LENGTH
             if self.dynamics.steering != "curvature":
@@ -95,7 +102,9 @@ class BicycleVehicle(Vehicle):
             self.execute(np.array([omega, float(action["acceleration"])]))
 
     def execute(self, control: Control) -> None:
-        """Execute a control ``(omega, acceleration)``, in the units of the dynamics, until the next one."""
+        """Execute a control ``(omega, acceleration)``, in the units of the dynamics,
+        until the next one.
+        """
         self.control = np.asarray(control, dtype=float)
         omega, acceleration = self.control.tolist()
         curvature = omega
@@ -107,10 +116,14 @@ class BicycleVehicle(Vehicle):
         }
 
     def randomize_behavior(self) -> None:
-        """Do nothing: highway-env randomises its drivers here, but this car has no random behaviour."""
+        """Do nothing: highway-env randomises its drivers here, but this car has no
+        random behaviour.
+        """
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds, within the grip; a crashed car brakes to a stop, as in highway-env."""
+        """Move for ``dt`` seconds, within the grip; a crashed car brakes to a stop, as
+        in highway-env.
+        """
         dynamics = replace(self.dynamics, time_step=dt)
         if self.crashed:
             self.execute(np.array([0.0, -self.speed]))
@@ -130,9 +143,11 @@ class BicycleVehicle(Vehicle):
     def _is_colliding(
         self, other: RoadObject, dt: float
     ) -> tuple[bool, bool, Control | None]:
-        """Return whether the bodies overlap, whether they will within ``dt``, and the push apart; see `RoadObject`.
+        """Return whether the bodies overlap, whether they will within ``dt``, and the
+        push apart; see `RoadObject`.
 
-        If one of them is not solid, only the present overlap counts, and nothing is pushed.
+        If one of them is not solid, only the present overlap counts, and nothing is
+        pushed.
         """
         return super()._is_colliding(other, dt if self.solid and other.solid else 0.0)
 
@@ -148,7 +163,8 @@ class ScriptedVehicle(BicycleVehicle):
 
 
 class RoutedVehicle(ScriptedVehicle):
-    """Car that always follows a given route, and keeps its velocity after the end of the route.
+    """Car that always follows a given route, and keeps its velocity after the end of
+    the route.
 
     Args:
         road: that the car is on.

@@ -1,4 +1,6 @@
-"""Define vehicles that a controller drives in a game: the robot and the humans of this package's environments."""
+"""Define vehicles that a controller drives in a game: the robot and the humans of this
+package's environments.
+"""
 
 from collections.abc import Sequence
 from typing import Any, Self
@@ -17,7 +19,9 @@ from ms_highway.vehicle.bicycle import BicycleVehicle, OfferedSpeeds, states_of
 
 
 def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[float]]:
-    """Predict positions and headings of a vehicle at times from now [s], at constant speed along its lanes."""
+    """Predict positions and headings of a vehicle at times from now [s], at constant
+    speed along its lanes.
+    """
     if "road_memory" not in vars(vehicle):
         observe_road(vehicle)
     network = vehicle.road.network
@@ -41,12 +45,14 @@ def at_constant_speed(vehicle: Vehicle, times: Row) -> tuple[list[Point], list[f
 
 
 class PlanningVehicle(BicycleVehicle, ControlledVehicle):
-    """Car that a controller drives in a game with companions; without a controller, it takes actions like other cars.
+    """Car that a controller drives in a game with companions; without a controller, it
+    takes actions like other cars.
 
-    It keeps to the grip of tyres if the game's planner has a ``grip``, as in `ms_highway.game.scenario.driving_game`.
+    It keeps to the grip of tyres if the game's planner has a ``grip``, as in
+    `ms_highway.game.scenario.driving_game`.
 
-    highway-env's drivers and rules treat it like their own cars: they see its lane and predict it at constant speed
-    along its route.
+    highway-env's drivers and rules treat it like their own cars: they see its lane and
+    predict it at constant speed along its route.
 
     Attributes:
         controller: plans whenever the road lets its vehicles act.
@@ -73,7 +79,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     @classmethod
     def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
-        """Make a car of this class from another vehicle, with the same route, but without its target speed."""
+        """Make a car of this class from another vehicle, with the same route, but
+        without its target speed.
+        """
         car = cls(
             vehicle.road, vehicle.position, vehicle.heading, vehicle.speed, **options
         )
@@ -82,7 +90,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
 
     @property
     def target_speed(self) -> float:
-        """Maximum speed [m/s]; its lane's if it is set to None, as by default; 0 to stop."""
+        """Maximum speed [m/s]; its lane's if it is set to None, as by default; 0 to
+        stop.
+        """
         if self._target_speed is not None:
             return self._target_speed
         return (self.road and self.lane.speed_limit) or LIMIT
@@ -94,7 +104,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     def drive_with(
         self, controller: Controller | None, companions: Sequence[Vehicle] = ()
     ) -> None:
-        """Let a controller drive, in its game with these other cars, the partner first, and within its grip."""
+        """Let a controller drive, in its game with these other cars, the partner first,
+        and within its grip.
+        """
         self.controller = controller
         self.companions = list(companions)
         grip = controller.game.planner.grip if controller else None
@@ -105,9 +117,11 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         return states_of([self, *self.companions])
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
-        """Plan and execute the plan's first control, or else execute the given action until vehicles act again.
+        """Plan and execute the plan's first control, or else execute the given action
+        until vehicles act again.
 
-        Of highway-env's actions by name, only ``"IDLE"`` is allowed, which does nothing.
+        Of highway-env's actions by name, only ``"IDLE"`` is allowed, which does
+        nothing.
 
         Raises:
             ValueError: for another action by name.
@@ -115,7 +129,8 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         if isinstance(action, str):
             if action != "IDLE":
                 raise ValueError(
-                    f"a car that plans cannot be told to go {action!r}; its only such action is 'IDLE'"
+                    f"a car that plans cannot be told to go {action!r}; its only such"
+                    " action is 'IDLE'"
                 )
         elif action or self.controller is None:
             BicycleVehicle.act(self, action)
@@ -139,22 +154,26 @@ class RobotVehicle(OfferedSpeeds, PlanningVehicle):
 
 
 class HumanVehicle(PlanningVehicle):
-    """Human that a controller drives in a game of its own, which `drive_with` sets, as in this package's environments.
+    """Human that a controller drives in a game of its own, which `drive_with` sets, as
+    in this package's environments.
 
-    It does not drive by itself; the human for other highway-env roads is `ms_highway.CommuterVehicle`.
+    It does not drive by itself; the human for other highway-env roads is
+    `ms_highway.CommuterVehicle`.
     """
 
     COLOR = (60, 130, 220)
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
-        """Plan and execute the plan's first control, or else execute the given action until vehicles act again.
+        """Plan and execute the plan's first control, or else execute the given action
+        until vehicles act again.
 
         Raises:
             ValueError: without a controller and an action.
         """
         if self.controller is None and not action:
             raise ValueError(
-                "a HumanVehicle does not drive by itself: set its controller with drive_with, or use "
-                "ms_highway.vehicle.CommuterVehicle, which drives on any highway-env road"
+                "a HumanVehicle does not drive by itself: set its controller with"
+                " drive_with, or use ms_highway.vehicle.CommuterVehicle, which drives"
+                " on any highway-env road"
             )
         super().act(action)

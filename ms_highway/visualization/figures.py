@@ -1,4 +1,6 @@
-"""Draw the figures of a comparison from its records of steps and their summary, and those of a frontier."""
+"""Draw the figures of a comparison from its records of steps and their summary, and
+those of a frontier.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -45,12 +47,14 @@ COUNTED = "planning per step, counted at T(M) [ms]"
 
 @styled
 def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Draw reward against computation of every controller; whiskers are the 90 % intervals, but not for schedules.
+    """Draw reward against computation of every controller; whiskers are the 90 %
+    intervals, but not for schedules.
 
-    On the left, planning is counted at the seconds T(M) that decisions count. On the right are planning and deciding as
-    measured on this machine, if they were. A line per kind joins controllers that choose online, in the order of
-    lambda. The dashed line is the highest reward of schedules and fixed models with at most this computation.
-    Crosses are random controllers.
+    On the left, planning is counted at the seconds T(M) that decisions count. On the
+    right are planning and deciding as measured on this machine, if they were. A line
+    per kind joins controllers that choose online, in the order of lambda. The dashed
+    line is the highest reward of schedules and fixed models with at most this
+    computation. Crosses are random controllers.
     """
     rows = summaries.query("scenario == @scenario")
     measures = {"counted_ms": COUNTED}
@@ -89,13 +93,15 @@ def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
 
 @styled
 def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
-    """Draw reward against counted computation: the orders of models that a search found, and controllers.
+    """Draw reward against counted computation: the orders of models that a search
+    found, and controllers.
 
-    The line joins, over the prices that were searched, the means of the best orders of each start. Dots are orders that
-    are the same for all starts.
+    The line joins, over the prices that were searched, the means of the best orders of
+    each start. Dots are orders that are the same for all starts.
 
     Args:
-        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns
+            ``scenario`` and ``price``.
         scenario: its name.
         starts: number of starts.
     """
@@ -132,9 +138,11 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
 
 
 def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
-    """Draw the reward of all controllers but fixed orders over a measure of computation.
+    """Draw the reward of all controllers but fixed orders over a measure of
+    computation.
 
-    Controllers that differ only in lambda are joined by a line, and random ones have one label.
+    Controllers that differ only in lambda are joined by a line, and random ones have
+    one label.
     """
     shown = rows[
         ~rows["kind"].isin([*fixed_order_types(), "search"]) | (rows["kind"] == "fixed")
@@ -209,7 +217,9 @@ def episode_count(rows: pd.DataFrame) -> str:
 
 
 def whiskers(rows: pd.DataFrame) -> list[list[float]]:
-    """Return how far the intervals in a summary reach below and above the rewards; 0 without an interval."""
+    """Return how far the intervals in a summary reach below and above the rewards; 0
+    without an interval.
+    """
     reward = rows["reward"]
     return [
         (rows.get(end, reward) - reward).abs().fillna(0).to_list()
@@ -223,19 +233,34 @@ MAX_DECIDING = 2  # controllers whose decisions are drawn beside each other
 SMALL_GAIN = 0.01
 
 CAPTIONS = {
-    "reward": "Reward along the episode: the mean over episodes, with its 90 % interval at each step, "
-    "of the first eight controllers.",
-    "bars": "Reward and time per step of each controller. Whiskers are the 90 % intervals of the mean over episodes; "
-    "the hatched part is the time of deciding about the model. Of more than eight controllers, the first are shown.",
-    "timeline": "Computation along the episode, as the mean over episodes, of the first eight controllers. Below, "
-    "which model was in use at every step of every episode of the controllers that choose it online.",
-    "curve": "Reward against computation: on the left, planning as decisions count it, at T(M); on the right, planning "
-    "and deciding as measured. Whiskers are the 90 % intervals. Controllers that choose online are labelled by lambda. "
-    "Where schedules were compared, a dashed line is the highest reward of fixed orders with at most this computation, "
-    "in these episodes. Crosses are controllers that draw their models at random.",
-    "decisions": "Decisions in single episodes. Above, the estimated gain of each model over the first one, in this "
-    "step, before the price of its time. For learned values, it is the gain of all that follows. Below, the reward. "
-    "The background is the model in use.",
+    "reward": (
+        "Reward along the episode: the mean over episodes, with its 90 % interval at"
+        " each step, of the first eight controllers."
+    ),
+    "bars": (
+        "Reward and time per step of each controller. Whiskers are the 90 % intervals"
+        " of the mean over episodes; the hatched part is the time of deciding about the"
+        " model. Of more than eight controllers, the first are shown."
+    ),
+    "timeline": (
+        "Computation along the episode, as the mean over episodes, of the first eight"
+        " controllers. Below, which model was in use at every step of every episode of"
+        " the controllers that choose it online."
+    ),
+    "curve": (
+        "Reward against computation: on the left, planning as decisions count it, at"
+        " T(M); on the right, planning and deciding as measured. Whiskers are the 90 %"
+        " intervals. Controllers that choose online are labelled by lambda. Where"
+        " schedules were compared, a dashed line is the highest reward of fixed orders"
+        " with at most this computation, in these episodes. Crosses are controllers"
+        " that draw their models at random."
+    ),
+    "decisions": (
+        "Decisions in single episodes. Above, the estimated gain of each model over the"
+        " first one, in this step, before the price of its time. For learned values, it"
+        " is the gain of all that follows. Below, the reward. The background is the"
+        " model in use."
+    ),
 }
 """What the figures of `figures` show."""
 
@@ -245,12 +270,14 @@ def figures(
 ) -> dict[str, Callable[[], Figure]]:
     """Return functions that draw the figures of a scenario, by the names of `CAPTIONS`.
 
-    Reward and computation are a curve of all controllers if a kind has three lambdas, and bars otherwise. Bars, rewards
-    along the episode and timelines show the first `MAX_CONTROLLERS`. Decisions are
-    those of two controllers that choose online, beside the best fixed model, from the first start that they share.
+    Reward and computation are a curve of all controllers if a kind has three lambdas,
+    and bars otherwise. Bars, rewards along the episode and timelines show the first
+    `MAX_CONTROLLERS`. Decisions are those of two controllers that choose online, beside
+    the best fixed model, from the first start that they share.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`.
+        records: a row per step, see
+            `ms_highway.experiments.comparison.Comparison.columns`.
         summaries: of `ms_highway.experiments.summary.summary`.
         scenario: its name.
     """
@@ -288,7 +315,9 @@ def figures(
 
 @styled
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Draw reward and time per step of each controller, like Fig. 3 of the paper; whiskers are the 90 % intervals."""
+    """Draw reward and time per step of each controller, like Fig. 3 of the paper;
+    whiskers are the 90 % intervals.
+    """
     rows = summaries.query("scenario == @scenario")
     look = looks(rows["controller"])
     labels = [each.label for each in look.values()]
@@ -321,13 +350,16 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
 
 @styled
 def rewards(records: pd.DataFrame, scenario: str) -> Figure:
-    """Draw the reward along the episode of each controller: the mean over episodes, with its 90 % interval.
+    """Draw the reward along the episode of each controller: the mean over episodes,
+    with its 90 % interval.
 
-    The interval at a step is by Student's t over the episodes that have this step; a single episode has none. The axis
-    ends at the smallest and the largest reward, and cuts off what intervals of few episodes have beyond.
+    The interval at a step is by Student's t over the episodes that have this step; a
+    single episode has none. The axis ends at the smallest and the largest reward, and
+    cuts off what intervals of few episodes have beyond.
 
     Args:
-        records: a row per step, see `ms_highway.experiments.comparison.Comparison.columns`.
+        records: a row per step, see
+            `ms_highway.experiments.comparison.Comparison.columns`.
         scenario: its name.
     """
     rows = records.query("scenario == @scenario")
@@ -359,7 +391,9 @@ def rewards(records: pd.DataFrame, scenario: str) -> Figure:
 
 
 def _marked_line(own: Look, every: Mapping[str, Look]) -> dict[str, Any]:
-    """Return how a controller's line over steps is drawn; the marks of all controllers are at different steps."""
+    """Return how a controller's line over steps is drawn; the marks of all controllers
+    are at different steps.
+    """
     place = [*every.values()].index(own)
     marks = {"marker": own.marker, "markevery": (place, len(every)), "markersize": 5}
     return {"color": own.color, "linestyle": own.line, "label": own.label, **marks}
@@ -367,10 +401,11 @@ def _marked_line(own: Look, every: Mapping[str, Look]) -> dict[str, Any]:
 
 @styled
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
-    """Draw time per step along the episode, and the model in use, like Fig. 2 of the paper.
+    """Draw time per step along the episode, and the model in use, like Fig. 2 of the
+    paper.
 
-    The upper axes show planning plus deciding, as means over episodes. Below, for each controller that chooses online,
-    a row per episode shows the model of every step.
+    The upper axes show planning plus deciding, as means over episodes. Below, for each
+    controller that chooses online, a row per episode shows the model of every step.
     """
     rows = records.query("scenario == @scenario")
     rows = rows.assign(ms=1e3 * (rows["planning_seconds"] + rows["decision_seconds"]))
@@ -420,13 +455,15 @@ def decisions(
 ) -> Figure:
     """Draw the decisions and the reward of episodes, a column per episode.
 
-    Above, the estimated gains of the models over the first one, before the price of their time, in the step at which
-    they are drawn. Algorithm 1 estimates the gain of the last step. Learned values of computation estimate the gain of
-    all that follows, less a margin for doubt. The scale is linear up to 0.01 and logarithmic beyond. Below, the reward
-    per step, on a background of the models in use.
+    Above, the estimated gains of the models over the first one, before the price of
+    their time, in the step at which they are drawn. Algorithm 1 estimates the gain of
+    the last step. Learned values of computation estimate the gain of all that follows,
+    less a margin for doubt. The scale is linear up to 0.01 and logarithmic beyond.
+    Below, the reward per step, on a background of the models in use.
 
     Args:
-        episodes: of controllers that choose online, see `ms_highway.experiments.comparison.one_episode`.
+        episodes: of controllers that choose online, see
+            `ms_highway.experiments.comparison.one_episode`.
         reference: an episode from the same start, whose reward is drawn for comparison.
     """
     figure = Figure(figsize=(10, 5))

@@ -1,4 +1,6 @@
-"""Make one page that shows a comparison, in one file that needs no other; and its tables in LaTeX."""
+"""Make one page that shows a comparison, in one file that needs no other; and its
+tables in LaTeX.
+"""
 
 import base64
 from typing import Any
@@ -25,13 +27,15 @@ def page(
     progress: Progress = silent,
     own: bool = False,
 ) -> str:
-    """Return the page of a comparison, as HTML: a section for each scenario, and the settings of the results.
+    """Return the page of a comparison, as HTML: a section for each scenario, and the
+    settings of the results.
 
     Args:
         results: of the comparison.
         videos: whether films are made.
         progress: called with a message before each scenario.
-        own: whether films show controllers that run code from elsewhere, such as files of agents.
+        own: whether films show controllers that run code from elsewhere, such as files
+            of agents.
 
     Raises:
         ImportError: for videos without the packages of the extra ``video``.
@@ -80,7 +84,9 @@ def page(
 
 
 def results_table(results: Results, scenario: str) -> pd.DataFrame:
-    """Return the texts of `cells`, with columns for the paper's figures if they may be compared."""
+    """Return the texts of `cells`, with columns for the paper's figures if they may be
+    compared.
+    """
     texts = cells(results.summaries, scenario)
     published = [
         results.published(scenario, controller) for controller in texts["controller"]
@@ -94,11 +100,16 @@ def results_table(results: Results, scenario: str) -> pd.DataFrame:
 
 
 def latex_tables(results: Results) -> str:
-    """Return the table of each scenario of a comparison as LaTeX, with a caption and a label ``tab:SCENARIO``."""
+    """Return the table of each scenario of a comparison as LaTeX, with a caption and a
+    label ``tab:SCENARIO``.
+    """
     tables = [r"% needs \usepackage{booktabs}"]
     for scenario in results.scenarios:
         rows = results.summaries.query("scenario == @scenario")
-        caption = f"{title(scenario)}: means per step, with 90 % intervals over episodes; {episode_count(rows)}."
+        caption = (
+            f"{title(scenario)}: means per step, with 90 % intervals over episodes;"
+            f" {episode_count(rows)}."
+        )
         tables.append(
             latex(results_table(results, scenario), caption, f"tab:{scenario}")
         )
@@ -106,7 +117,8 @@ def latex_tables(results: Results) -> str:
 
 
 def _film(results: Results, scenario: str, own: bool) -> dict | None:
-    """Film the most informative controllers from the first start that they share; sizes are in px.
+    """Film the most informative controllers from the first start that they share; sizes
+    are in px.
 
     None if no controller may be filmed.
     """
@@ -125,8 +137,10 @@ def _film(results: Results, scenario: str, own: bool) -> dict | None:
         ),
         "width": width,
         "height": height,
-        "caption": f"Episode {seed}, at true speed: {places}. Times are as measured while filming; other episodes "
-        "differ.",
+        "caption": (
+            f"Episode {seed}, at true speed: {places}. Times are as measured while"
+            " filming; other episodes differ."
+        ),
     }
 
 

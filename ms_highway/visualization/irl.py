@@ -1,4 +1,6 @@
-"""Draw predicted drivers (errors, likelihood, calibration, paths); tabulate learned rewards and evaluations."""
+"""Draw predicted drivers (errors, likelihood, calibration, paths); tabulate learned
+rewards and evaluations.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -70,7 +72,9 @@ LEARNED = {
 
 
 def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
-    """Draw metrics of all predictors against the horizon, a figure for each of `PANELS`, see `metrics_figure`."""
+    """Draw metrics of all predictors against the horizon, a figure for each of
+    `PANELS`, see `metrics_figure`.
+    """
     return {name: metrics_figure(evaluation, name) for name in PANELS}
 
 
@@ -78,8 +82,8 @@ def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
 def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
     """Draw metrics of all predictors against the horizon.
 
-    Calibration is the share of drivers in the predicted regions of 50, 90 and 99 %; the band is five percentage points
-    to each side of the right share.
+    Calibration is the share of drivers in the predicted regions of 50, 90 and 99 %; the
+    band is five percentage points to each side of the right share.
 
     Args:
         evaluation: the metrics.
@@ -123,10 +127,12 @@ def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
 
 @styled
 def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
-    """Draw predicted and recorded paths at one moment, seen from above; marks are a second apart.
+    """Draw predicted and recorded paths at one moment, seen from above; marks are a
+    second apart.
 
-    The moment is the one with most drivers that were recorded for 3 s before and 5 s after. For the learned drivers,
-    modes of 5 % or more are drawn, with widths by their probability, and for all predictors the expected path.
+    The moment is the one with most drivers that were recorded for 3 s before and 5 s
+    after. For the learned drivers, modes of 5 % or more are drawn, with widths by their
+    probability, and for all predictors the expected path.
 
     Raises:
         ValueError: if no driver was recorded for so long.
@@ -182,13 +188,16 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
 def learned_tables(
     learned: LearnedReward, true: Mapping[str, float] | None = None
 ) -> list[pd.DataFrame]:
-    """Tabulate a learned reward, and learned drivers if there are any, with 90 % intervals.
+    """Tabulate a learned reward, and learned drivers if there are any, with 90 %
+    intervals.
 
-    The last columns are mean sums of the features over a segment: of drivers, and expected under the reward.
+    The last columns are mean sums of the features over a segment: of drivers, and
+    expected under the reward.
 
     Args:
         learned: the reward.
-        true: the drivers' true weights by name, if they are known, for a further column.
+        true: the drivers' true weights by name, if they are known, for a further
+            column.
     """
     values = {**learned.weights, "temperature": learned.temperature}
     values |= {"tails": learned.tails} if learned.tails else {}
@@ -214,7 +223,9 @@ def _ends(interval: Any) -> str:
 
 
 def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
-    """Tabulate the numbers learned seconds ahead, with 90 % intervals where there are any."""
+    """Tabulate the numbers learned seconds ahead, with 90 % intervals where there are
+    any.
+    """
     prior = drivers.prior
     numbers = {
         **drivers.weights,
@@ -247,7 +258,9 @@ def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
 
 
 def evaluation_tables(evaluation: Evaluation) -> list[pd.DataFrame]:
-    """Tabulate an evaluation: all metrics by horizon, then mean errors and log densities by driving regime."""
+    """Tabulate an evaluation: all metrics by horizon, then mean errors and log
+    densities by driving regime.
+    """
     rows = []
     for horizon, (name, label) in product(map(str, HORIZONS), PREDICTORS.items()):
         found = {

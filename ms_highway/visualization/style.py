@@ -1,4 +1,6 @@
-"""The style of figures, how controllers look in them, their files, and the colours of videos for Matplotlib."""
+"""The style of figures, how controllers look in them, their files, and the colours of
+videos for Matplotlib.
+"""
 
 import io
 import warnings
@@ -51,12 +53,15 @@ OWN = {
     "grid.color": "#eeeeee",
     "legend.frameon": False,
     "pdf.fonttype": 42,  # TrueType, which publishers accept
-    "text.parse_math": False,  # names of controllers, files and scenarios are texts, whatever they contain
+    # names of controllers, files and scenarios are texts, whatever they contain
+    "text.parse_math": False,
 }
 styled = style.context(["default", OWN])
-"""Decorator of functions that draw a figure: a light grid, no frame above and to the right.
+"""Decorator of functions that draw a figure: a light grid, no frame above and to the
+right.
 
-Figures do not depend on the user's ``matplotlibrc``, such as its ``text.usetex``, and no text in them is mathematics.
+Figures do not depend on the user's ``matplotlibrc``, such as its ``text.usetex``, and
+no text in them is mathematics.
 """
 
 
@@ -82,10 +87,12 @@ def color_of(model: str) -> str:
 
 
 def looks(controllers: Iterable[str]) -> dict[str, Look]:
-    """Return how each controller looks, by its name: no two have the same label, or the same colour, line and marker.
+    """Return how each controller looks, by its name: no two have the same label, or the
+    same colour, line and marker.
 
-    A fixed model has its colour in videos, and other controllers a shade of the colour of their type. A controller
-    looks the same in all figures whose controllers begin with the same ones.
+    A fixed model has its colour in videos, and other controllers a shade of the colour
+    of their type. A controller looks the same in all figures whose controllers begin
+    with the same ones.
     """
     found: dict[str, Look] = {}
     labels = Counter[str]()
@@ -96,7 +103,8 @@ def looks(controllers: Iterable[str]) -> dict[str, Look]:
         color = shades[alike[shades] % len(shades)]
         alike[shades] += 1
 
-        # The next line and marker that nobody of this colour has; of hundreds of controllers, some look alike
+        # The next line and marker that nobody of this colour has; of hundreds of
+        # controllers, some look alike
         pairs = len(LINES) * len(MARKERS)
         places = range(len(found), len(found) + pairs)
         forms = [
@@ -126,7 +134,9 @@ def _shades(name: str) -> tuple[str, ...]:
 
 
 def _variant(color: Sequence[int], strength: float) -> str:
-    """Return a colour mixed with white, by a strength below 1, or darkened, by one above 1."""
+    """Return a colour mixed with white, by a strength below 1, or darkened, by one
+    above 1.
+    """
     if strength > 1:
         parts = [round(part / strength) for part in color]
     else:
@@ -135,7 +145,9 @@ def _variant(color: Sequence[int], strength: float) -> str:
 
 
 def short(name: str) -> str:
-    """Return a name as a label without the middle of long names; legends would hide one that begins with _."""
+    """Return a name as a label without the middle of long names; legends would hide one
+    that begins with _.
+    """
     half = LABEL_LENGTH // 2
     label = name if len(name) <= LABEL_LENGTH else f"{name[: half - 1]}…{name[-half:]}"
     return f" {label}" if label.startswith("_") else label
@@ -155,13 +167,17 @@ def legend(figure: Figure, handles: Iterable[Any], labels: Iterable[str]) -> Non
 
 
 def plain_ticks(value: float, _: int) -> str:
-    """Return the label of a tick on a logarithmic scale, such as 0.01, without mathematics."""
+    """Return the label of a tick on a logarithmic scale, such as 0.01, without
+    mathematics.
+    """
     return f"{value:g}".replace("-", "\N{MINUS SIGN}", 1) if value < 0 else f"{value:g}"
 
 
 @styled
 def content(figure: Figure, kind: str = "png") -> bytes:
-    """Return the content of a figure's file: ``png``, ``pdf`` with fonts that publishers accept, or ``svg``."""
+    """Return the content of a figure's file: ``png``, ``pdf`` with fonts that
+    publishers accept, or ``svg``.
+    """
     written = io.BytesIO()
     figure.savefig(written, format=kind, dpi=DPI)
     return written.getvalue()
@@ -170,7 +186,9 @@ def content(figure: Figure, kind: str = "png") -> bytes:
 def drawn(
     figures: Mapping[str, Callable[[], Figure]], kind: str = "png"
 ) -> dict[str, bytes]:
-    """Return the contents of the figures' files, by name; a figure that cannot be drawn is left out, with a warning."""
+    """Return the contents of the figures' files, by name; a figure that cannot be drawn
+    is left out, with a warning.
+    """
     found = {}
     for name, draw in figures.items():
         try:

@@ -78,13 +78,16 @@ SPEED = {
     "step us": "{step_us:.0f}",
     "steps /s": "{environment:,.0f}",
 }
-"""Columns of tables: for every heading, the format of its texts, which takes numbers by name."""
+"""Columns of tables: for every heading, the format of its texts, which takes numbers by
+name.
+"""
 
 
 def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
     """Return a table of texts.
 
-    A text is empty if one of its values is missing, None or NaN. Columns without any text are left out.
+    A text is empty if one of its values is missing, None or NaN. Columns without any
+    text are left out.
 
     Args:
         forms: format strings by heading.
@@ -118,9 +121,11 @@ def grid(title: str, rows: Any, names: int = 1) -> pd.DataFrame:
 
 
 def printed(table: pd.DataFrame, width: int | None) -> str:
-    """Return a table of `grid` as text of a width; columns beyond it follow below, beside the same names.
+    """Return a table of `grid` as text of a width; columns beyond it follow below,
+    beside the same names.
 
-    Long names are shortened. Without a width, every row is one line, and names are whole.
+    Long names are shortened. Without a width, every row is one line, and names are
+    whole.
     """
     shown = table
     if width is not None:
@@ -136,7 +141,8 @@ def printed(table: pd.DataFrame, width: int | None) -> str:
 
 
 def latex(table: pd.DataFrame, caption: str, label: str) -> str:
-    """Return a table of texts as LaTeX with the package ``booktabs``; the first column names the row.
+    """Return a table of texts as LaTeX with the package ``booktabs``; the first column
+    names the row.
 
     Args:
         table: the texts; all numbers are right-aligned.
@@ -175,7 +181,9 @@ def latex(table: pd.DataFrame, caption: str, label: str) -> str:
 
 
 def two_digits(value: float) -> str | None:
-    """Return a number with two significant digits, or without decimals from 10 on; None for NaN."""
+    """Return a number with two significant digits, or without decimals from 10 on; None
+    for NaN.
+    """
     if pd.isna(value):
         return None
     return f"{value:.2g}" if abs(value) < 10 else f"{value:.0f}"
@@ -184,8 +192,9 @@ def two_digits(value: float) -> str | None:
 def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     """Return the summary of one scenario as texts, a row per controller.
 
-    Planning has two columns: counted at T(M), and measured, if it was. "reward less T" is at a price of 1 per second.
-    Fallback steps have a column if there are any; cycles, late steps and success have one with several humans.
+    Planning has two columns: counted at T(M), and measured, if it was. "reward less T"
+    is at a price of 1 per second. Fallback steps have a column if there are any;
+    cycles, late steps and success have one with several humans.
     """
     rows = summaries.query("scenario == @scenario")
     models = models_of(summaries, "share")
@@ -217,10 +226,13 @@ def _with_shares(forms: Mapping[str, str], models: Iterable[str]) -> dict[str, s
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """Return the summary of one scenario, to be printed; the title names controllers whose T(M) is not known."""
+    """Return the summary of one scenario, to be printed; the title names controllers
+    whose T(M) is not known.
+    """
     title = scenario
     rows = summaries.query(
-        "scenario == @scenario and counted_ms.isna() and kind not in ['agent', 'driver']"
+        "scenario == @scenario and counted_ms.isna() and kind not in ['agent',"
+        " 'driver']"
     )
     if len(rows):
         remedy = "put its model on the ladder, or give its seconds by costs"
@@ -229,10 +241,12 @@ def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
-    """Return tables of regrets per step in one scenario, one per price, with the best lambda of each kind.
+    """Return tables of regrets per step in one scenario, one per price, with the best
+    lambda of each kind.
 
     Args:
-        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns ``scenario`` and ``price``.
+        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns
+            ``scenario`` and ``price``.
         scenario: its name.
     """
     tables = []
@@ -245,7 +259,10 @@ def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
         shown = ranked[
             ~(ranked["kind"].isin(priced_types()) & ranked.duplicated("kind"))
         ]
-        title = f"{scenario}, a second of planning costs {price:g}; of each kind with a lambda, the best"
+        title = (
+            f"{scenario}, a second of planning costs {price:g}; of each kind with a"
+            " lambda, the best"
+        )
         tables.append(grid(title, texts(REGRETS, shown.to_dict("records"))))
     return tables
 
@@ -286,7 +303,10 @@ def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
             forms |= {
                 f"batch {size}": f"{{batch {size}:,.0f}}" for size in one["batch"]
             } | {"MiB": "{mib:,.0f}"}
-            title = f"{scenario}: medians, on one core; steps per second of batches on {one['devices']}"
+            title = (
+                f"{scenario}: medians, on one core; steps per second of batches on"
+                f" {one['devices']}"
+            )
     rows = []
     for name, one in measured.items():
         batches = {f"batch {size}": rate for size, rate in one.get("batch", {}).items()}

@@ -30,7 +30,8 @@ class Film:
 
     Attributes:
         controller: short name of the robot's controller.
-        pictures: after each step; the last one is repeated as long as films beside this one go on.
+        pictures: after each step; the last one is repeated as long as films beside this
+            one go on.
         records: of each step, see `ms_highway.experiments.runner.episode`.
         frames_per_second: of true speed.
     """
@@ -49,9 +50,11 @@ def film(scenario: str, controller: str, seed: int, **config: Any) -> Film:
 def film_together(
     scenario: str, controllers: Sequence[str], seed: int, **config: Any
 ) -> list[Film]:
-    """Film an episode of each controller from the same start, with one scale of planning time in all pictures.
+    """Film an episode of each controller from the same start, with one scale of
+    planning time in all pictures.
 
-    All films are as long as the longest one: after an episode, its last picture is repeated.
+    All films are as long as the longest one: after an episode, its last picture is
+    repeated.
 
     Raises:
         ValueError: for an unknown scenario, controller or configuration.
@@ -89,14 +92,17 @@ def check_format(path: Path) -> None:
     """
     if path.suffix not in FORMATS:
         raise ValueError(
-            f"cannot tell the format of {path}; its name must end in {' or '.join(FORMATS)}"
+            f"cannot tell the format of {path}; its name must end in"
+            f" {' or '.join(FORMATS)}"
         )
     if path.suffix == ".mp4":
         _imageio()
 
 
 def scaled(pictures: Sequence[Picture], width: int) -> list[Picture]:
-    """Scale pictures to a width [px] in proportion; sides are even numbers, as mp4 requires."""
+    """Scale pictures to a width [px] in proportion; sides are even numbers, as mp4
+    requires.
+    """
     height, drawn = pictures[0].shape[:2]
     size = 2 * round(width / 2), 2 * round(height * width / drawn / 2)
     return [
@@ -136,13 +142,15 @@ def encoded(
 def _imageio() -> Any:
     """Return the library that writes .mp4 files."""
     with needing("video"):
-        import av  # noqa: F401
+        import av
         import imageio.v3 as imageio
     return imageio
 
 
 def _gif(pictures: Sequence[Picture], frames_per_second: float) -> bytes:
-    """Return a GIF with one palette and no dithering, so that still parts of the picture take no space."""
+    """Return a GIF with one palette and no dithering, so that still parts of the
+    picture take no space.
+    """
     some = np.concatenate([pictures[0], pictures[len(pictures) // 2], pictures[-1]])
     palette = Image.fromarray(some).quantize(GIF_COLORS, Image.Quantize.FASTOCTREE)
     images = [
@@ -168,10 +176,12 @@ NAME_SIZE, NUMBERS_SIZE = 26, 20  # px, of texts
 
 
 def side_by_side(films: Sequence[Film]) -> list[Picture]:
-    """Put films of one scenario and of the same length one above the other, as roads are wide and low.
+    """Put films of one scenario and of the same length one above the other, as roads
+    are wide and low.
 
-    The heading of each shows its controller, its mean reward per step and its time of planning and deciding so far; a
-    bar shows this time, coloured by model, in one scale for all films.
+    The heading of each shows its controller, its mean reward per step and its time of
+    planning and deciding so far; a bar shows this time, coloured by model, in one scale
+    for all films.
     """
     longest = max(sum(map(_seconds, film.records)) for film in films)
     return [
@@ -188,7 +198,9 @@ def _seconds(record: Mapping) -> float:
 
 
 def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
-    """Return the heading and the picture of a film at a place; ``longest`` [s] is the full length of the bar."""
+    """Return the heading and the picture of a film at a place; ``longest`` [s] is the
+    full length of the bar.
+    """
     picture, records = film.pictures[place], film.records[: place + 1]
     width, middle = picture.shape[1], (HEADING_HEIGHT - BAR_HEIGHT) // 2
     surface, end = pygame.Surface((width, HEADING_HEIGHT)), 0.0

@@ -1,7 +1,9 @@
-"""Compare planners and agents of your own with the package's controllers, in the same table.
+"""Compare planners and agents of your own with the package's controllers, in the same
+table.
 
-A planner is a function of the robot's game and the state of all cars in SI units; an agent is a function of the
-observation, or has the method ``predict`` of stable-baselines3. Run it, or make both known to any command::
+A planner is a function of the robot's game and the state of all cars in SI units; an
+agent is a function of the observation, or has the method ``predict`` of
+stable-baselines3. Run it, or make both known to any command::
 
     python notebooks/examples/agents.py
     ms-highway --import notebooks.examples.agents compare merger-v1 --controllers merges coasts --out results/own
@@ -26,7 +28,9 @@ from ms_highway.game.dynamics import keep_velocity
 
 
 def merges(game, state):
-    """Steer to the target lane, whoever is there; return curvature [1/m] and acceleration before friction [m/s^2]."""
+    """Steer to the target lane, whoever is there; return curvature [1/m] and
+    acceleration before friction [m/s^2].
+    """
     _, y, heading, speed = state[0]
     wanted = np.clip(0.05 * (float(game.scene.target_lane) - y), -0.1, 0.1)
     curvature = np.clip(

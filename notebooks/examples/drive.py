@@ -1,4 +1,5 @@
-"""Drive one episode of Merger and print, step by step, which human model the robot plans with and why.
+"""Drive one episode of Merger and print, step by step, which human model the robot
+plans with and why.
 
 Run::
 
@@ -7,7 +8,7 @@ Run::
 
 import gymnasium as gym
 
-import ms_highway  # noqa: F401  # registers the environments
+import ms_highway  # registers the environments
 
 env = gym.make(
     "ms-highway/merger-v1",

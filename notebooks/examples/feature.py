@@ -1,7 +1,8 @@
 """Let the human of Merger drive for a feature of your own: to be alone on the road.
 
-A feature is a function of one moment that any reward may weigh: that of a scenario, `human_reward`, or a learned one
-(`ms-highway irl fit --learn`). Run it, or learn its weight from recordings in a directory::
+A feature is a function of one moment that any reward may weigh: that of a scenario,
+`human_reward`, or a learned one (`ms-highway irl fit --learn`). Run it, or learn its
+weight from recordings in a directory::
 
     python notebooks/examples/feature.py
     ms-highway --import notebooks.examples.feature irl fit --data us101 --learn speed alone --out theta.json
@@ -30,5 +31,6 @@ if __name__ == "__main__":
         env.step(0)
     robot, human, *_ = env.unwrapped.car_states
     print(
-        f"the human drives at {human[3]:.1f} m/s, {abs(human[0] - robot[0]):.1f} m from the robot"
+        f"the human drives at {human[3]:.1f} m/s, {abs(human[0] - robot[0]):.1f} m from"
+        " the robot"
     )

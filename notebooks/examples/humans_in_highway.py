@@ -1,14 +1,15 @@
-"""Put humans on a stock highway-env road: commuters, who drive like the drivers recorded on US-101.
+"""Put humans on a stock highway-env road: commuters, who drive like the drivers
+recorded on US-101.
 
-Every commuter has a desired speed, a headway and a patience of its own. Commuters change lanes as highway-env's drivers
-do, and give way where ways meet. Run::
+Every commuter has a desired speed, a headway and a patience of its own. Commuters
+change lanes as highway-env's drivers do, and give way where ways meet. Run::
 
     python notebooks/examples/humans_in_highway.py
 """
 
 import gymnasium as gym
 
-import ms_highway  # noqa: F401  # registers its environments, and those of highway-env
+import ms_highway  # registers its environments, and those of highway-env
 
 config = {"other_vehicles_type": "ms_highway.vehicle.CommuterVehicle"}
 env = gym.make("highway-v0", config={**config, "vehicles_count": 5, "duration": 3})

@@ -1,7 +1,9 @@
-"""Record what the robot does in a stock scene as a data set of Minari, and clone it with a network.
+"""Record what the robot does in a stock scene as a data set of Minari, and clone it
+with a network.
 
-``info["road"]["action"]`` is the action of the environment's space that does what the robot did, NaN where none does
-(here are none); the action given to ``step`` is ignored. Needs the extras ``demonstrations`` and ``learning``. Run::
+``info["road"]["action"]`` is the action of the environment's space that does what the
+robot did, NaN where none does (here are none); the action given to ``step`` is ignored.
+Needs the extras ``demonstrations`` and ``learning``. Run::
 
     python notebooks/examples/imitate.py
 """
@@ -73,7 +75,8 @@ if __name__ == "__main__":
         for each in (act(layers, new), done.mean(axis=0))
     )
     print(
-        f"off by {clone:.2f} in episodes that it has not seen; the mean action by {mean:.2f}"
+        f"off by {clone:.2f} in episodes that it has not seen; the mean action by"
+        f" {mean:.2f}"
     )
     env, ends = gym.make("highway-fast-v0", config=CONFIG), [False]
     observation, _ = env.reset(seed=100)
@@ -82,5 +85,6 @@ if __name__ == "__main__":
             np.clip(act(layers, observation.reshape(SEEN)), -1, 1)
         )
     print(
-        f"drove {env.unwrapped.time:.0f} s by itself at last at {info['speed']:.1f} m/s, crashed: {info['crashed']}"
+        f"drove {env.unwrapped.time:.0f} s by itself at last at {info['speed']:.1f}"
+        f" m/s, crashed: {info['crashed']}"
     )

@@ -1,9 +1,11 @@
-"""Learn which human model is worth its time, with PPO of stable-baselines3, and compare with the package's choices.
+"""Learn which human model is worth its time, with PPO of stable-baselines3, and compare
+with the package's choices.
 
-The agent's action is the model of every human in the coming step: Discrete with one human, MultiDiscrete with several.
-Its reward is the robot's less the price of the plan, ``r_R - lambda T(M)``: the paper's meta-MDP. It learns in many
-environments at once, simulated in JAX. The agent is saved; its file then stands for a controller, here and in every
-command. Needs stable-baselines3::
+The agent's action is the model of every human in the coming step: Discrete with one
+human, MultiDiscrete with several. Its reward is the robot's less the price of the plan,
+``r_R - lambda T(M)``: the paper's meta-MDP. It learns in many environments at once,
+simulated in JAX. The agent is saved; its file then stands for a controller, here and in
+every command. Needs stable-baselines3::
 
     pip install stable-baselines3
     python notebooks/examples/learn_to_choose.py merger-v1
@@ -11,9 +13,10 @@ command. Needs stable-baselines3::
     python notebooks/examples/learn_to_choose.py dense_merge --set humans=3 --steps 10000
     ms-highway compare merger-v1 --controllers results/ppo.zip learned:1 tom --out results/ppo
 
-Prints a row for the agent and every other choice, from starts that the agent has not seen: reward per step, the same
-less lambda T, share of steps planned with each model, and by how much the agent is ahead, with a 90 % interval.
-``--steps 0`` judges an agent that was saved before.
+Prints a row for the agent and every other choice, from starts that the agent has not
+seen: reward per step, the same less lambda T, share of steps planned with each model,
+and by how much the agent is ahead, with a 90 % interval. ``--steps 0`` judges an agent
+that was saved before.
 """
 
 import argparse
@@ -43,7 +46,9 @@ SETTINGS = {
 
 
 class ManyEnvironments(VecEnv):
-    """A vector environment of Gymnasium, which resets in the step of an end, as stable-baselines3 wants it."""
+    """A vector environment of Gymnasium, which resets in the step of an end, as
+    stable-baselines3 wants it.
+    """
 
     def __init__(self, envs):
         self.envs = envs
@@ -64,7 +69,8 @@ class ManyEnvironments(VecEnv):
         )
         ends = terminated | truncated
         infos = [{} for _ in ends]
-        # After the last step of an episode nothing is paid, so the value of later steps is 0.
+        # After the last step of an episode nothing is paid, so the value of later steps
+        # is 0.
         for place in np.flatnonzero(ends):
             infos[place]["terminal_observation"] = info["final_obs"][place]
         return observations.copy(), rewards.astype(np.float32), ends, infos
@@ -117,7 +123,9 @@ def learn(options, config):
 
 
 def drive(envs, choose, options):
-    """Return a row per step of an episode in every environment, where a function of observations chooses models."""
+    """Return a row per step of an episode in every environment, where a function of
+    observations chooses models.
+    """
     observations, _ = envs.reset(seed=options.first_seed)
     steps = []
     for _ in range(envs.unwrapped.episode_steps):
@@ -135,7 +143,9 @@ def drive(envs, choose, options):
 
 
 def all_driven(options, config):
-    """Return a row per step by controller: the agent, random choice, every model throughout, and learned values."""
+    """Return a row per step by controller: the agent, random choice, every model
+    throughout, and learned values.
+    """
     envs = make_environments(options, config, options.episodes)
     envs.action_space.seed(options.first_seed)
     agent = PPO.load(options.out, device="cpu")
@@ -159,7 +169,9 @@ def all_driven(options, config):
 
 
 def compared(driven, price):
-    """Return a table: what every controller earns, and by how much the agent is ahead, over the same starts."""
+    """Return a table: what every controller earns, and by how much the agent is ahead,
+    over the same starts.
+    """
     models = list(
         dict.fromkeys(
             name for steps in driven.values() for name in steps["model"].unique()
@@ -226,7 +238,8 @@ def main() -> None:
     if options.steps:
         learn(options, config)
     print(
-        f"a second costs {options.price:g}; means per step of {options.episodes} episodes"
+        f"a second costs {options.price:g}; means per step of {options.episodes}"
+        " episodes"
     )
     print(compared(all_driven(options, config), options.price).to_string(index=False))
 

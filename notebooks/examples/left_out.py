@@ -1,8 +1,9 @@
-r"""Add scenarios that no values of computation were learned on, to see what the shipped values are worth there.
+r"""Add scenarios that no values of computation were learned on, to see what the shipped
+values are worth there.
 
-*Squeeze*: on three lanes, robot and human both want into the left one, between two scripted cars. *Works*: the human's
-lane is closed by cones, and the robot beside it is rewarded for letting it in. A third is *Zipper*, from the example
-of that name::
+*Squeeze*: on three lanes, robot and human both want into the left one, between two
+scripted cars. *Works*: the human's lane is closed by cones, and the robot beside it is
+rewarded for letting it in. A third is *Zipper*, from the example of that name::
 
     ms-highway --import notebooks.examples.zipper --import notebooks.examples.left_out \
         frontier zipper squeeze works --controllers learned
@@ -12,7 +13,9 @@ from ms_highway import COMMON_WEIGHTS, InteractionEnv, Scenario, add_scenario
 
 
 class SqueezeEnv(InteractionEnv):
-    """Robot on the right, human in the middle: both want into the left lane, between two scripted cars."""
+    """Robot on the right, human in the middle: both want into the left lane, between
+    two scripted cars.
+    """
 
     scenario = Scenario(
         name="squeeze",
@@ -28,7 +31,9 @@ class SqueezeEnv(InteractionEnv):
 
 
 class WorksEnv(InteractionEnv):
-    """The human's lane is closed by cones; the robot beside it is rewarded for letting it in."""
+    """The human's lane is closed by cones; the robot beside it is rewarded for letting
+    it in.
+    """
 
     scenario = Scenario(
         name="works",

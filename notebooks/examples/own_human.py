@@ -1,7 +1,8 @@
 """Let a human drive as you say, and let the robot predict it by a model of yours.
 
-Both are pure functions in SI units. The human brakes by 2 m/s^2 whenever the robot is beside it or just ahead; the
-model knows that. Run it, or make both known to any command::
+Both are pure functions in SI units. The human brakes by 2 m/s^2 whenever the robot is
+beside it or just ahead; the model knows that. Run it, or make both known to any
+command::
 
     python notebooks/examples/own_human.py
     ms-highway --import notebooks.examples.own_human compare merger-v1 --set human_driver=polite \
@@ -29,7 +30,9 @@ from ms_highway.game.dynamics import keep_velocity, step
 
 
 def polite(game, state):
-    """Return the control of car 0: curvature [1/m] and acceleration before friction [m/s^2]."""
+    """Return the control of car 0: curvature [1/m] and acceleration before friction
+    [m/s^2].
+    """
     ahead = state[1, 0] - state[0, 0]  # of the robot, from centre to centre [m]
     braking = jnp.where((ahead > -5.0) & (ahead < 15.0), 2.0, 0.0)
     return keep_velocity(game.world, state[0]) - jnp.stack([0.0, braking])
@@ -42,15 +45,20 @@ class ExpectsPoliteness(ms_highway.PredictedHuman):
     name = "expects_politeness"
 
     def predict(self, game, state, start=None):
-        """Return the human's controls over the horizon, [steps, 2]; here the robot is car 0 and the human car 1."""
+        """Return the human's controls over the horizon, [steps, 2]; here the robot is
+        car 0 and the human car 1.
+        """
 
         def one(state, _):
             control = polite(game, jnp.concatenate([state[1::-1], state[2:]]))
-            return step(
-                game.dynamics,
-                state,
-                keep_velocity(game.dynamics, state).at[1].set(control),
-            ), control
+            return (
+                step(
+                    game.dynamics,
+                    state,
+                    keep_velocity(game.dynamics, state).at[1].set(control),
+                ),
+                control,
+            )
 
         return jax.lax.scan(one, jnp.asarray(state), None, game.planner.horizon)[1]
 

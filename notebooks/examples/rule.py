@@ -1,7 +1,9 @@
-r"""Let a rule of your own choose between human models of your own, with one human and with two, live and in a batch.
+r"""Let a rule of your own choose between human models of your own, with one human and
+with two, live and in a batch.
 
-There are two kinds of rules. A chooser picks the models, such as ``near:6``. An estimator says what models gain, which
-is then weighed against their time at a lambda, such as ``closeness:2``. All are known to a command as well::
+There are two kinds of rules. A chooser picks the models, such as ``near:6``. An
+estimator says what models gain, which is then weighed against their time at a lambda,
+such as ``closeness:2``. All are known to a command as well::
 
     ms-highway --import notebooks.examples.rule compare merger --set ladder=coasting,tom \
       --set costs=coasting=0.09,tom=0.37 --controllers near:6 closeness:2 tom --out results/near
@@ -36,7 +38,9 @@ def distances(evidence):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Near(ms_highway.Chooser, tag="near"):  # in short near:6
-    distance: float  # m, within which humans are predicted by the top of the ladder, others by its first rung
+    # m, within which humans are predicted by the top of the ladder, others by its first
+    # rung
+    distance: float
 
     def choose(self, memory, gains, costs, evidence):
         return jnp.where(
@@ -72,5 +76,6 @@ if __name__ == "__main__":
             for steps in (live, batch):
                 used = (steps["model"] == "tom").mean()
                 print(
-                    f"{scenario}, {rule}: reward per step {steps['reward'].mean():.2f}, tom in {used:.0%}"
+                    f"{scenario}, {rule}: reward per step {steps['reward'].mean():.2f},"
+                    f" tom in {used:.0%}"
                 )

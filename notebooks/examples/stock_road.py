@@ -1,7 +1,9 @@
-"""Drive a stock scene of highway-env at a speed and within a budget of one's own, and record a video of it.
+"""Drive a stock scene of highway-env at a speed and within a budget of one's own, and
+record a video of it.
 
-Within 20 milliseconds per plan, the cars whose answers may be worth most are predicted by the most expensive model.
-Prints a line per second and writes ``videos/stock-road-episode-0.mp4``; needs the extra ``video``. Run::
+Within 20 milliseconds per plan, the cars whose answers may be worth most are predicted
+by the most expensive model. Prints a line per second and writes
+``videos/stock-road-episode-0.mp4``; needs the extra ``video``. Run::
 
     python notebooks/examples/stock_road.py
 """
@@ -36,6 +38,7 @@ while not done:
         for model, count in Counter(filter(None, road["models"])).items()
     )
     print(
-        f"{info['speed']:.1f} m/s, at most {road['acceleration']:.1f} m/s^2, {road['source']}; {cars or 'nobody'}"
+        f"{info['speed']:.1f} m/s, at most {road['acceleration']:.1f} m/s^2,"
+        f" {road['source']}; {cars or 'nobody'}"
     )
 env.close()

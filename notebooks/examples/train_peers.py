@@ -1,7 +1,9 @@
-"""Train agents of stable-baselines3 in stock scenes of highway-env, as drivers for ``ms-highway bench road``.
+"""Train agents of stable-baselines3 in stock scenes of highway-env, as drivers for
+``ms-highway bench road``.
 
-DQN and PPO have the settings of highway-env's own examples, which train for 20,000 steps; actions and observations are
-each environment's own. Writes ``agents/ALGORITHM-SCENE-SEED.zip``. Needs stable-baselines3::
+DQN and PPO have the settings of highway-env's own examples, which train for 20,000
+steps; actions and observations are each environment's own. Writes
+``agents/ALGORITHM-SCENE-SEED.zip``. Needs stable-baselines3::
 
     pip install stable-baselines3
     python notebooks/examples/train_peers.py intersection-v0 --steps 100000 --seeds 0 1 2
@@ -11,7 +13,7 @@ each environment's own. Writes ``agents/ALGORITHM-SCENE-SEED.zip``. Needs stable
 import argparse
 from pathlib import Path
 
-import highway_env  # noqa: F401, registers its environments
+import highway_env
 import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.env_util import make_vec_env
@@ -34,7 +36,11 @@ AGENTS = {  # class, number of environments, hyperparameters
         PPO,
         6,
         COMMON
-        | {"n_steps": 128, "batch_size": 64, "policy_kwargs": {"net_arch": [256, 256]}},
+        | {
+            "n_steps": 128,
+            "batch_size": 64,
+            "policy_kwargs": {"net_arch": [256, 256]},
+        },
     ),
 }
 

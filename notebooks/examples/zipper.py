@@ -1,7 +1,9 @@
-"""Add a scenario of your own, Zipper: the robot's lane is closed by cones, and a human drives beside it.
+"""Add a scenario of your own, Zipper: the robot's lane is closed by cones, and a human
+drives beside it.
 
-It has everything that the paper's scenarios have: an environment (``ms-highway/zipper-v0``), configuration, films,
-comparisons. Run it, or make it known to any command::
+It has everything that the paper's scenarios have: an environment
+(``ms-highway/zipper-v0``), configuration, films, comparisons. Run it, or make it known
+to any command::
 
     python notebooks/examples/zipper.py
     ms-highway --import notebooks.examples.zipper compare zipper --out results/zipper
@@ -21,7 +23,9 @@ from ms_highway.experiments.summary import summary
 
 
 class ZipperEnv(InteractionEnv):
-    """The robot's lane is closed by cones, and a human drives beside it in the other; lengths in metres."""
+    """The robot's lane is closed by cones, and a human drives beside it in the other;
+    lengths in metres.
+    """
 
     scenario = Scenario(
         name="zipper",

@@ -1,7 +1,9 @@
-"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages that show it.
+"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages
+that show it.
 
-Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
-in `results/` stay as they were kept::
+Run it in the project's directory after any of the commands in
+`notebooks/results/README.md`; runs that do not lie in `results/` stay as they were
+kept::
 
     python notebooks/results/collect.py
 """
@@ -46,10 +48,14 @@ TABLES = (
     "regrets",
 )  # what some of them hold, and what is kept with a column ``run``
 ROADS = "road", "road_commuters"
-"""Directories of figures in results/, each file written by ``ms-highway bench road --json``, and what keeps them."""
+"""Directories of figures in results/, each file written by ``ms-highway bench road
+--json``, and what keeps them.
+"""
 
 RECORDED = "recorded"
-"""Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road recorded``, and what keeps them."""
+"""Directory of figures in results/, files ``EGOS_TRAFFIC.json`` of ``bench road
+recorded``, and what keeps them.
+"""
 
 PHYSICAL = {  # in the project's README
     "merger-v1": ["naive", "tom", "learned:1", "switching:0.1"],
@@ -90,7 +96,9 @@ RECORDED_DRIVERS = {
 
 
 def collect(results: Path) -> None:
-    """Take over tables, settings and provenance of every run that lies in a directory of results."""
+    """Take over tables, settings and provenance of every run that lies in a directory
+    of results.
+    """
     for name in TABLES:
         kept, parts = _texts(KEPT / f"{name}.csv"), []
         for run in RUNS:
@@ -150,7 +158,9 @@ def kept_table(name: str, run: str) -> pd.DataFrame:
 
 
 def tables() -> dict[str, str]:
-    """The tables of the pages in Markdown, by the name that stands in the comment above each."""
+    """The tables of the pages in Markdown, by the name that stands in the comment above
+    each.
+    """
     physical = overview(physical="")
     limits = overview(
         limit_50=", 0.2 and 50 control limit",
@@ -193,7 +203,9 @@ def rows_of(
 
 
 def overview(**names: str) -> pd.DataFrame:
-    """Texts, a row per scenario and controller: outcomes of every named run beside each other, times of the first."""
+    """Texts, a row per scenario and controller: outcomes of every named run beside each
+    other, times of the first.
+    """
     several = {name: comparison(run) for run, name in names.items()}
     found = {
         (name, scenario, texts["controller"]): texts
@@ -240,7 +252,9 @@ def markdown(table: pd.DataFrame) -> str:
 
 
 def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
-    """Texts, a row per scenario and price: what the best orders earn, and how far others stay behind them."""
+    """Texts, a row per scenario and price: what the best orders earn, and how far
+    others stay behind them.
+    """
     rows = []
     for (scenario, price), own in behind.groupby(["scenario", "price"], sort=False):
         own = own.set_index("controller")
@@ -255,7 +269,9 @@ def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
                 ]
             }
             | {
-                f"{kind}, best lambda": f"{regret[best]} ({best.removeprefix(f'{kind}:')})"
+                f"{kind}, best lambda": (
+                    f"{regret[best]} ({best.removeprefix(f'{kind}:')})"
+                )
                 for kind in ("switching", "horizon")
                 for best in [own.loc[own["kind"] == kind, "regret"].idxmin()]
             }
@@ -265,7 +281,9 @@ def regret_cells(behind: pd.DataFrame) -> pd.DataFrame:
 
 
 def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
-    """Figures of roads in the command's own order of scenes and drivers, other drivers last."""
+    """Figures of roads in the command's own order of scenes and drivers, other drivers
+    last.
+    """
     order = {driver: place for place, driver in enumerate(DRIVERS)}
     return {
         scene: dict(

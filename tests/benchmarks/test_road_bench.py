@@ -1,4 +1,6 @@
-"""Drivers in stock scenes and recordings: figures, faults in collisions, exports and the command."""
+"""Drivers in stock scenes and recordings: figures, faults in collisions, exports and
+the command.
+"""
 
 import json
 
@@ -102,7 +104,10 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(
     tmp_path, capsys
 ):
     file, log = tmp_path / "road.json", tmp_path / "road.csv"
-    command = f"bench road merge-v0 --drivers idm fixed:naive --seeds 2 --seed 5 --json {file} --log {log}"
+    command = (
+        "bench road merge-v0 --drivers idm fixed:naive --seeds 2 --seed 5 --json"
+        f" {file} --log {log}"
+    )
     run(f"{command} --films {tmp_path}")
     results = json.loads(file.read_text())["merge-v0"]
     assert list(results) == ["idm", "fixed:naive"]
@@ -117,7 +122,9 @@ def test_the_command_writes_figures_episodes_and_films_of_every_driver(
 def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_and_as_a_solution(
     tmp_path,
 ):
-    """The solution is the drive of a kinematic single-track model. Another car's centre is not that of its states."""
+    """The solution is the drive of a kinematic single-track model. Another car's centre
+    is not that of its states.
+    """
     shifted = recordings.RECTANGLE.replace(
         "</rec", "<originXShift>-1.5</originXShift></rec"
     )

@@ -22,7 +22,8 @@ def test_the_command_times_every_rung_and_switching_live_and_in_batches(
     tmp_path, capsys
 ):
     run(
-        f"bench merger --set ladder=naive, --batches 1 20 --json {tmp_path / 'bench.json'}"
+        "bench merger --set ladder=naive, --batches 1 20 --json"
+        f" {tmp_path / 'bench.json'}"
     )
     measured = json.loads((tmp_path / "bench.json").read_text())["merger"]
     assert list(measured) == ["naive", "switching:0.6", "switching:0.1"]

@@ -1,4 +1,6 @@
-"""The rungs of the highest total value within a capacity are those that an exhaustive search finds."""
+"""The rungs of the highest total value within a capacity are those that an exhaustive
+search finds.
+"""
 
 from itertools import product
 
@@ -12,7 +14,9 @@ solve = jax.jit(best_rungs)
 
 
 def instance(random, humans, rungs):
-    """Draw values and costs in eighths, so that sums are exact and often equal; some rungs are impossible."""
+    """Draw values and costs in eighths, so that sums are exact and often equal; some
+    rungs are impossible.
+    """
     values = random.integers(-8, 9, (humans, rungs)) / 8
     values[:, 1:][random.random((humans, rungs - 1)) < 0.1] = -np.inf
     costs = random.integers(0, 9, rungs) / 8

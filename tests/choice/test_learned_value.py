@@ -110,7 +110,9 @@ def test_a_damaged_file_is_refused_with_the_damage_and_the_command_that_writes_a
     np.savez(file, **arrays | {name: change(arrays[name])})
     with pytest.raises(
         ValueError,
-        match=rf"values\.npz cannot be read.*{problem}.*`ms-highway values learn` --out",
+        match=(
+            rf"values\.npz cannot be read.*{problem}.*`ms-highway values learn` --out"
+        ),
     ):
         load_values(file)
 

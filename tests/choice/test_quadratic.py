@@ -1,4 +1,6 @@
-"""Algorithm 1: gain estimates over one step and over the whole horizon, and which rungs it checks."""
+"""Algorithm 1: gain estimates over one step and over the whole horizon, and which rungs
+it checks.
+"""
 
 import jax
 import numpy as np
@@ -51,7 +53,9 @@ def test_the_top_is_chosen_up_to_the_price_at_which_its_time_costs_as_much_as_it
 
 
 def test_gains_are_over_the_first_rung_whichever_rung_is_in_use(played):
-    """A downward check from turn compares it with naive; what tom gained when it was chosen is kept."""
+    """A downward check from turn compares it with naive; what tom gained when it was
+    chosen is kept.
+    """
     up = decided(made(0.0), played, on(0), reward=-9.0)
     assert (up.memory.rungs, up.memory.gain) == (2, up.gains[0, 2])
     down = decided(made(1e6), played, up.memory._replace(step=np.int32(2)))

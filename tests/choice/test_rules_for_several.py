@@ -1,4 +1,6 @@
-"""Rules for several humans: `nearest` chooses by distance, learned values by gains, `budget` by those that fit."""
+"""Rules for several humans: `nearest` chooses by distance, learned values by gains,
+`budget` by those that fit.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -29,7 +31,8 @@ from ms_highway.runtime.compilation import jit_quickly
 NAIVE, TURN, TOM = range(3)
 COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]), ("naive", "turn", "tom"))
 
-# in the robot's lane: 15 m ahead and as fast, far ahead, 40 m ahead and slower; in the next one: 20 m behind; far aside
+# in the robot's lane: 15 m ahead and as fast, far ahead, 40 m ahead and slower; in the
+# next one: 20 m behind; far aside
 STATE = np.float32(
     [
         [0, 0, 0, 20],
@@ -56,7 +59,9 @@ def game(played):
 
 
 def decided(rule, game, error=0.0, before=0):
-    """Return the decision after plans with these rungs, with an error added to the state."""
+    """Return the decision after plans with these rungs, with an error added to the
+    state.
+    """
     memory, outcome, *_ = begin(rule, game, STATE + error)
     return decide_quickly(
         rule, game, memory._replace(rungs=np.int32(memory.rungs + before)), outcome
@@ -68,7 +73,9 @@ def chosen(rule, game):
 
 
 def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately():
-    """JAX takes such dataclasses for equal: `jax.jit` alone takes one in eight of these for an earlier one."""
+    """JAX takes such dataclasses for equal: `jax.jit` alone takes one in eight of these
+    for an earlier one.
+    """
     number = jit_quickly(lambda rule: rule.count * type(rule).number)
     for copy in range(40):
         kind = dataclass(frozen=True)(
@@ -117,7 +124,9 @@ def test_a_budget_is_spent_where_it_gains_most(game):
 
 
 def over_naive(gains, price=0.0, doubt=0.0):
-    """Return a rule whose networks expect equal gains of turn and tom everywhere, and are less certain about tom."""
+    """Return a rule whose networks expect equal gains of turn and tom everywhere, and
+    are less certain about tom.
+    """
     *hidden, (weights, biases) = SHIPPED.network
     expected = np.zeros_like(biases)
     expected[:, :2] = gains
@@ -150,7 +159,9 @@ def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_an
 
 
 def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highest(game):
-    """Theory of mind gains 1 for the nearest human, and loses for every other one; turn gains the same for each."""
+    """Theory of mind gains 1 for the nearest human, and loses for every other one; turn
+    gains the same for each.
+    """
     place = np.zeros((1, len(SHIPPED.centre), 1), np.float32)
     place[0, -1] = 0.01  # of the share of humans who are nearer, so that tanh is linear
     for gain, rungs in ((0.4, TURN * NEAREST_FOUR), (0.2, [TOM, *[NAIVE] * 4])):

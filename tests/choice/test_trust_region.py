@@ -11,7 +11,9 @@ RADIUS = 1.5
 
 
 def problems(dimensions):
-    """Convex, concave and indefinite quadratics over many scales, with hard cases and vanishing slopes among them."""
+    """Convex, concave and indefinite quadratics over many scales, with hard cases and
+    vanishing slopes among them.
+    """
     random = np.random.default_rng(0)
     for number in range(60):
         quadratic = random.normal(size=(dimensions, dimensions)) * 10 ** random.uniform(
@@ -25,7 +27,9 @@ def problems(dimensions):
 
 
 def best_value(quadratic, linear):
-    """The optimum in the ball: the least value of the dual, which is convex in the multiplier."""
+    """The optimum in the ball: the least value of the dual, which is convex in the
+    multiplier.
+    """
     values, vectors = np.linalg.eigh(quadratic)
     along, least = (vectors.T @ linear) ** 2, max(0.0, values[-1])
 

@@ -37,7 +37,10 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
             "there is no agent agents/mine.zip; notebooks/examples/train",
         ),
         (
-            "sweep merger --set ladder=naive,tom@8 --controllers naive learned:1 --out sweep",
+            (
+                "sweep merger --set ladder=naive,tom@8 --controllers naive learned:1"
+                " --out sweep"
+            ),
             "without 'tom@8'",
         ),
         (
@@ -47,7 +50,10 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("compare merger --out caf\udce9", "invalid path value: 'caf\\udce9'"),
         (
             "report elsewhere",
-            "elsewhere holds no results of a comparison; name a directory that `ms-highway compare`",
+            (
+                "elsewhere holds no results of a comparison; name a directory that"
+                " `ms-highway compare`"
+            ),
         ),
         ("video merger --out film.avi", "no name that ends in .mp4, .gif"),
         ("sweep merger --out sweep --devices 1 --scheduler tcp://a:1", "leave one out"),
@@ -62,7 +68,10 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ),
         (
             "frontier --lambdas 3:1:1",
-            "argument --lambdas: lambdas are '3:1:1'; give a number like 0.1, or LOW:HIGH",
+            (
+                "argument --lambdas: lambdas are '3:1:1'; give a number like 0.1, or"
+                " LOW:HIGH"
+            ),
         ),
         (
             "compare --out /proc/x/y",

@@ -1,4 +1,6 @@
-"""`ms-highway compare` and `report` as users type them: results, resuming, figures and pages."""
+"""`ms-highway compare` and `report` as users type them: results, resuming, figures and
+pages.
+"""
 
 import contextlib
 import io
@@ -159,7 +161,9 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
 
 @pytest.mark.filterwarnings("always:.*not whole")
 def test_episodes_that_are_not_whole_are_computed_again(compared, begun, capsys):
-    """One has lost its last rows, the end of its last row, a row in its middle, or has a row twice."""
+    """One has lost its last rows, the end of its last row, a row in its middle, or has
+    a row twice.
+    """
     steps = begun / "steps.csv"
     wanted = untimed(compared)
     head, *lines = steps.read_text().splitlines(keepends=True)
@@ -223,7 +227,10 @@ def test_a_command_whose_reader_has_left_writes_its_results_without_complaint(
 
 @pytest.mark.slow
 def test_compare_keeps_measured_costs_with_the_results(tmp_path):
-    command = f"compare stay_back --controllers switching:1 --seeds 1 --set costs=measured --out {tmp_path}"
+    command = (
+        "compare stay_back --controllers switching:1 --seeds 1 --set costs=measured"
+        f" --out {tmp_path}"
+    )
     run(command)
     settings = (tmp_path / "settings.json").read_text()
     assert 0 < json.loads(settings)["measured"]["stay_back"]["naive"] < 0.1
@@ -285,7 +292,9 @@ WRONG = [None, -1, 2.5, "x", [1], {"a": [1]}, True, float("nan")]
 
 
 def places_of(content, place=()):
-    """Yield the place of every value in the content of a JSON file, as keys and numbers from the top."""
+    """Yield the place of every value in the content of a JSON file, as keys and numbers
+    from the top.
+    """
     yield place
     if isinstance(content, dict | list):
         for key in content if isinstance(content, dict) else range(len(content)):

@@ -105,7 +105,10 @@ WRONG = [
     ({"controller": "one_step"}, "unknown controller 'one_step'; name a model"),
     (
         {"beliefs": "true"},
-        "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of several",
+        (
+            "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes"
+            " of several"
+        ),
     ),
     (
         {"controller": "random:tom"},
@@ -125,7 +128,10 @@ WRONG = [
     ({"action": {"type": "HumanModelAction", "lamda": 1}}, "did you mean 'lambda'"),
     (
         {"action": {"type": "DiscreteAction", "acceleration_range": [5, -5]}},
-        "config['action']['acceleration_range'] is [5, -5]; give the lowest value first",
+        (
+            "config['action']['acceleration_range'] is [5, -5]; give the lowest value"
+            " first"
+        ),
     ),
     (
         {
@@ -134,7 +140,10 @@ WRONG = [
                 "observation_configs": [{"type": "CarState"}],
             }
         },
-        "config['observation']['observation_configs'][0] is {'type': 'CarState'}; its 'type' must be one of CarStates",
+        (
+            "config['observation']['observation_configs'][0] is {'type': 'CarState'};"
+            " its 'type' must be one of CarStates"
+        ),
     ),
     (
         {
@@ -146,7 +155,10 @@ WRONG = [
     ),
     (
         {"controller": "never", "action": {"type": "HumanModelAction", "lambda": 1}},
-        "config['controller'] is {'type': 'driver', 'name': 'never'}, with which no model is chosen",
+        (
+            "config['controller'] is {'type': 'driver', 'name': 'never'}, with which no"
+            " model is chosen"
+        ),
     ),
 ]
 PARALYSED = {"type": "ContinuousAction", "longitudinal": False, "lateral": False}
@@ -415,7 +427,10 @@ def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_r
 
 
 def test_a_class_that_makes_no_rule_is_refused_with_what_to_derive_it_from():
-    remedy = "; derive it from ms_highway.Chooser and define `choose`, or from ms_highway.Estimator and define"
+    remedy = (
+        "; derive it from ms_highway.Chooser and define `choose`, or from"
+        " ms_highway.Estimator and define"
+    )
     for kind in (
         ms_highway.ControllerSettings,
         ms_highway.Chooser,
@@ -641,12 +656,16 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
     episode(1.0, "gains", **{"lambda": 0.0})
     with pytest.raises(
         ValueError,
-        match="the estimator Gains returned gains that are NaN or infinite; return -inf",
+        match=(
+            "the estimator Gains returned gains that are NaN or infinite; return -inf"
+        ),
     ):
         episode(np.nan, "gains", **{"lambda": 0.0})
     with pytest.raises(
         ValueError,
-        match=r"the estimator Gains returned gains of shape \(1, 3\); return one for each",
+        match=(
+            r"the estimator Gains returned gains of shape \(1, 3\); return one for each"
+        ),
     ):
         episode(1.0, "gains", rungs=3, **{"lambda": 0.0})
 
@@ -768,7 +787,9 @@ def test_a_scenario_needs_a_name_of_one_word_that_the_package_does_not_use():
     for name in ("merger", "two words", "Upper"):
         with pytest.raises(
             ValueError,
-            match=f"a scenario cannot be called '{name}'; choose one word in lower case",
+            match=(
+                f"a scenario cannot be called '{name}'; choose one word in lower case"
+            ),
         ):
             add_own_scenario(name)
 
@@ -793,7 +814,10 @@ def test_controllers_that_run_code_of_others_are_told_from_the_packages():
 def test_learned_values_warn_only_where_they_were_not_learned():
     for scenario in ("merger", "merger-v1", "crossing_crowd", "crossing-crowd-v1"):
         make(scenario, "learned:0.1")  # a warning would be an error
-    told = "not in merger-v1, horizon 15.*`ms-highway values learn merger-v1 --set horizon=15"
+    told = (
+        "not in merger-v1, horizon 15.*`ms-highway values learn merger-v1 --set"
+        " horizon=15"
+    )
     with pytest.warns(
         UserWarning, match=f"the values of computation were learned in .*{told}"
     ):
@@ -813,14 +837,20 @@ def test_learned_values_warn_among_other_humans_than_those_they_were_learned_amo
     ):
         with pytest.warns(
             UserWarning,
-            match=f"human_reward learned, not in merger-v1, human_reward .*{learn.format(text)}",
+            match=(
+                "human_reward learned, not in merger-v1, human_reward"
+                f" .*{learn.format(text)}"
+            ),
         ):
             make("merger-v1", "learned:1", human_reward=reward)
     make("merger-v1", "learned:1", human_reward="learned")
     monkeypatch.setitem(HUMAN_DRIVERS, "coasts", keep_velocity)
     with pytest.warns(
         UserWarning,
-        match="not in merger-v1, where 'coasts' drives the humans; choose another controller",
+        match=(
+            "not in merger-v1, where 'coasts' drives the humans; choose another"
+            " controller"
+        ),
     ):
         make("merger-v1", "learned:1", human_driver="coasts")
     make("merger-v1", "tom", human_driver="coasts", human_reward="published")

@@ -1,4 +1,6 @@
-"""Copies of environments, as planners and workers use them, and the types in ``info`` that workers rely on."""
+"""Copies of environments, as planners and workers use them, and the types in ``info``
+that workers rely on.
+"""
 
 import warnings
 from copy import deepcopy

@@ -1,4 +1,6 @@
-"""Drivers of the real humans: functions, vehicles of highway-env, and a person at the keyboard."""
+"""Drivers of the real humans: functions, vehicles of highway-env, and a person at the
+keyboard.
+"""
 
 from collections import Counter
 from copy import deepcopy
@@ -42,7 +44,7 @@ class Remembers:
         )
 
 
-def leaks(game, state, places=[]):  # noqa: B006
+def leaks(game, state, places=[]):
     """Remember the last six steps, also those of the episode before."""
     places[:] = [*places[-5:], state[0, 0]]
     return keep_velocity(game.world, state[0]) + np.array(
@@ -54,7 +56,7 @@ def draws(game, state):
     return [0.0, np.random.default_rng().normal()]
 
 
-def counts(game, state, calls=[0]):  # noqa: B006
+def counts(game, state, calls=[0]):
     calls[0] += 1
     return keep_velocity(game.world, state[0]) + jnp.array([0.0, -0.1 * calls[0]])
 
@@ -141,7 +143,10 @@ def test_a_vehicle_of_highway_env_drives_by_itself():
         ),
         (
             "counts",
-            "'counts' computes something else when it is asked again; give add_driver an object with `reset",
+            (
+                "'counts' computes something else when it is asked again; give"
+                " add_driver an object with `reset"
+            ),
         ),
     ],
 )
@@ -185,23 +190,38 @@ def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_it
     [
         (
             "leaks",
-            "'leaks' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`",
+            (
+                "'leaks' returned .* in the same state, so it remembers or draws; .*"
+                " `reset\\(key\\)`"
+            ),
         ),
         (
             "draws",
-            "'draws' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`",
+            (
+                "'draws' returned .* in the same state, so it remembers or draws; .*"
+                " `reset\\(key\\)`"
+            ),
         ),
         (
             "counts",
-            "'counts' returned .* in the same state, so it remembers or draws; .* `reset\\(key\\)`",
+            (
+                "'counts' returned .* in the same state, so it remembers or draws; .*"
+                " `reset\\(key\\)`"
+            ),
         ),
         (
             "forgets",
-            "'forgets' writes into an array that it was given; copy an array before you change it",
+            (
+                "'forgets' writes into an array that it was given; copy an array before"
+                " you change it"
+            ),
         ),
         (
             "moves",
-            "'moves' writes into an array that it was given; copy an array before you change it",
+            (
+                "'moves' writes into an array that it was given; copy an array before"
+                " you change it"
+            ),
         ),
     ],
 )
@@ -230,7 +250,9 @@ def test_an_object_that_cannot_begin_an_episode_is_refused():
 def test_arrow_keys_drive_the_human(monkeypatch):
     with pytest.raises(
         OSError,
-        match="no window to press keys in; make the environment with render_mode='human'",
+        match=(
+            "no window to press keys in; make the environment with render_mode='human'"
+        ),
     ):
         make("merger-v1", human_driver="keyboard").reset(seed=0)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")

@@ -92,7 +92,8 @@ def test_a_video_of_two_controllers_shows_both_under_their_names(films):
 
 def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path):
     run(
-        f"video merger --controller naive --against turn --seed 1 --width 480 --out {tmp_path / 'film.mp4'}"
+        "video merger --controller naive --against turn --seed 1 --width 480 --out"
+        f" {tmp_path / 'film.mp4'}"
     )
     video = imageio.imread(tmp_path / "film.mp4", plugin="pyav")
     assert video.shape == (40, 408, 480, 3)

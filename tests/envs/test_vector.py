@@ -56,7 +56,9 @@ def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
 
 
 def test_in_a_chaotic_scene_the_first_steps_agree_with_single_environments():
-    """Later, rounding decides which models are chosen; notebooks/REFERENCE.md says by how much episodes differ."""
+    """Later, rounding decides which models are chosen; notebooks/REFERENCE.md says by
+    how much episodes differ.
+    """
     ours, singles = both("stay-back-v1", {"controller": "learned:1"}, number=2)
     ours.reset(seed=7), singles.reset(seed=7)
     for _ in range(3):
@@ -225,7 +227,9 @@ def test_wrong_actions_seeds_and_masks_are_refused():
     for key in (3, None):
         with pytest.raises(
             ValueError,
-            match=rf"the key of reset is {key}; give one of JAX, such as jax\.random\.key",
+            match=(
+                rf"the key of reset is {key}; give one of JAX, such as jax\.random\.key"
+            ),
         ):
             FunctionalEnv("merger-v1").reset(key)
     with pytest.raises(ValueError, match="never reset; reset all of them"):

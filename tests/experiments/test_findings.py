@@ -14,7 +14,9 @@ COUNTED = {"naive": 0.09, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.
 
 
 def said(**rewards):
-    """Return the answer on one-step episodes with the rewards of controllers; ``_`` stands for ``:0.``."""
+    """Return the answer on one-step episodes with the rewards of controllers; ``_``
+    stands for ``:0.``.
+    """
     rows = [
         (name.replace("_", ":0."), *each)
         for name, values in rewards.items()
@@ -38,11 +40,13 @@ def test_the_answer_tells_the_gain_and_how_much_of_it_each_kind_of_controller_ke
     message = said(
         naive=[1, 1.1], tom=[5, 5.1], learned_1=[5, 5.1], switching_1=[4, 4.1]
     )
-    assert message == (
-        "tom earns a reward of 5.05 per step. "
-        "That is 4.00 more than naive (90 % interval 4.00 to 4.00, starts: 2). "
-        "learned:0.1 earns 5.05 and keeps 100 % of that gain, for 30 % of tom's planning. "
-        "switching:0.1 earns 4.05 and keeps 75 % of that gain, for 50 % of tom's planning. No controller collides."
+    assert (
+        message
+        == "tom earns a reward of 5.05 per step. That is 4.00 more than naive (90 %"
+        " interval 4.00 to 4.00, starts: 2). learned:0.1 earns 5.05 and keeps 100 %"
+        " of that gain, for 30 % of tom's planning. switching:0.1 earns 4.05 and"
+        " keeps 75 % of that gain, for 50 % of tom's planning. No controller"
+        " collides."
     )
 
 

@@ -12,7 +12,10 @@ from ms_highway.experiments.runner import episode, make_environment
 
 PRICES = 0.03, 0.1
 CONTROLLERS = ["naive", "turn", "random:naive=0.75,turn=0.25", "switching:0.1"]
-SEARCH = "frontier merger --set ladder=naive,turn --seeds 3 --prices 0.03 0.1 --lambdas 0.1 --population 16 --rounds 4 "
+SEARCH = (
+    "frontier merger --set ladder=naive,turn --seeds 3 --prices 0.03 0.1 --lambdas 0.1"
+    " --population 16 --rounds 4 "
+)
 SEARCH += f"--controllers {CONTROLLERS[2]} --out"
 
 

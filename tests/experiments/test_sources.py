@@ -1,4 +1,6 @@
-"""Results never go stale: modules, files and definitions that they depend on must not change."""
+"""Results never go stale: modules, files and definitions that they depend on must not
+change.
+"""
 
 import shutil
 import sys
@@ -162,7 +164,9 @@ def test_imports_are_added_to_results_but_not_taken_away(imports):
 def test_results_are_refused_after_a_name_has_got_another_meaning(
     tmp_path, monkeypatch
 ):
-    """As in a notebook, where a driver is defined again, or by two modules that add one name."""
+    """As in a notebook, where a driver is defined again, or by two modules that add one
+    name.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(HUMAN_DRIVERS, "mine", None)
 
@@ -190,7 +194,8 @@ def test_results_are_refused_after_a_name_has_got_another_meaning(
     ):
         begin("mine", "naive")
 
-    # The same text with other numbers: of a partial function, and of the function around it.
+    # The same text with other numbers: of a partial function, and of the function
+    # around it.
     for strength, around, directory in ((1.0, 1.0, "partial"), (2.0, 1.0, "around")):
         strengths[0] = around
         add_driver("mine", partial(brakes_by, strength))
@@ -223,7 +228,10 @@ def test_files_beside_a_package_are_sources_of_its_modules(
     monkeypatch.syspath_prepend(tmp_path / "own package")
     (package / "__init__.py").touch()
     (package.parent / "__init__.py").touch()
-    read = "from pathlib import Path\nSTRENGTH = (Path(__file__).parents[2] / 'data' / 'strength').read_text()"
+    read = (
+        "from pathlib import Path\nSTRENGTH = (Path(__file__).parents[2] / 'data' /"
+        " 'strength').read_text()"
+    )
     (package / "calm.py").write_text(read)
     data = package.parents[1] / "data"
     data.mkdir()
@@ -270,7 +278,9 @@ def test_results_are_read_but_not_filmed_where_a_driver_that_they_name_is_missin
     assert len(results.records) == 2
     with pytest.raises(
         ValueError,
-        match=r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import",
+        match=(
+            r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import"
+        ),
     ):
         results.refuse_changed("merger", ["naive"])
 
@@ -305,7 +315,10 @@ def test_a_module_that_was_imported_before_counts_as_what_was_loaded(imports):
 
 
 def test_modules_of_packages_of_this_one_and_without_a_file_are_no_sources(imports):
-    making = "import sys, types; sys.modules['made'] = made = types.ModuleType('made'); made.__file__ = '_made.py'"
+    making = (
+        "import sys, types; sys.modules['made'] = made = types.ModuleType('made');"
+        " made.__file__ = '_made.py'"
+    )
     Path("braking.py").write_text(
         f"import installed_elsewhere; BRAKING = 1.0; {making}"
     )

@@ -16,7 +16,10 @@ from distributed import LocalCluster
 
 from ms_highway.runtime.files import LOCK
 
-SWEEP = "sweep stay_back --set ladder=naive, --controllers naive random:naive=1 schedule:naive=3,naive "
+SWEEP = (
+    "sweep stay_back --set ladder=naive, --controllers naive random:naive=1"
+    " schedule:naive=3,naive "
+)
 SWEEP += "--seeds 24 --part 16 --steps --out"
 """Three controllers that share a small program: 72 episodes in five parts."""
 

@@ -1,4 +1,6 @@
-"""Learning values of computation with one human and several, by `ms-highway values learn`."""
+"""Learning values of computation with one human and several, by `ms-highway values
+learn`.
+"""
 
 from dataclasses import replace
 from itertools import islice
@@ -69,5 +71,6 @@ def test_the_command_learns_values_among_several_humans_that_drive(tmp_path):
     assert values.provenance["scenarios"] == ["dense_merge"]
     assert values.provenance["examples"] == 24  # 2 per state
     run(
-        f"compare {config} --controllers learned:0.1:{file} --seeds 1 --out {tmp_path / 'out'}"
+        f"compare {config} --controllers learned:0.1:{file} --seeds 1 --out"
+        f" {tmp_path / 'out'}"
     )

@@ -14,7 +14,8 @@ from ms_highway.geometry.bodies import CORNERS, MIDDLES
 
 
 def by_formula(scene, cars):
-    """The risk of the first of some cars: nine points of its body, in the frame of every other car and obstacle.
+    """The risk of the first of some cars: nine points of its body, in the frame of
+    every other car and obstacle.
 
     Points are complex numbers, x + iy.
     """
@@ -40,7 +41,9 @@ def by_formula(scene, cars):
 
 
 def test_the_risk_of_a_collision_is_that_of_its_formula(played):
-    """Four cars are near a cone, in any direction. Derivatives are JAX's, see the slopes of all features."""
+    """Four cars are near a cone, in any direction. Derivatives are JAX's, see the
+    slopes of all features.
+    """
     scene, place = played("stay_back")[0].scene, PAPER_FEATURES.index("collision_risk")
     states = (
         np.random.default_rng(0).normal(0, [3, 3, 1, 2], (6, 4, 4)).astype(np.float32)

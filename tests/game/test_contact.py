@@ -1,4 +1,6 @@
-"""On physical ground, a collision is an overlap of bodies, and plans pay before bodies touch."""
+"""On physical ground, a collision is an overlap of bodies, and plans pay before bodies
+touch.
+"""
 
 from dataclasses import replace
 
@@ -37,7 +39,9 @@ def rectangle(pose):
 
 
 def check(found, bodies, others):
-    """Check overlaps against those of shapely; bodies that merely touch may count or not."""
+    """Check overlaps against those of shapely; bodies that merely touch may count or
+    not.
+    """
     for overlaps, body, other in zip(found, bodies, others, strict=True):
         area = body.intersection(other).area
         touch = area < 1e-4 and body.distance(other) < 1e-4
@@ -61,7 +65,9 @@ def test_a_car_overlaps_a_cone_exactly_where_it_overlaps_a_circle_as_wide():
 
 
 def test_where_cars_overlap_plans_pay():
-    """A car pays itself if both directions differ by less than 7 degrees; else one of both pays."""
+    """A car pays itself if both directions differ by less than 7 degrees; else one of
+    both pays.
+    """
     random = np.random.default_rng(2)
     one, two = random_poses(random, 4.0), random_poses(random, 4.0)
     two[::2, 2] = one[::2, 2] + random.uniform(-1, 1, POSES // 2) * np.radians(7)

@@ -46,7 +46,10 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
             lambda content: content["drivers"]["peers"]["idm"]["spread"][
                 "along"
             ].__setitem__(1, "far"),
-            r"\(drivers\.peers\.idm\.spread\.along\[1\] is 'far': Expected `float`, got `str`\)",
+            (
+                r"\(drivers\.peers\.idm\.spread\.along\[1\] is 'far': Expected `float`,"
+                r" got `str`\)"
+            ),
         ),
         (
             lambda content: content["feature_counts"]["human"].pop("speed"),
@@ -88,7 +91,9 @@ def places(content, *keys):
 def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_names_it(
     tmp_path,
 ):
-    """A tenth of all damages; texts for which any content is right, such as provenance, cannot be damaged."""
+    """A tenth of all damages; texts for which any content is right, such as provenance,
+    cannot be damaged.
+    """
     path = tmp_path / "theta.json"
     save(shipped("us101"), path)
     text = path.read_text()

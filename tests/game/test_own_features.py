@@ -39,7 +39,9 @@ def room(scene, own, others):
 
 @pytest.fixture(autouse=True)
 def roomy():
-    """Merger with a cone beside the road, and a robot that likes to have room; its feature is gone after the test."""
+    """Merger with a cone beside the road, and a robot that likes to have room; its
+    feature is gone after the test.
+    """
     before = dict(OWN_FEATURES)
     add_feature("room", room)
     weights = {**MERGER.robot_weights, "room": 30.0}
@@ -49,7 +51,9 @@ def roomy():
 
 
 def test_decisions_expand_a_feature_that_depends_on_all_cars_at_once(roomy, played):
-    """Expansions leave other cars and cones out for features of the package; this feature depends on them."""
+    """Expansions leave other cars and cones out for features of the package; this
+    feature depends on them.
+    """
     state = np.array(played("merger")[1])
     state[0, 0] -= 3.0  # close to each other
     gradient = jit_quickly(

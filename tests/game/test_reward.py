@@ -35,7 +35,9 @@ def test_rewards_are_linear_in_features_in_every_batch_shape_and_features_do_not
 
 
 def test_the_slope_of_every_feature_equals_differences_and_indicators_have_none(played):
-    """In double precision, for four cars close to each other at the left edge of the road, behind a leader."""
+    """In double precision, for four cars close to each other at the left edge of the
+    road, behind a leader.
+    """
     game, state = played("merger", humans=2, unit=1.0)
     driver = linear_reward(dict.fromkeys(FEATURES, 1.0), 0.6)
     random = np.random.default_rng(0)

@@ -92,7 +92,10 @@ WRONG = {
     ),
     "humans": (
         {"humans": 0},
-        "has humans=0 and 0 streams; streams say where .*, and without streams there is one",
+        (
+            "has humans=0 and 0 streams; streams say where .*, and without streams"
+            " there is one"
+        ),
     ),
     "weight": (
         {"robot_weights": {"sped": 2}},
@@ -147,7 +150,10 @@ def test_only_a_class_of_environments_with_a_scenario_is_added():
     for wrong, message in (
         (
             MERGER,
-            "is no class of environments; give a class derived from ms_highway.InteractionEnv",
+            (
+                "is no class of environments; give a class derived from"
+                " ms_highway.InteractionEnv"
+            ),
         ),
         (
             type("NoneEnv", (MergerEnv,), {"scenario": None}),

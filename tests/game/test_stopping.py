@@ -109,7 +109,9 @@ def price_and_bend(payoff, own, others):
 
 @pytest.mark.parametrize("metres", [0.01, 0.5, 6.0, 30.0])
 def test_payoff_and_curvature_include_the_cost_at_the_price_of_a_collision(metres):
-    """The curvature is that of squares of r, without a jump. At 30 m, the car is passing the obstacle."""
+    """The curvature is that of squares of r, without a jump. At 30 m, the car is
+    passing the obstacle.
+    """
     own, others = (
         np.stack(motion(STOP - BRAKING + metres, CONE[1] - 0.4 * WIDTH)),
         np.stack(motion(300.0, -3.3))[None],

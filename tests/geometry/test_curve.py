@@ -1,7 +1,9 @@
-"""Coordinates of curves of all kinds are inverse to each other, in NumPy and in JAX, also beyond the ends."""
+"""Coordinates of curves of all kinds are inverse to each other, in NumPy and in JAX,
+also beyond the ends.
+"""
 
 import gymnasium as gym
-import highway_env  # noqa: F401, registers the environments
+import highway_env
 import jax
 import numpy as np
 import pytest

@@ -75,7 +75,9 @@ def test_a_file_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
 
 
 def along_the_road(number, steps, ahead, speed=SPEED):
-    """A car in the right lane, which is at these distances along the road at these steps."""
+    """A car in the right lane, which is at these distances along the road at these
+    steps.
+    """
     places = [place(start, 3.5) for start in ahead]
     return moving(
         number,
@@ -104,7 +106,10 @@ def test_drivers_whose_driving_is_impossible_or_says_nothing_are_left_out_and_na
     )
     with pytest.warns(
         UserWarning,
-        match="5 drivers are left out: obstacle 203 of USA_Test-1_1_T-1, which was not seen",
+        match=(
+            "5 drivers are left out: obstacle 203 of USA_Test-1_1_T-1, which was not"
+            " seen"
+        ),
     ):
         (kept,), left_out = usable_recordings([recording])
     assert [kept.label(driver) for driver in kept.drivers] == [

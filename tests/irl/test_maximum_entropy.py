@@ -1,4 +1,6 @@
-"""Learning a reward: derivatives, likelihoods, and weights that are known because demonstrators drove for them."""
+"""Learning a reward: derivatives, likelihoods, and weights that are known because
+demonstrators drove for them.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -92,7 +94,9 @@ def test_recordings_from_which_nothing_can_be_learned_are_refused():
 
 
 def driven(*controls):
-    """A recording of cars in two lanes, one behind the other, that are driven by controls [steps, 2]."""
+    """A recording of cars in two lanes, one behind the other, that are driven by
+    controls [steps, 2].
+    """
     drive = partial(step, PAPER_DYNAMICS)
     starts = [
         np.array([20.0 * car, 3.5 * (car % 2) + 0.3, 0.0, 10.0 * own[0].any()])
@@ -118,7 +122,10 @@ def test_a_driver_who_stands_for_a_while_does_not_let_weights_diverge():
     standing = np.where(np.arange(60)[:, None] < 45, 0.0, [0.001, 1.0])
     with pytest.warns(
         UserWarning,
-        match=r"9 of 48 segments are left out, .* does not change at all \(car 3 of made\)",
+        match=(
+            r"9 of 48 segments are left out, .* does not change at all \(car 3 of"
+            r" made\)"
+        ),
     ):
         found = learn_reward([driven(*swerving, standing)], REAL, 5, "made")
     alone = learn_reward([driven(*swerving)], REAL, 5, "made")

@@ -1,4 +1,6 @@
-"""Prediction of recorded drivers, on driving made by hand and on real driving where that is present."""
+"""Prediction of recorded drivers, on driving made by hand and on real driving where
+that is present.
+"""
 
 import json
 from dataclasses import replace
@@ -41,7 +43,9 @@ LANES = (
 
 
 def recorded(*cars, drivers=1):
-    """Return a recording of 6 s. All cars keep their speed and lane; predictors predict the first ``drivers`` cars."""
+    """Return a recording of 6 s. All cars keep their speed and lane; predictors predict
+    the first ``drivers`` cars.
+    """
     first = np.array(cars, float)
     states = np.linspace(first, first + 6 * first[:, 3:] * [1, 0, 0, 0], 61)
     sizes = np.tile([5.0, 2.0], (len(cars), 1))
@@ -61,7 +65,9 @@ def snapshot(recording, second):
 
 @pytest.mark.parametrize("predictor", PREDICTORS)
 def test_a_moment_is_predicted_as_in_a_recording_whose_future_is_not_used(predictor):
-    """Of 50 cars, the first comes up to a standing one, and 48 come into sight only at this moment."""
+    """Of 50 cars, the first comes up to a standing one, and 48 come into sight only at
+    this moment.
+    """
     behind = [(-40.0 * row, y, 0.0, 15.0) for row in range(1, 9) for y in LANES]
     recording = recorded(
         (0.0, 3.4, 0.0, 15.0), (105.0, 3.4, 0.0, 0.0), *behind, drivers=50
@@ -241,7 +247,8 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
         (path,) = us101_directory.glob(f"*-{short}_*.xml.gz")
         (data / path.name).symlink_to(path)
     run(
-        f"irl fit --data {data} --learn headway closing_speed comfort_steering --out {theta}"
+        f"irl fit --data {data} --learn headway closing_speed comfort_steering --out"
+        f" {theta}"
     )
     assert load(theta).log_likelihood["held_out"] is not None
     assert "closing_speed" in capsys.readouterr().out
@@ -291,7 +298,10 @@ def test_impossible_predictions_are_refused():
         ms_highway.predict([0.0, 0.0, 0.0, 20.0], LANES, 30.0)
     with pytest.raises(
         ValueError,
-        match="predictor is 'imm'; choose one of model, constant_velocity, idm, fitted_idm",
+        match=(
+            "predictor is 'imm'; choose one of model, constant_velocity, idm,"
+            " fitted_idm"
+        ),
     ):
         predict_with("imm", None, DRIVERS)
     with pytest.raises(ValueError, match=r"fitted_idm; learn it .* irl fit"):

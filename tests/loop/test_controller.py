@@ -190,7 +190,10 @@ def test_rules_with_impossible_ladders_costs_or_prices_are_refused(played):
 
 def test_what_is_no_rule_is_refused_with_how_to_make_one(played):
     game, _ = played("merger")
-    remedy = r"which is no Rule; make one with ms_highway\.in_order\(rungs, ladder\) or ms_highway\.always\(model\)"
+    remedy = (
+        r"which is no Rule; make one with ms_highway\.in_order\(rungs, ladder\) or"
+        r" ms_highway\.always\(model\)"
+    )
     rule = ms_highway.in_order(np.zeros((1, 1), int), LADDER)
     for wrong in (rule.chooser, LADDER[0], "naive", None):
         with pytest.raises(ValueError, match=f"a driver is given .*{remedy}"):
@@ -205,13 +208,19 @@ def test_costs_of_other_models_than_the_ladder_are_refused(played):
     game, _ = played("merger")
     models = ladder(["naive", "tom"])
     swapped = Costs.of({"tom": 0.1, "naive": 0.2}, 1)
-    message = r"the costs are \[0.1, 0.2\] for tom, naive; give one for each of naive, tom, in this order, as costs.sel"
+    message = (
+        r"the costs are \[0.1, 0.2\] for tom, naive; give one for each of naive, tom,"
+        r" in this order, as costs.sel"
+    )
     with pytest.raises(ValueError, match=message):
         Driver(game, Switching(swapped, 0.0, models))
     Driver(game, Switching(swapped.select(["naive", "tom"]), 0.0, models))
     with pytest.raises(
         ValueError,
-        match=r"the costs are \[0.1, 0.2\]; make them of seconds by name with ms_highway\.C",
+        match=(
+            r"the costs are \[0.1, 0.2\]; make them of seconds by name with"
+            r" ms_highway\.C"
+        ),
     ):
         Driver(game, Switching([0.1, 0.2], 0.0, models))
     with pytest.raises(

@@ -1,4 +1,6 @@
-"""The one step of all robots does the same live and in batches, whatever drives, among one human and among three."""
+"""The one step of all robots does the same live and in batches, whatever drives, among
+one human and among three.
+"""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -66,7 +68,9 @@ class Failing(PredictedHuman):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class OneEstimator(Estimator):
-    """Estimators, one of which estimates, so that drives and batches of all take a single compilation each."""
+    """Estimators, one of which estimates, so that drives and batches of all take a
+    single compilation each.
+    """
 
     parts: tuple
     which: Any
@@ -146,7 +150,9 @@ def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(
 
 
 def parts(humans):
-    """All choosers and all estimators by name; those of the package as an episode has them."""
+    """All choosers and all estimators by name; those of the package as an episode has
+    them.
+    """
     start = Start(
         LADDER,
         Costs.of(COSTS.seconds, humans),
@@ -210,7 +216,9 @@ def agree(records, episode, live, models):
 def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(
     played, humans
 ):
-    """Gains do not depend on the chooser either, where the same rungs are in use; the first rung gains 0."""
+    """Gains do not depend on the chooser either, where the same rungs are in use; the
+    first rung gains 0.
+    """
     scenario = "merger" if humans == 1 else "dense_merge"
     seeds = range(2 if humans == 1 else 1)
     drawn = [played(scenario, seed, humans=humans) for seed in seeds]
@@ -290,7 +298,9 @@ def test_a_driver_with_a_budget_measures_the_time_of_its_decisions(scene):
 
 
 def weaves(game, state):
-    """Return a control that depends on the robot's position, and that steers more than tyres hold."""
+    """Return a control that depends on the robot's position, and that steers more than
+    tyres hold.
+    """
     return keep_velocity(game.world, state[0]) + jnp.stack(
         [jnp.float32(0.03), 0.1 * (state[1, 0] - state[0, 0])]
     )
@@ -318,7 +328,8 @@ MIXED = [
 ]
 FAILS = [[rung] * 3 for rung in (NAIVE, *[FAILING] * 6, NAIVE, FAILING)]
 DRIVERS = never_yields, always_yields, weaves
-EPISODES = {  # number of the start, models of the humans in each step, and what drives the humans
+# number of the start, models of the humans in each step, and what drives the humans
+EPISODES = {
     "planning humans": (0, ALWAYS_TOM, None),
     "never": (0, ALWAYS_TOM, never_yields),
     "always": (0, ALWAYS_TOM, always_yields),
@@ -385,7 +396,9 @@ def test_a_step_is_the_same_live_and_in_batches_whatever_drives_robot_and_humans
 
 @pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
 def test_a_late_plan_is_followed_a_step_later_live_and_in_jax(scene):
-    """Late are the first plan, two that follow each other, one that is not finite, and one after braking."""
+    """Late are the first plan, two that follow each other, one that is not finite, and
+    one after braking.
+    """
     game, (state, _) = scene
     models = (*ladder(["naive+warm"]), Failing())
     late = [True, False, True, True, False, True, *[False] * 5, True, False]

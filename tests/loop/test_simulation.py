@@ -1,4 +1,6 @@
-"""The closed loop in pure JAX does what the environments do, and what the released code did."""
+"""The closed loop in pure JAX does what the environments do, and what the released code
+did.
+"""
 
 from dataclasses import replace
 
@@ -93,9 +95,10 @@ class NearsightedEnv(MergerEnv):
 
     def draw_episode(self, random):
         starts, weights = super().draw_episode(random)
-        return starts + [
-            [0, 0, 0, 1.0]
-        ] * 3, 1.5 * weights  # which the robot does not know
+        return (
+            starts + [[0, 0, 0, 1.0]] * 3,
+            1.5 * weights,
+        )  # which the robot does not know
 
 
 @pytest.mark.slow
@@ -114,7 +117,10 @@ def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(monkeypatch):
     monkeypatch.setattr(NearsightedEnv, "_is_terminated", lambda self: self.steps > 3)
     with pytest.raises(
         ValueError,
-        match="NearsightedEnv has its own _is_terminated, which a simulation does not call",
+        match=(
+            "NearsightedEnv has its own _is_terminated, which a simulation does not"
+            " call"
+        ),
     ):
         make_batch(comparison, nearsighted)
 

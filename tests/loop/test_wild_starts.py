@@ -19,7 +19,9 @@ LIMIT = np.array(PHYSICAL_LIMIT)
 
 
 def wild(state):
-    """Return starts with cars off the road, across it, reversing, standing, and one inside another."""
+    """Return starts with cars off the road, across it, reversing, standing, and one
+    inside another.
+    """
     random = np.random.default_rng(0)
     starts = np.asarray(state, dtype=float) + random.normal(
         0, [10, 4, 0.8, 12], (100, *state.shape)
@@ -32,7 +34,9 @@ def wild(state):
 
 @pytest.mark.slow
 def test_switching_drives_from_wild_starts(played):
-    """Five steps from every start, with a random human: enough to go up the ladder and all the way down."""
+    """Five steps from every start, with a random human: enough to go up the ladder and
+    all the way down.
+    """
     game, normal = played(
         replace(MERGER, cones=STAY_BACK.cones), control_limit=PHYSICAL_LIMIT
     )

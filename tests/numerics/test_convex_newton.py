@@ -45,7 +45,9 @@ def climb(hill, start, steps):
 @jax.jit
 @jax.vmap
 def climbed(steepness, waves, limit):
-    """Return the controls after Newton steps on a hill with waves, and the reward that these steps gain."""
+    """Return the controls after Newton steps on a hill with waves, and the reward that
+    these steps gain.
+    """
 
     def reward(path):
         return waves * jnp.sum(jnp.cos(3 * path)) - steepness * jnp.sum(
@@ -73,7 +75,8 @@ def test_steps_climb_any_reward_within_the_limits_and_are_nan_where_the_reward_i
 
 
 def test_similar_starts_end_in_similar_plans_even_where_the_reward_has_walls():
-    """At some of these starts, a line search that chooses among shares would jump from one share to the next.
+    """At some of these starts, a line search that chooses among shares would jump from
+    one share to the next.
 
     In double precision, as rounding hides whether the steepest change is a jump.
     """

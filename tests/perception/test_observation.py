@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import gymnasium as gym
-import highway_env  # noqa: F401, registers the environments
+import highway_env
 import jax
 import numpy as np
 import pytest
@@ -38,7 +38,9 @@ FORMS = forms(scene_of())
 
 
 def with_ego(scene, lane=None, at=0.0):
-    """An IDM vehicle instead of the ego of a scene, at the same place or at a place on a lane."""
+    """An IDM vehicle instead of the ego of a scene, at the same place or at a place on
+    a lane.
+    """
     environment = gym.make(scene).unwrapped
     environment.reset(seed=0)
     old, road = environment.vehicle, environment.road
@@ -57,7 +59,9 @@ def among(ego, lane, at):
 
 
 def drive(scene, steps=80):
-    """The ego's observation, the pose of its rear axle, its lane, and the positions of all, in every frame."""
+    """The ego's observation, the pose of its rear axle, its lane, and the positions of
+    all, in every frame.
+    """
     ego, goal = with_ego(scene), GOALS.get(scene)
     if goal:
         ego.plan_route_to(goal)

@@ -68,7 +68,9 @@ def test_low_latency_leaves_its_own_option_and_a_file_of_flags_as_the_user_has_s
 
 
 MAX_LINES = {"stay_back": 1100, "merger": 2500, "crossing_crowd": 8000}
-"""Of StableHLO, in any plan of a scenario's ladder: what users wait for in their first step grows with it."""
+"""Of StableHLO, in any plan of a scenario's ladder: what users wait for in their first
+step grows with it.
+"""
 
 
 @pytest.mark.parametrize("name", MAX_LINES)

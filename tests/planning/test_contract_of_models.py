@@ -1,4 +1,6 @@
-"""Every human model plans among several humans as it does alone, in its own steps from its own start."""
+"""Every human model plans among several humans as it does alone, in its own steps from
+its own start.
+"""
 
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -59,7 +61,9 @@ def same(found, expected):
 
 
 def test_a_model_plans_among_several_humans_as_it_does_alone(scene, alone):
-    """The other humans are far away, and predicted by any model that takes no more steps."""
+    """The other humans are far away, and predicted by any model that takes no more
+    steps.
+    """
     game, state = scene
     away = checked_state(state)
     away[2:4, 0] -= FAR

@@ -1,4 +1,6 @@
-"""Efforts: models by name in fewer or more steps or from the last plan, and their costs."""
+"""Efforts: models by name in fewer or more steps or from the last plan, and their
+costs.
+"""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar

@@ -43,7 +43,9 @@ def test_mirrored_scenes_give_mirrored_plans(played, name):
 
 @jit_quickly
 def derivatives(game, state, robot, human):
-    """The slopes of the robot's reward in both sides of a plan; how the slope of the human's reward changes in both."""
+    """The slopes of the robot's reward in both sides of a plan; how the slope of the
+    human's reward changes in both.
+    """
     own, seen = swap_players(game, state)
 
     def slope(robot, human):
@@ -54,7 +56,8 @@ def derivatives(game, state, robot, human):
 
 
 def test_theory_of_mind_steps_along_the_total_derivative(played):
-    """The first step is 0.03 (dR_R/du_R + J^T dR_R/du_H), with J = -H^-1 d2R_H/du_H du_R formed explicitly.
+    """The first step is 0.03 (dR_R/du_R + J^T dR_R/du_H), with J = -H^-1 d2R_H/du_H
+    du_R formed explicitly.
 
     The eigenvalues of H are damped.
     """
@@ -74,7 +77,9 @@ def test_theory_of_mind_steps_along_the_total_derivative(played):
 
 
 def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
-    """In plans for Merger, the human brakes for a robot that counts on it, and the robot steers in."""
+    """In plans for Merger, the human brakes for a robot that counts on it, and the
+    robot steers in.
+    """
     game, state = played("merger")
     naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
     assert tom.humans[0, :, 1].mean() < naive.humans[0, :, 1].mean()
@@ -118,6 +123,9 @@ def test_an_invalid_prediction_is_refused_with_the_shape_and_the_units(
     game, state = played("merger")
     with pytest.raises(
         ValueError,
-        match=rf"model 'says' predicts {told}.*; predict numbers \(5, 2\): curvature \[1/m",
+        match=(
+            rf"model 'says' predicts {told}.*; predict numbers \(5, 2\): curvature"
+            r" \[1/m"
+        ),
     ):
         plan(Says(what), game, state)

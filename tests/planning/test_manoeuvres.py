@@ -16,7 +16,9 @@ TARGET = float(GAME.scene.target_lane)
 
 
 def traffic(*offsets, pace=SPEED):
-    """The robot in its lane, far before the cones, and humans in the target lane, so far ahead of it [m]."""
+    """The robot in its lane, far before the cones, and humans in the target lane, so
+    far ahead of it [m].
+    """
     humans = ([offset - 60.0, TARGET, 0.0, pace] for offset in offsets)
     return np.float32([[-60.0, 0.0, 0.0, SPEED], *humans])
 

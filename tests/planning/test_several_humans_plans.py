@@ -1,4 +1,6 @@
-"""Plans among several humans: assignments of models, far humans, their order, and numbers of steps."""
+"""Plans among several humans: assignments of models, far humans, their order, and
+numbers of steps.
+"""
 
 from dataclasses import replace
 

@@ -41,7 +41,9 @@ def robot_collides(state):
 
 
 def moved(state, control):
-    """The state after a control of the robot, while humans keep their velocity, and whether the robot collides then."""
+    """The state after a control of the robot, while humans keep their velocity, and
+    whether the robot collides then.
+    """
     controls = keep_velocity(GAME.dynamics, state)
     controls[0] = control * GAME.planner.control_scale
     state = step(GAME.dynamics, state, controls)
@@ -69,7 +71,8 @@ def test_a_robot_that_would_collide_brakes_in_time_if_the_next_lane_is_taken(cur
 
 
 def test_a_robot_that_is_faster_than_the_limit_brakes_as_soon_as_it_has_to():
-    """It stops 1.65 m before the cones if it brakes now, and 0.85 m too late if it brakes a step later.
+    """It stops 1.65 m before the cones if it brakes now, and 0.85 m too late if it
+    brakes a step later.
 
     A check of bodies that are widened by the clearance would miss that collision.
     """
@@ -83,7 +86,9 @@ def test_a_robot_that_is_faster_than_the_limit_brakes_as_soon_as_it_has_to():
 
 
 def test_a_robot_does_not_count_on_a_human_that_swerves_to_leave_the_road():
-    """The human beside the robot makes room for it, but only up to the edge of the road."""
+    """The human beside the robot makes room for it, but only up to the edge of the
+    road.
+    """
     edge = GAME.scene.lanes.min() - 0.5
     state = beside(-3.0, 30.0, 40.0)
     state[:2, 2], state[0, 1], state[0, 3] = -0.2, -0.5, 23.0
@@ -97,7 +102,9 @@ def test_a_robot_does_not_count_on_a_human_that_swerves_to_leave_the_road():
 
 
 def test_a_control_is_judged_over_the_same_time_as_escapes():
-    """A human from behind reaches the robot sooner or later: no escape replaces the first control of the best one."""
+    """A human from behind reaches the robot sooner or later: no escape replaces the
+    first control of the best one.
+    """
     for gap in np.arange(10.0, 60.0, 0.5):
         state = beside(-gap, -gap, -gap)
         state[1, 1], state[1:, 3] = 0.0, 40.0

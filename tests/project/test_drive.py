@@ -1,4 +1,6 @@
-"""Importing, driving, planning and simulating work with the oldest and newest versions, and from the wheel."""
+"""Importing, driving, planning and simulating work with the oldest and newest versions,
+and from the wheel.
+"""
 
 import gymnasium as gym
 import numpy as np

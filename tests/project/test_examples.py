@@ -28,7 +28,9 @@ def place(example):
 
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory):
-    """Return what each example prints, by name. All run in another process, as they add to the package's registries."""
+    """Return what each example prints, by name. All run in another process, as they add
+    to the package's registries.
+    """
     names = [name for name in EXAMPLES if name not in ALONE]
     done = python(
         "-c", PROGRAM, *map(place, names), cwd=tmp_path_factory.mktemp("examples")
@@ -71,7 +73,10 @@ def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_every_mode
         "stable_baselines3", reason="needs it: pip install stable-baselines3"
     )
     agent = tmp_path / "agent.zip"
-    words = f"merger-v1 --set costs=published --price 10 --environments 8 --steps 320 --episodes 2 --out {agent}"
+    words = (
+        "merger-v1 --set costs=published --price 10 --environments 8 --steps 320"
+        f" --episodes 2 --out {agent}"
+    )
     done = python(place(LEARNING), *words.split())
     _, _, *lines = done.stdout.partition("a second costs 10")[2].splitlines()
     names = ["agent", "random", "naive", "turn", "tom", "learned:10"]

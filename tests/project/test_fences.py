@@ -1,6 +1,8 @@
-"""Results that no change of the structure may worsen; ``fences.json`` holds their bounds, which nothing may loosen.
+"""Results that no change of the structure may worsen; ``fences.json`` holds their
+bounds, which nothing may loosen.
 
-The tests use commands and ``gym.make``, as users do, so that they outlive the structure.
+The tests use commands and ``gym.make``, as users do, so that they outlive the
+structure.
 """
 
 import json
@@ -26,7 +28,9 @@ def printed(capsys, command):
 
 
 def drive(env, seed):
-    """Let a robot drive an episode; return the mean reward of its steps and the last ``info``."""
+    """Let a robot drive an episode; return the mean reward of its steps and the last
+    ``info``.
+    """
     env.reset(seed=seed)
     rewards, done = [], False
     while not done:
@@ -60,10 +64,13 @@ def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
 
 @pytest.fixture(scope="module", params=FENCES["readme"])
 def compared(request, tmp_path_factory, optimized):
-    """Return a scenario, and the directory with the episodes of its rows in the README's table."""
+    """Return a scenario, and the directory with the episodes of its rows in the
+    README's table.
+    """
     scenario, out = request.param, tmp_path_factory.mktemp("compare")
     run(
-        f"compare {scenario} --controllers {' '.join(FENCES['readme'][scenario])} --seeds 30 --out {out}"
+        f"compare {scenario} --controllers {' '.join(FENCES['readme'][scenario])}"
+        f" --seeds 30 --out {out}"
     )
     return scenario, out
 

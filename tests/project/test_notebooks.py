@@ -27,7 +27,9 @@ QUICK = {
     "STEPS": 2,
     "TOM_STEPS": [6],
 }
-"""Values that replace the constants of cells that are tagged ``parameters``, so that a notebook takes seconds."""
+"""Values that replace the constants of cells that are tagged ``parameters``, so that a
+notebook takes seconds.
+"""
 
 LARGEST = 3e6  # bytes
 MACHINE = r"(?<![\w.])(/home/|/Users/|/root/|/tmp/|/work/|[A-Z]:\\\\)"

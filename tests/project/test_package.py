@@ -40,7 +40,8 @@ def test_the_package_is_found_from_the_directory_above_a_checkout_of_its_name(tm
 
 @pytest.fixture
 def checkout_without_links(tmp_path):
-    """Copy the project as Git checks it out on systems without symbolic links, which get a text file instead.
+    """Copy the project as Git checks it out on systems without symbolic links, which
+    get a text file instead.
 
     The directory has the package's name, as that of a clone may have.
     """
@@ -99,12 +100,13 @@ def test_an_editable_installation_is_found_from_above_its_checkout_and_has_envir
     source, installed = checkout_without_links, tmp_path / "installed"
     install(installed, "-e", source)
     program = (
-        "import site, sys\n"
-        f"site.addsitedir({str(installed)!r}); sys.path.append({sysconfig.get_path('purelib')!r})\n"
-        "import gymnasium, ms_highway, ms_highway.envs\n"
-        f"assert ms_highway.__file__ == {str(source / 'ms_highway' / '__init__.py')!r}, ms_highway.__path__\n"
-        f"assert ms_highway.envs.__file__ == {str(source / 'envs' / '__init__.py')!r}, ms_highway.envs.__file__\n"
-        "assert gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
+        f"import site, sys\nsite.addsitedir({str(installed)!r});"
+        f" sys.path.append({sysconfig.get_path('purelib')!r})\nimport gymnasium,"
+        " ms_highway, ms_highway.envs\nassert ms_highway.__file__ =="
+        f" {str(source / 'ms_highway' / '__init__.py')!r}, ms_highway.__path__\nassert"
+        f" ms_highway.envs.__file__ == {str(source / 'envs' / '__init__.py')!r},"
+        " ms_highway.envs.__file__\nassert"
+        " gymnasium.make('ms-highway/merger-v1').reset(seed=0)"
     )
     alone = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     python(

@@ -1,4 +1,6 @@
-"""In README, guide, results, notebooks, examples and docstrings, commands parse, and links and names have a target."""
+"""In README, guide, results, notebooks, examples and docstrings, commands parse, and
+links and names have a target.
+"""
 
 import ast
 import inspect
@@ -53,7 +55,9 @@ def fences(page, language):
 
 
 def commands():
-    """Return the lines of shell code that call ``ms-highway``, except those with variables of the shell."""
+    """Return the lines of shell code that call ``ms-highway``, except those with
+    variables of the shell.
+    """
     texts = [*fences(README, "sh"), *fences(RESULTS, "sh")]
     texts += [ast.get_docstring(ast.parse(source)) for source in EXAMPLES.values()]
     lines = "\n".join(texts).replace("\\\n", " ").splitlines()

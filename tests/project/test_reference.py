@@ -42,7 +42,7 @@ def test_exactly_the_keys_of_the_configuration_are_explained():
 
 @pytest.mark.slow
 def test_the_rollout_in_jax_of_the_page_runs():
-    (_, rollout) = fences(REFERENCE, "python")
+    _, rollout = fences(REFERENCE, "python")
     found = {}
     exec(rollout, found)
     assert found["rewards"].shape == (8, 40)

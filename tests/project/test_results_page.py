@@ -1,4 +1,6 @@
-"""The tables and sentences of README and results page agree with the files that are kept beside the page."""
+"""The tables and sentences of README and results page agree with the files that are
+kept beside the page.
+"""
 
 import json
 import re
@@ -83,7 +85,10 @@ def test_sentences_on_switching_agree_with_the_summaries():
         100 * merger["counted_ms"] / merger["counted_ms"]["tom"],
     )
     for name, sentence in {
-        "learned:1": "keeps {:.0f} % of what theory of mind gains over `naive`, for {:.0f} % of its planning",
+        "learned:1": (
+            "keeps {:.0f} % of what theory of mind gains over `naive`, for {:.0f} % of"
+            " its planning"
+        ),
         "switching:0.1": "`switching`, keeps {:.0f} % for {:.0f} % in Merger",
     }.items():
         assert sentence.format(kept[name], effort[name]) in FLOWING

@@ -1,4 +1,6 @@
-"""Read each element of CommonRoad files; refuse a damaged file by the names of the file and the element."""
+"""Read each element of CommonRoad files; refuse a damaged file by the names of the file
+and the element.
+"""
 
 import copy
 import random
@@ -64,7 +66,10 @@ def varied():
     times = (
         "<time><intervalStart>20</intervalStart><intervalEnd>30</intervalEnd></time>"
     )
-    goals = f'<goalState><position><lanelet ref="2"/></position>{times}</goalState></planningP'
+    goals = (
+        "<goalState><position><lanelet"
+        f' ref="2"/></position>{times}</goalState></planningP'
+    )
     lanes = two_lanes(points=6).replace(
         "<laneletType>", '<trafficSignRef ref="50"/><laneletType>', 1
     )

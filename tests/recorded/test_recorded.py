@@ -1,4 +1,6 @@
-"""Recorded traffic: of US-101, and of small scenarios written by hand, as an environment."""
+"""Recorded traffic: of US-101, and of small scenarios written by hand, as an
+environment.
+"""
 
 from io import BytesIO
 from itertools import combinations
@@ -302,7 +304,9 @@ def turned(states, angle):
 def test_the_ego_takes_the_place_of_the_vehicle_that_its_planning_problem_is_about(
     traffic, tmp_path
 ):
-    """The vehicle of another planning problem stays, and so does a car at the ego's bumper."""
+    """The vehicle of another planning problem stays, and so does a car at the ego's
+    bumper.
+    """
     second = problem(40.0, WIDTH).replace(
         'planningProblem id="7"', 'planningProblem id="8"'
     )
@@ -417,7 +421,9 @@ GRIP = 4.9  # m/s^2, of a robot
 
 
 def driven_through(directory, radius, side, speed, angle=np.pi / 2):
-    """Drive through a bend on an empty road; the largest offsets of a corner and of the robot's middle [m]."""
+    """Drive through a bend on an empty road; the largest offsets of a corner and of the
+    robot's middle [m].
+    """
     slowest = min(speed, np.sqrt(0.8 * GRIP * radius))
     seconds = 40 / speed + (radius * angle + 15) / slowest
     there = problem(

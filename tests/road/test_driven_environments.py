@@ -40,7 +40,9 @@ def driven(name, driver="fixed:naive", **options):
 
 
 def forms(road):
-    """Structure of an ``info``, type and shape of each entry, which recorders such as Minari's want to be constant."""
+    """Structure of an ``info``, type and shape of each entry, which recorders such as
+    Minari's want to be constant.
+    """
     return jax.tree.structure(road), [
         (type(value), np.shape(value)) for value in jax.tree.leaves(road)
     ]
@@ -126,7 +128,9 @@ def test_actions_are_ignored_and_a_time_limit_in_steps_is_kept():
 
 
 def test_the_reported_action_repeats_the_step_of_the_robot_or_is_nan():
-    """In a turn, tyres change the control within some of the steps, which have three frames."""
+    """In a turn, tyres change the control within some of the steps, which have three
+    frames.
+    """
     env, stock = (
         driven("intersection-v0", config=CONTINUOUS),
         gym.make("intersection-v0", config=CONTINUOUS),
@@ -187,7 +191,9 @@ def test_vector_environments_collect_infos_although_episodes_end_at_different_ti
 
 
 class Follows:
-    """Keep to the target lane, and keep a distance to the car ahead that is drawn for the episode."""
+    """Keep to the target lane, and keep a distance to the car ahead that is drawn for
+    the episode.
+    """
 
     def reset(self, key):
         self.distance, self.seen = np.random.default_rng(key).uniform(10.0, 30.0), []
@@ -253,10 +259,12 @@ def test_the_module_that_adds_a_planner_serves_paper_scenes_and_stock_roads(tmp_
     """A planner of the example drives in both under the same name."""
     asks = "--import notebooks.examples.agents"
     run(
-        f"{asks} bench road merge-v0 --drivers merges --seeds 1 --json {tmp_path / 'road.json'}"
+        f"{asks} bench road merge-v0 --drivers merges --seeds 1 --json"
+        f" {tmp_path / 'road.json'}"
     )
     run(
-        f"{asks} compare merger-v1 --controllers merges --seeds 1 --out {tmp_path / 'own'}"
+        f"{asks} compare merger-v1 --controllers merges --seeds 1 --out"
+        f" {tmp_path / 'own'}"
     )
     assert (tmp_path / "own" / "summary.csv").is_file()
     assert (tmp_path / "road.json").is_file()

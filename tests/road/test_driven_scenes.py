@@ -1,4 +1,6 @@
-"""Goals and speeds of highway-env's scenes, the robot in their car, and refused configurations; nothing is planned."""
+"""Goals and speeds of highway-env's scenes, the robot in their car, and refused
+configurations; nothing is planned.
+"""
 
 import gymnasium as gym
 import numpy as np
@@ -94,7 +96,10 @@ def test_side_effects_of_an_intersection_on_highway_envs_drivers_are_undone_in_o
         (
             "merge-v0",
             {"driver": "fixed:tom", "ladder": ("naive", "idm")},
-            "'fixed:tom'; choose one of priced, .* with numbers from 0 and rungs of.*'ladder'.*'naive', 'idm'",
+            (
+                "'fixed:tom'; choose one of priced, .* with numbers from 0 and rungs"
+                " of.*'ladder'.*'naive', 'idm'"
+            ),
         ),
         ("parking-v0", {}, r"parking-v0.*the robot drives highway, merge, roundabout"),
     ],

@@ -1,4 +1,6 @@
-"""The robot's driver on roads: choice of models by price and budget, late plans, compilation, and plans that fail."""
+"""The robot's driver on roads: choice of models by price and budget, late plans,
+compilation, and plans that fail.
+"""
 
 from dataclasses import replace
 

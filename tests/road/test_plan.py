@@ -1,4 +1,6 @@
-"""Plans of the robot on roads: proposals and answers of others together, and ways round obstacles."""
+"""Plans of the robot on roads: proposals and answers of others together, and ways round
+obstacles.
+"""
 
 from dataclasses import replace
 
@@ -45,7 +47,8 @@ CIRCLE = scene_of(
     bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)]
 )
 ONCOMING = coming(scene_of(cars=[SLOW, (120, -1, 20.0)]), 1)
-SCENES = {  # with the final lane of the robot, counted to the right, and its final speed
+# with the final lane of the robot, counted to the right, and its final speed
+SCENES = {
     "a free road": (scene_of(), 0, 29.2),
     "a slow car ahead": (scene_of(cars=[SLOW]), 1, 29.9),
     "a slow car ahead and cars on both sides": (

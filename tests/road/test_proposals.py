@@ -1,4 +1,6 @@
-"""Proposals keep within the limits of the car, traffic follows as in highway-env, and the better plan is preferred."""
+"""Proposals keep within the limits of the car, traffic follows as in highway-env, and
+the better plan is preferred.
+"""
 
 import jax
 import numpy as np
@@ -29,7 +31,9 @@ OWN, RIGHT = 1, 2
 
 @jit_quickly
 def driven_and_judged(scene, others, plans):
-    """As many plans as there are proposals, simulated; their preference, and whether they break a constraint."""
+    """As many plans as there are proposals, simulated; their preference, and whether
+    they break a constraint.
+    """
     now = situation_of(scene, PLANNING, WEIGHTS)
     driven = simulate(now, others, plans)
     scores = score(now, driven, plans)
@@ -37,7 +41,8 @@ def driven_and_judged(scene, others, plans):
 
 
 def judged(scene, controls, plans=PLANS, follows=NOBODY, acceleration=0.0):
-    """Plans, simulated and scored; given plans repeat the given controls [plans, steps, 2].
+    """Plans, simulated and scored; given plans repeat the given controls [plans, steps,
+    2].
 
     Others follow by IDM or have an acceleration.
     """
@@ -91,7 +96,9 @@ def test_a_plan_that_follows_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap,
 
 
 def theirs(speed, distance, ahead):
-    """Acceleration of highway-env's IDMVehicle, within its own limits, at a distance of centres to the car ahead."""
+    """Acceleration of highway-env's IDMVehicle, within its own limits, at a distance of
+    centres to the car ahead.
+    """
     road = Road(RoadNetwork.straight_road_network(1, speed_limit=50.0))
     car = IDMVehicle(road, [100.0, 0.0], 0.0, speed, target_speed=speed)
     other = IDMVehicle(road, [100.0 + distance, 0.0], 0.0, ahead)
@@ -168,7 +175,9 @@ PURSUED = scene_of(
 def test_the_first_of_two_plans_is_preferred_as_the_second_breaks_a_constraint(
     scene, controls, other_lane, broken
 ):
-    """Target lanes are the robot's and the other lane; the first plan may be broken, too."""
+    """Target lanes are the robot's and the other lane; the first plan may be broken,
+    too.
+    """
     controls = [np.broadcast_to(each, (STEPS, 2)) for each in controls]
     lanes = np.resize([OWN, other_lane], PROPOSALS)
     _, preference, found = judged(scene, controls, GIVEN._replace(lane=lanes))

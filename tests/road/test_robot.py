@@ -1,9 +1,11 @@
-"""The robot moves like highway-env's cars, and keeps within its grip, whatever its driver does."""
+"""The robot moves like highway-env's cars, and keeps within its grip, whatever its
+driver does.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
 
-import highway_env  # noqa: F401, registers the environments
+import highway_env
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork

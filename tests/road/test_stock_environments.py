@@ -36,7 +36,9 @@ def commuters_in(name, seed=0, **config):
 
 
 def drive(environment, steps):
-    """Drive with an idle ego until the episode ends, and yield the commuters after each step."""
+    """Drive with an idle ego until the episode ends, and yield the commuters after each
+    step.
+    """
     for _ in range(steps):
         _, _, terminated, truncated, _ = environment.step(IDLE)
         yield [

@@ -28,7 +28,9 @@ def begin(words):
 
 
 def interrupted(process):
-    """What a process says last after an interrupt, and its exit status; it is killed if it does not end."""
+    """What a process says last after an interrupt, and its exit status; it is killed if
+    it does not end.
+    """
     process.send_signal(signal.SIGINT)
     try:
         _, said = process.communicate(timeout=300)
@@ -83,8 +85,10 @@ except KeyboardInterrupt:
 
 @pytest.mark.slow
 def test_threads_of_an_interrupted_simulation_are_waited_for():
-    """In Python 3.11, threads that an interrupted `Thread.join` waits for count as ended, and outlive Python.
+    """In Python 3.11, threads that an interrupted `Thread.join` waits for count as
+    ended, and outlive Python.
 
-    A simulation takes longer than the time until the interrupt, which so comes while a thread computes.
+    A simulation takes longer than the time until the interrupt, which so comes while a
+    thread computes.
     """
     assert python("-c", LONG, timeout=300).stdout == "[]\n"

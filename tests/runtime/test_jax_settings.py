@@ -15,7 +15,9 @@ def test_compiled_functions_are_used_again_and_a_damaged_one_is_compiled_anew(tm
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
     def compute():
-        """Let JAX compile a new function, or fetch it from where the same program is kept."""
+        """Let JAX compile a new function, or fetch it from where the same program is
+        kept.
+        """
         result = jax.jit(lambda x: 3 * x + 1)(np.arange(4.0, dtype=np.float32))
         np.testing.assert_array_equal(result, [1, 4, 7, 10])
         return {file: file.read_bytes() for file in kept.iterdir()}

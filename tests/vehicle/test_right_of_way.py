@@ -13,7 +13,9 @@ RING = ("we", "sx", 1)
 
 
 def roundabout(*cars, route="nxs"):
-    """An empty roundabout with commuters, each given by lane, position along it and speed."""
+    """An empty roundabout with commuters, each given by lane, position along it and
+    speed.
+    """
     environment = gym.make("roundabout-v1").unwrapped
     environment.reset(seed=0)
     road = environment.road

@@ -16,7 +16,9 @@ from ms_highway.vehicle import (
 
 
 def road_with(*cars, lanes=2):
-    """A straight road with cars, each given by class, position, speed and, optionally, heading."""
+    """A straight road with cars, each given by class, position, speed and, optionally,
+    heading.
+    """
     road = Road(
         RoadNetwork.straight_road_network(lanes, speed_limit=20.0),
         np_random=np.random.RandomState(0),

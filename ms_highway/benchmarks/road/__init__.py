@@ -1,6 +1,8 @@
-"""Compare drivers of this package and others in stock scenes of highway-env, from the same starts.
+"""Compare drivers of this package and others in stock scenes of highway-env, from the
+same starts.
 
-Imports what `ms_highway.benchmarks` may import. This module itself holds names only, and imports nothing heavy.
+Imports what `ms_highway.benchmarks` may import. This module itself holds names only,
+and imports nothing heavy.
 """
 
 import re
@@ -31,7 +33,9 @@ SCENES = (
 OTHER_SCENES = ("highway-v0", "racetrack-oval-v1", "racetrack-oval-v0")
 
 RECORDED = "recorded"
-"""Name of the scene of recorded traffic, which has kinds of traffic and a driver of its own."""
+"""Name of the scene of recorded traffic, which has kinds of traffic and a driver of its
+own.
+"""
 
 RECORDED_ID = "ms_highway:ms-highway/recorded-v0"
 RECORDED_TRAFFIC = ("learned", "replay", "idm")
@@ -41,7 +45,9 @@ INTENTIONS = "+intentions"
 """Suffix of the names of drivers that know the routes of others."""
 
 HUMAN = "human"
-"""Name of the driver that repeats the recorded drive of the vehicle that the ego replaces."""
+"""Name of the driver that repeats the recorded drive of the vehicle that the ego
+replaces.
+"""
 
 DRIVERS = ("priced", "fixed:naive", "fixed:idm", "fixed:tom", "idm")
 """Drivers that are measured by default."""
@@ -55,7 +61,8 @@ TRAFFIC = {
 
 
 def known_scenes(names: Iterable[str]) -> list[str]:
-    """Return identifiers of scenes, each once; a name without a version stands for all versions, the newest first.
+    """Return identifiers of scenes, each once; a name without a version stands for all
+    versions, the newest first.
 
     Raises:
         ValueError: for an unknown scene.
@@ -74,7 +81,9 @@ def known_scenes(names: Iterable[str]) -> list[str]:
 
 
 def driver_config(name: str) -> dict:
-    """Return the configuration that `ms_highway.drive` takes for a driver's name, such as ``priced:2+intentions``."""
+    """Return the configuration that `ms_highway.drive` takes for a driver's name, such
+    as ``priced:2+intentions``.
+    """
     return {
         "driver": name.removesuffix(INTENTIONS),
         "intentions": name.endswith(INTENTIONS),

@@ -55,9 +55,11 @@ class Block(NamedTuple):
     """Episodes of one driver in one scene.
 
     Attributes:
-        scene: identifier of a stock environment, or `ms_highway.benchmarks.road.RECORDED`.
+        scene: identifier of a stock environment, or
+            `ms_highway.benchmarks.road.RECORDED`.
         driver: name of the driver.
-        traffic: a name of `ms_highway.benchmarks.road.TRAFFIC`, or of ``RECORDED_TRAFFIC``.
+        traffic: a name of `ms_highway.benchmarks.road.TRAFFIC`, or of
+            ``RECORDED_TRAFFIC``.
         starts: in recordings; seeds are their indices.
         exports: directory for drives in recordings, None to write none.
     """
@@ -138,24 +140,30 @@ def run_episode(
 ) -> dict:
     """Drive one episode.
 
-    Success means: no crash, and the goal is reached at the end, see `ms_highway.road.stock.success`; in scenes without
-    a goal, no crash, and the ego stayed on the road in all frames.
+    Success means: no crash, and the goal is reached at the end, see
+    `ms_highway.road.stock.success`; in scenes without a goal, no crash, and the ego
+    stayed on the road in all frames.
 
     Args:
         block: scene, driver and traffic.
         seed: of the start.
-        env: environment made by `make_driver` for the block; by default, one that this process keeps.
+        env: environment made by `make_driver` for the block; by default, one that this
+            process keeps.
         then: function to call after every frame.
 
     Returns:
-        * ``seed``; ``success``; ``crashed``; ``at_fault``, whether the ego crashed by its own fault; ``off_road``,
-          whether it left the road;
-        * ``steps``, the number of the environment's steps; ``reward``, its sum over them;
-        * figures of the motion until the end or a crash, see `ms_highway.benchmarks.road.measures.measured`;
-        * figures of the other vehicles, see `ms_highway.benchmarks.road.measures.OthersWatch.figures`;
+        * ``seed``; ``success``; ``crashed``; ``at_fault``, whether the ego crashed by
+          its own fault; ``off_road``, whether it left the road;
+        * ``steps``, the number of the environment's steps; ``reward``, its sum over
+          them;
+        * figures of the motion until the end or a crash, see
+          `ms_highway.benchmarks.road.measures.measured`;
+        * figures of the other vehicles, see
+          `ms_highway.benchmarks.road.measures.OthersWatch.figures`;
         * ``late``, the number of plans that were not ready within their budget;
-        * ``decisions``, the duration of each decision, without compilation [s]; ``sources``, the number of decisions by
-          what drove, if the driver tells; ``rungs``, how many cars each rung predicted, summed over decisions.
+        * ``decisions``, the duration of each decision, without compilation [s];
+          ``sources``, the number of decisions by what drove, if the driver tells;
+          ``rungs``, how many cars each rung predicted, summed over decisions.
     """
     env = env or _kept_driver(block)
     env.reset(
@@ -184,8 +192,9 @@ def run_episode(
         exported.write(directory, file_name(block.name(seed)))
     return {
         "seed": seed,
-        "success": not watch.crashed
-        and bool(not off_road if reached is None else reached),
+        "success": (
+            not watch.crashed and bool(not off_road if reached is None else reached)
+        ),
         "crashed": watch.crashed,
         "at_fault": watch.at_fault,
         "off_road": off_road,
@@ -212,14 +221,17 @@ def run_blocks(
     films: Path | None = None,
     modules: Sequence[str] = (),
 ) -> Iterator[tuple[Block, list[dict]]]:
-    """Drive the same starts in all blocks; yield each block with its episodes, in the order of blocks and seeds.
+    """Drive the same starts in all blocks; yield each block with its episodes, in the
+    order of blocks and seeds.
 
-    Each block has its own process on one core, because some scenes permanently change the class of other vehicles.
+    Each block has its own process on one core, because some scenes permanently change
+    the class of other vehicles.
 
     Args:
         blocks: scenes, drivers and traffic.
         seeds: of the starts.
-        films: directory for films of the first failure and the first success of each block.
+        films: directory for films of the first failure and the first success of each
+            block.
         modules: to import in the processes.
 
     Raises:
@@ -253,7 +265,8 @@ def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[d
 
 
 def film(block: Block, seed: int, path: Path) -> None:
-    """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, which plays at real speed.
+    """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, which
+    plays at real speed.
 
     Raises:
         OSError: if it cannot be written.
@@ -286,24 +299,31 @@ def film(block: Block, seed: int, path: Path) -> None:
 def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
     """Return the figures of a driver in a scene, for JSON.
 
-    * ``success``, ``off_road``: shares of the episodes in which the goal was reached, and the road was left;
-    * ``collisions``, ``at_fault``: numbers of episodes in which the ego crashed, and was at fault;
-    * ``reward_per_step``, ``return``: mean reward over all steps of all episodes, and mean sum of an episode;
-    * ``mean_speed``: over all frames [m/s]; ``stood``: mean time below 1 m/s in an episode [s];
-    * ``max_acceleration``, ``max_acceleration_of_centre``: the largest of all episodes [m/s^2];
+    * ``success``, ``off_road``: shares of the episodes in which the goal was reached,
+      and the road was left;
+    * ``collisions``, ``at_fault``: numbers of episodes in which the ego crashed, and
+      was at fault;
+    * ``reward_per_step``, ``return``: mean reward over all steps of all episodes, and
+      mean sum of an episode;
+    * ``mean_speed``: over all frames [m/s]; ``stood``: mean time below 1 m/s in an
+      episode [s];
+    * ``max_acceleration``, ``max_acceleration_of_centre``: the largest of all episodes
+      [m/s^2];
     * ``jerk``: root mean square over all frames [m/s^3];
     * ``p50_ms``, ``p99_ms``: quantiles of the durations of all decisions [ms];
     * ``late``: share of the plans that were not ready within their budget;
-    * ``steps``: mean number per episode; ``goal_seconds``: mean duration of the successful episodes, None without any
-      [s];
+    * ``steps``: mean number per episode; ``goal_seconds``: mean duration of the
+      successful episodes, None without any [s];
     * ``sources``: shares of the decisions by what drove, if the driver tells;
     * ``rungs``: shares of the cars that each rung predicted;
-    * ``any_collisions``, ``others_collisions``: numbers of episodes in which any vehicles collided, and in which other
-      vehicles collided without the ego;
-    * ``others_speed``, ``others_arrived``: their mean speed [m/s], and how many of them arrive in an episode;
+    * ``any_collisions``, ``others_collisions``: numbers of episodes in which any
+      vehicles collided, and in which other vehicles collided without the ego;
+    * ``others_speed``, ``others_arrived``: their mean speed [m/s], and how many of them
+      arrive in an episode;
     * ``others_braking``: their hardest braking in any frame [m/s^2];
-    * ``episodes``: their number; ``seeds``: the first seed and how many; ``traffic``: type of the other vehicles;
-      ``label``: ``unphysical`` if ``max_acceleration`` is above `UNPHYSICAL_ACCELERATION`.
+    * ``episodes``: their number; ``seeds``: the first seed and how many; ``traffic``:
+      type of the other vehicles; ``label``: ``unphysical`` if ``max_acceleration`` is
+      above `UNPHYSICAL_ACCELERATION`.
     """
     of = pd.DataFrame(episodes)
     p50, p99 = np.quantile(np.concatenate(of["decisions"]), [0.5, 0.99])
@@ -359,5 +379,8 @@ def row(block: Block, episode: Mapping) -> dict:
         own
         | start
         | numbers
-        | {"p50_ms": float(np.median(times)), "max_ms": float(times.max())}
+        | {
+            "p50_ms": float(np.median(times)),
+            "max_ms": float(times.max()),
+        }
     )

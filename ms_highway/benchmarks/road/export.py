@@ -1,8 +1,10 @@
-"""Write drives in recordings as CommonRoad files, a scenario and a solution, which other tools can evaluate.
+"""Write drives in recordings as CommonRoad files, a scenario and a solution, which
+other tools can evaluate.
 
-The scenario is the recording with its road and planning problem; the other vehicles move as they did in the episode.
-The solution is the drive of the ego: a state every 0.1 s of the kinematic single-track model (KS) of CommonRoad's
-vehicle 2, whose steering angles are computed from the yaw rates of the ego.
+The scenario is the recording with its road and planning problem; the other vehicles
+move as they did in the episode. The solution is the drive of the ego: a state every 0.1
+s of the kinematic single-track model (KS) of CommonRoad's vehicle 2, whose steering
+angles are computed from the yaw rates of the ego.
 """
 
 from datetime import datetime
@@ -54,7 +56,8 @@ class Drive:
             self._sizes[number] = vehicle.LENGTH, vehicle.WIDTH
 
     def write(self, directory: Path, name: str) -> None:
-        """Write ``NAME.xml``, the scenario of the episode, and ``NAME.solution.xml``, the ego's solution.
+        """Write ``NAME.xml``, the scenario of the episode, and ``NAME.solution.xml``,
+        the ego's solution.
 
         Raises:
             ImportError: without the packages of the extra ``commonroad``.
@@ -108,7 +111,9 @@ class Drive:
             whole.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
 
     def _steering(self) -> list[float]:
-        """Return the steering angle of CommonRoad's vehicle at each state, from the yaw rate of the next step [rad]."""
+        """Return the steering angle of CommonRoad's vehicle at each state, from the yaw
+        rate of the next step [rad].
+        """
         _, _, _, orientations, speeds = np.array(self._states[None]).T
         turned = np.diff(np.unwrap(orientations)) / (
             TIME_STEP * np.maximum(speeds[:-1], MIN_STEERING_SPEED)
@@ -117,7 +122,9 @@ class Drive:
         return [*angles, *(angles[-1:] or [0.0])]
 
     def _driven(self, recording: Path) -> ElementTree.Element:
-        """Return the XML of a recording with the driven in place of the recorded motion of the others."""
+        """Return the XML of a recording with the driven in place of the recorded motion
+        of the others.
+        """
         root = ElementTree.fromstring(read_xml(recording))
         for obstacle in root.findall("dynamicObstacle"):
             number = int(obstacle.attrib["id"])
@@ -143,7 +150,9 @@ class Drive:
 
 
 def _state(row: tuple[float, ...]) -> ElementTree.Element:
-    """Return a state in CommonRoad's XML, given its time step, x, y, orientation and speed."""
+    """Return a state in CommonRoad's XML, given its time step, x, y, orientation and
+    speed.
+    """
     step, x, y, orientation, speed = row
     return ElementTree.fromstring(
         f"<state><position><point><x>{x!r}</x><y>{y!r}</y></point></position>"

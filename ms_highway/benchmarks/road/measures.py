@@ -1,4 +1,6 @@
-"""Measure the motion of the ego and of others in every frame of the simulation, and the ego's fault in collisions."""
+"""Measure the motion of the ego and of others in every frame of the simulation, and the
+ego's fault in collisions.
+"""
 
 from collections import deque
 from collections.abc import Callable, Collection
@@ -12,10 +14,12 @@ from ms_highway.geometry.bodies import separation
 
 LOOK_BACK = 1.0  # s before a collision
 GAP = 0.5  # m, largest gap between lanes where roads meet
-COLLISION_REACH = 2.0  # m, largest distance of cars that have just collided: highway-env pushes them apart
+# m, largest distance of cars that have just collided: highway-env pushes them apart
+COLLISION_REACH = 2.0
 LANE_OFFSET = 1.0  # m
 STANDING_SPEED = 1.0  # m/s
-SAME_WAY = 0.7  # smallest cosine of the angle between headings of vehicles that go the same way
+# smallest cosine of the angle between headings of vehicles that go the same way
+SAME_WAY = 0.7
 
 Lane: TypeAlias = tuple[str, str, int] | None
 """Index of a lane in a road network, or None."""
@@ -24,9 +28,10 @@ Lane: TypeAlias = tuple[str, str, int] | None
 def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict:
     """Return figures of a car's motion by name.
 
-    The acceleration of a frame is the larger of two: the change of ``speed * (cos(heading), sin(heading))``, and
-    ``hypot(change of speed, speed * change of heading)``, both per second. The acceleration of the centre is the second
-    difference of its positions; it includes the slip angle of highway-env.
+    The acceleration of a frame is the larger of two: the change of ``speed *
+    (cos(heading), sin(heading))``, and ``hypot(change of speed, speed * change of
+    heading)``, both per second. The acceleration of the centre is the second difference
+    of its positions; it includes the slip angle of highway-env.
 
     Args:
         states: x, y, heading and speed before the first frame and after each frame.
@@ -67,7 +72,8 @@ class Watch:
         others: what the other vehicles have done.
         crashed: whether the ego has crashed.
         at_fault: whether the ego has crashed by its own fault, see `is_at_fault`.
-        off_road: whether its centre has been off its lane by more than `GAP`, before a crash.
+        off_road: whether its centre has been off its lane by more than `GAP`, before a
+            crash.
     """
 
     def __init__(self, env: Any, *then: Callable[[], None]) -> None:
@@ -91,7 +97,9 @@ class Watch:
         env.road.step = watched  # only of this road: a reset makes a new one
 
     def motion(self) -> dict:
-        """Return the figures of the ego's motion until now, or until it crashed, see `measured`."""
+        """Return the figures of the ego's motion until now, or until it crashed, see
+        `measured`.
+        """
         return measured(np.array(self._states), self._time_step, self.crashed)
 
     def _see(self) -> None:
@@ -121,17 +129,19 @@ class Watch:
 
 
 class OthersWatch:
-    """Watch all vehicles but the ego of a highway-env environment in every frame of the simulation.
+    """Watch all vehicles but the ego of a highway-env environment in every frame of the
+    simulation.
 
-    Vehicles collide if highway-env says so, or if their bodies overlap: in some scenes, as in highway-fast-v0,
-    highway-env looks for collisions of the ego only.
+    Vehicles collide if highway-env says so, or if their bodies overlap: in some scenes,
+    as in highway-fast-v0, highway-env looks for collisions of the ego only.
 
     Args:
         env: the environment, unwrapped, just reset.
 
     Attributes:
         collided: whether any two vehicles, or a vehicle and an obstacle, have collided.
-        others_collided: whether two of the others, or one of them and an obstacle, have collided before the ego did.
+        others_collided: whether two of the others, or one of them and an obstacle, have
+            collided before the ego did.
     """
 
     def __init__(self, env: Any) -> None:
@@ -152,8 +162,10 @@ class OthersWatch:
 
         * ``collided``, ``others_collided``: as above;
         * ``others_speed``: mean over all of the others and all frames [m/s];
-        * ``others_braking``: hardest deceleration of any of the others that has not collided [m/s^2];
-        * ``others_arrived``: number of the others that have reached the last road of their routes.
+        * ``others_braking``: hardest deceleration of any of the others that has not
+          collided [m/s^2];
+        * ``others_arrived``: number of the others that have reached the last road of
+          their routes.
         """
         return {
             "collided": self.collided,
@@ -191,7 +203,9 @@ class OthersWatch:
                 self._arrived.add(id(vehicle))
 
     def _touching(self, ego: Any, others: list[Any]) -> tuple[bool, bool]:
-        """Return whether the ego collides in this frame, and whether others collide without it."""
+        """Return whether the ego collides in this frame, and whether others collide
+        without it.
+        """
         crashed = [vehicle for vehicle in others if vehicle.crashed]
         if ego.crashed:
             crashed = [
@@ -217,7 +231,9 @@ class OthersWatch:
 
 
 def _gap(one: Any, other: Any) -> float:
-    """Return the distance between the circumscribed circles of two cars [m], negative if they overlap."""
+    """Return the distance between the circumscribed circles of two cars [m], negative
+    if they overlap.
+    """
     return float(
         np.linalg.norm(one.position - other.position)
         - (one.diagonal + other.diagonal) / 2
@@ -225,23 +241,26 @@ def _gap(one: Any, other: Any) -> float:
 
 
 def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
-    """Return whether the ego is at fault in a collision: always, unless it was rear-ended while it kept its lane.
+    """Return whether the ego is at fault in a collision: always, unless it was
+    rear-ended while it kept its lane.
 
     The ego was rear-ended if
 
     * the other goes the same way, within about 45 degrees,
     * the ego's centre is ahead of the other's front, along the other's heading, and
-    * the point of the other that is closest to the ego's centre is behind this centre, along the ego's heading.
+    * the point of the other that is closest to the ego's centre is behind this centre,
+      along the ego's heading.
 
-    The ego kept its lane if it followed a lane all the time, and the lane's number did not change on the same road.
-    Therefore a car that stands on the road when it is hit is at fault, and so is a car that was pushed out of its lane
-    from the side.
+    The ego kept its lane if it followed a lane all the time, and the lane's number did
+    not change on the same road. Therefore a car that stands on the road when it is hit
+    is at fault, and so is a car that was pushed out of its lane from the side.
 
     Args:
         ego: a vehicle of highway-env.
         other: the vehicle or object that the ego touches, None if it is unknown.
-        lanes: lane of the ego in each frame of the last second before the collision; None where the ego was farther
-            than `LANE_OFFSET` from its centre, or slower than `STANDING_SPEED`.
+        lanes: lane of the ego in each frame of the last second before the collision;
+            None where the ego was farther than `LANE_OFFSET` from its centre, or slower
+            than `STANDING_SPEED`.
     """
     if other is None or cos(ego.heading - other.heading) < SAME_WAY:
         return True

@@ -1,4 +1,5 @@
-"""Make drivers from outside this package (highway-env's, trained agents, recorded humans), and choose recorded starts.
+"""Make drivers from outside this package (highway-env's, trained agents, recorded
+humans), and choose recorded starts.
 
 Starts in recordings are planning problems, or vehicles that change lanes.
 """
@@ -45,7 +46,8 @@ class Peer(gym.Wrapper):
     Attributes:
         inner: the environment without its wrappers.
         seen: the last observation.
-        decisions: durations of decisions in this step that the ego itself makes in its frames [s].
+        decisions: durations of decisions in this step that the ego itself makes in its
+            frames [s].
     """
 
     seen: Any
@@ -78,7 +80,9 @@ class Peer(gym.Wrapper):
         """Prepare an episode after its reset."""
 
     def choose(self) -> Any:
-        """Return the action of the coming step, by default a placeholder for an ego that drives itself."""
+        """Return the action of the coming step, by default a placeholder for an ego
+        that drives itself.
+        """
         return placeholder_action(self.inner.action_type)
 
 
@@ -91,7 +95,8 @@ class Agent(Peer):
 
     Raises:
         ModuleNotFoundError: for a file, without stable-baselines3.
-        ValueError: if the file is no agent, or the agent knows other observations or actions.
+        ValueError: if the file is no agent, or the agent knows other observations or
+            actions.
     """
 
     def __init__(self, env: gym.Env, name: str) -> None:
@@ -105,10 +110,12 @@ class Agent(Peer):
 
 
 class PeerEgo(OfferedSpeeds, IDMVehicle):
-    """A car of highway-env's IDM and MOBIL as the ego, with the attributes of an `MDPVehicle` that rewards read.
+    """A car of highway-env's IDM and MOBIL as the ego, with the attributes of an
+    `MDPVehicle` that rewards read.
 
     Attributes:
-        decisions: list to which the ego appends the duration of each of its decisions [s].
+        decisions: list to which the ego appends the duration of each of its decisions
+            [s].
     """
 
     decisions: list[float]
@@ -126,10 +133,12 @@ class CommuterEgo(PeerEgo, CommuterVehicle):
 
 
 class Idm(Peer):
-    """Let highway-env's IDM and MOBIL drive the ego, on a route to the goal if there is one.
+    """Let highway-env's IDM and MOBIL drive the ego, on a route to the goal if there is
+    one.
 
-    They decide in every frame. The desired speed is that of `ms_highway.road.stock.desired_speed_of`, as for this
-    package's drivers; IDM obeys the speed limits of lanes by itself. A timed goal overrides the desired speed.
+    They decide in every frame. The desired speed is that of
+    `ms_highway.road.stock.desired_speed_of`, as for this package's drivers; IDM obeys
+    the speed limits of lanes by itself. A timed goal overrides the desired speed.
 
     Attributes:
         ego_type: class of the ego.
@@ -170,7 +179,9 @@ class Idm(Peer):
 
 
 class Commuter(Idm):
-    """Let a `ms_highway.CommuterVehicle` drive the ego, as `Idm` does with highway-env's."""
+    """Let a `ms_highway.CommuterVehicle` drive the ego, as `Idm` does with
+    highway-env's.
+    """
 
     ego_type = CommuterEgo
 
@@ -187,7 +198,8 @@ class Human(Peer):
         env = self.inner
         if not isinstance(env, RecordedEnv) or env.task.track is None:
             raise ValueError(
-                "the driver human repeats the drive of a recorded vehicle; say --egos changing"
+                "the driver human repeats the drive of a recorded vehicle; say --egos"
+                " changing"
             )
         track: Any = env.scenario.track(env.task.track)
         replace_ego(
@@ -210,8 +222,10 @@ class RecordedStart(NamedTuple):
     Attributes:
         name: for logs and files.
         recording: a file, or the name of a recording of the package.
-        ego: as in the environment's configuration: ``problem:NUMBER``, or the number of a recorded vehicle.
-        replaced: number of the recorded vehicle whose place the ego takes, None for none.
+        ego: as in the environment's configuration: ``problem:NUMBER``, or the number of
+            a recorded vehicle.
+        replaced: number of the recorded vehicle whose place the ego takes, None for
+            none.
     """
 
     name: str
@@ -226,14 +240,17 @@ class RecordedStart(NamedTuple):
 
 
 def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
-    """Return the starts in a directory of recordings, by default in that of the package.
+    """Return the starts in a directory of recordings, by default in that of the
+    package.
 
     Args:
         data: the directory.
-        egos: ``problem`` for all planning problems, ``changing`` for all vehicles that change lanes.
+        egos: ``problem`` for all planning problems, ``changing`` for all vehicles that
+            change lanes.
 
     Raises:
-        ValueError: if there is no recording, no start in any, or a planning problem cannot be started.
+        ValueError: if there is no recording, no start in any, or a planning problem
+            cannot be started.
     """
     starts: dict[tuple, RecordedStart] = {}
     for recording in [SHIPPED] if data is None else map(str, scenario_files(data)):
@@ -268,15 +285,18 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
         raise ValueError(
-            f"--data: there is no {what} in {data or 'the recording of the package'}; give another directory"
+            f"--data: there is no {what} in {data or 'the recording of the package'};"
+            " give another directory"
         )
 
     # Recordings may share an id: their files tell such starts apart.
     names = Counter(start.name for start in starts.values())
     return [
-        start
-        if names[start.name] == 1
-        else start._replace(name=f"{start.name}_{Path(start.recording).name}")
+        (
+            start
+            if names[start.name] == 1
+            else start._replace(name=f"{start.name}_{Path(start.recording).name}")
+        )
         for start in starts.values()
     ]
 
